@@ -1,0 +1,1 @@
+"""Identify a magnetorheological damper while it runs, and predict its force."""

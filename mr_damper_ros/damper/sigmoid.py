@@ -1,0 +1,281 @@
+"""The sigmoid force law of an MR damper.
+
+The law is that of Wang et al. (2004) in the form of the MATLAB routine ``mrf_sigmoid`` in
+D. M. D. da Silva, "Comparative study of optimization algorithms for parameter identification of
+the sigmoid model in MR dampers", University of Brasília, 2023 (eq. 7-11 and appendix D); where
+the typeset equations and the routine differ, the routine is followed.
+
+At one operating point, that is one peak velocity and one coil current, the force depends on
+seven *operating-point coefficients* only (:class:`Coefficients`). Each of them is proportional to
+exactly one of the sixteen parameters, its *scale parameter*; the other nine, the *shape
+parameters*, say how the coefficients change with peak velocity and current.
+
+All functions take and return SI units: displacement in m about the centre of the motion,
+velocity in m/s, acceleration in m/s², current in A, force in N (tension positive).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+PARAMETER_NAMES = (
+    *("f0", "I0", "I1", "a0", "a1", "a2", "a3", "a4"),
+    *("k0", "k1c", "k1e", "k2", "k3", "k4", "k5", "k6"),
+)
+"""The sixteen parameters, in the order of the thesis' routine and of every parameter array."""
+
+COEFFICIENT_NAMES = ("f_t", "alpha", "k_c", "k_e", "v_h", "v_d", "f_d")
+"""The seven operating-point coefficients, in the order of every coefficient array."""
+
+SCALE_PARAMETER_NAMES = ("f0", "a0", "k1c", "k1e", "k4", "k6", "k5")
+"""The scale parameter of each coefficient, in the order of :data:`COEFFICIENT_NAMES`."""
+
+SHAPE_PARAMETER_NAMES = tuple(n for n in PARAMETER_NAMES if n not in SCALE_PARAMETER_NAMES)
+"""The nine parameters that only several operating points can tell apart."""
+
+_INDEX = {name: position for position, name in enumerate(PARAMETER_NAMES)}
+
+SCALE_INDICES = np.array([_INDEX[name] for name in SCALE_PARAMETER_NAMES])
+SHAPE_INDICES = np.array([_INDEX[name] for name in SHAPE_PARAMETER_NAMES])
+
+_COEFFICIENT_LIMIT = 1e100
+"""Coefficients and inputs saturate here, so that no product of them overflows to infinity."""
+
+_EXPONENT_LIMIT = 230.0
+"""exp(230) is about 1e100: beyond it every coefficient has reached its limit anyway."""
+
+
+class Coefficients(NamedTuple):
+    """The seven operating-point coefficients; the fields broadcast against each other.
+
+    ``f_t`` yield force [N], ``alpha`` steepness [s/m], ``k_c`` and ``k_e`` viscous slopes for
+    velocity >= 0 and < 0 [s/m], ``v_h`` hysteresis velocity [m/s], ``v_d`` velocity offset [m/s],
+    ``f_d`` force offset [N].
+    """
+
+    f_t: Array
+    alpha: Array
+    k_c: Array
+    k_e: Array
+    v_h: Array
+    v_d: Array
+    f_d: Array
+
+
+def peak_velocity(
+    displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Peak velocity of the present cycle, sqrt(max(v² - a u, 0)) [m/s].
+
+    In sinusoidal motion it is constant and equal to 2 pi f A. Inputs broadcast; displacement is
+    measured from the centre of the motion.
+    """
+    u = np.clip(displacement, -_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
+    v = np.clip(velocity, -_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
+    a = np.clip(acceleration, -_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
+    return np.sqrt(np.maximum(v * v - a * u, 0.0))
+
+
+def _exp(exponent: Array) -> Array:
+    return np.exp(np.clip(exponent, -_EXPONENT_LIMIT, _EXPONENT_LIMIT))
+
+
+def _sigma(x: Array) -> Array:
+    # The tanh form of the logistic function does not overflow.
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
+
+
+def _sigma_derivative(x: Array) -> Array:
+    return 0.25 * (1.0 - np.tanh(0.5 * x) ** 2)
+
+
+def _saturated(x: Array) -> Array:
+    return np.clip(x, -_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
+
+
+def _split(parameters: ArrayLike) -> dict[str, Array]:
+    p = np.asarray(parameters, dtype=float)
+    if p.shape[-1:] != (len(PARAMETER_NAMES),):
+        raise ValueError(
+            f"parameters must have a last axis of length {len(PARAMETER_NAMES)} "
+            f"(got shape {p.shape}); the order is {', '.join(PARAMETER_NAMES)}"
+        )
+    return {name: p[..., index, np.newaxis] for name, index in _INDEX.items()}
+
+
+def operating_point_coefficients(
+    parameters: ArrayLike, peak_velocity: ArrayLike, current: ArrayLike
+) -> Coefficients:
+    """Coefficients of the law at the operating points (peak velocity, current).
+
+    ``parameters`` has shape (..., 16), ``peak_velocity`` [m/s] and ``current`` [A] broadcast to
+    shape (n,) or are scalars; each coefficient has shape (..., n) (n = 1 for scalars). Finite
+    inputs give finite coefficients: what would overflow saturates at 1e100.
+
+    Raises ValueError where the last axis of ``parameters`` is not sixteen long.
+    """
+    p = _split(parameters)
+    v_m = np.asarray(peak_velocity, dtype=float)
+    i = np.asarray(current, dtype=float)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        yield_gain = 1.0 + p["k2"] * (_sigma(p["a2"] * (i + p["I0"])) - _sigma(p["a2"] * p["I0"]))
+        width_gain = 1.0 + p["k3"] * (_sigma(p["a3"] * (i + p["I1"])) - _sigma(p["a3"] * p["I1"]))
+        f_t = _saturated(
+            _saturated(p["f0"] * (1.0 + _exp(p["a1"] * v_m))) * _saturated(yield_gain)
+        )
+        decay = _exp(-p["a4"] * v_m)
+        # 0/0, the only way to a NaN here, is a sigmoid of no steepness: zero.
+        alpha = np.nan_to_num(
+            p["a0"] / (1.0 + p["k0"] * v_m),
+            nan=0.0,
+            posinf=_COEFFICIENT_LIMIT,
+            neginf=-_COEFFICIENT_LIMIT,
+        )
+        return Coefficients(
+            f_t=f_t,
+            alpha=_saturated(alpha),
+            k_c=_saturated(p["k1c"] * decay),
+            k_e=_saturated(p["k1e"] * decay),
+            v_h=_saturated(_saturated(p["k4"] * v_m) * _saturated(width_gain)),
+            v_d=_saturated(p["k6"] * v_m),
+            f_d=_saturated(p["k5"] * f_t),
+        )
+
+
+def force_from_coefficients(
+    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Force [N] of the law with the given coefficients.
+
+    ``velocity`` and ``acceleration`` have shape (n,); coefficients broadcast against them. Only
+    the sign of the acceleration is used: it tells the branch of the hysteresis loop.
+    """
+    c = coefficients
+    v = np.asarray(velocity, dtype=float)
+    slope = np.where(v >= 0.0, c.k_c, c.k_e)
+    sigmoid = np.tanh(0.5 * c.alpha * (v + np.sign(acceleration) * c.v_h + c.v_d))
+    return (c.f_t * sigmoid - c.f_d) * (1.0 + slope * np.abs(v))
+
+
+def force(
+    parameters: ArrayLike,
+    displacement: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    current: ArrayLike,
+) -> Array:
+    """Force [N] of the sixteen-parameter sigmoid law.
+
+    ``parameters`` has shape (..., 16); displacement [m], velocity [m/s], acceleration [m/s²] and
+    current [A] broadcast to shape (n,). The result has shape (..., n). Finite inputs give a
+    finite force.
+
+    Raises ValueError where the last axis of ``parameters`` is not sixteen long.
+    """
+    v = _saturated(np.asarray(velocity, dtype=float))
+    v_m = peak_velocity(displacement, v, acceleration)
+    coefficients = operating_point_coefficients(parameters, v_m, current)
+    return force_from_coefficients(coefficients, v, acceleration)
+
+
+def coefficient_jacobian(
+    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Derivatives of the force with respect to the seven coefficients, shape (..., n, 7)."""
+    c = coefficients
+    v = np.asarray(velocity, dtype=float)
+    branch = np.sign(acceleration)
+    argument = v + branch * c.v_h + c.v_d
+    sigmoid = np.tanh(0.5 * c.alpha * argument)
+    speed = np.abs(v)
+    viscous = 1.0 + np.where(v >= 0.0, c.k_c, c.k_e) * speed
+    yield_part = c.f_t * sigmoid - c.f_d
+    gradient = 0.5 * c.f_t * (1.0 - sigmoid * sigmoid) * viscous
+    shift = gradient * c.alpha
+    columns = (
+        sigmoid * viscous,
+        gradient * argument,
+        np.where(v >= 0.0, yield_part * speed, 0.0),
+        np.where(v >= 0.0, 0.0, yield_part * speed),
+        shift * branch,
+        shift,
+        -viscous,
+    )
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+
+def coefficient_parameter_jacobian(
+    parameters: ArrayLike, peak_velocity: ArrayLike, current: ArrayLike
+) -> Array:
+    """Derivatives of the seven coefficients with respect to the sixteen parameters.
+
+    ``parameters`` has shape (16,), ``peak_velocity`` and ``current`` broadcast to (n,); the
+    result has shape (n, 7, 16).
+    """
+    p = {name: value[..., 0] for name, value in _split(parameters).items()}
+    v_m, i = np.broadcast_arrays(
+        np.atleast_1d(np.asarray(peak_velocity, dtype=float)), np.asarray(current, dtype=float)
+    )
+    jacobian = np.zeros((*v_m.shape, len(COEFFICIENT_NAMES), len(PARAMETER_NAMES)))
+
+    def put(coefficient: int, parameter: str, derivative: Array) -> None:
+        jacobian[:, coefficient, _INDEX[parameter]] = derivative
+
+    growth = _exp(p["a1"] * v_m)
+    on, off = p["a2"] * (i + p["I0"]), p["a2"] * p["I0"]
+    yield_step = _sigma(on) - _sigma(off)
+    yield_gain = 1.0 + p["k2"] * yield_step
+    scale = p["f0"] * (1.0 + growth)
+    put(0, "f0", (1.0 + growth) * yield_gain)
+    put(0, "a1", p["f0"] * v_m * growth * yield_gain)
+    put(0, "k2", scale * yield_step)
+    slope_on, slope_off = _sigma_derivative(on), _sigma_derivative(off)
+    put(0, "a2", scale * p["k2"] * (slope_on * (i + p["I0"]) - slope_off * p["I0"]))
+    put(0, "I0", scale * p["k2"] * p["a2"] * (slope_on - slope_off))
+
+    softening = 1.0 + p["k0"] * v_m
+    put(1, "a0", 1.0 / softening)
+    put(1, "k0", -p["a0"] * v_m / softening**2)
+
+    decay = _exp(-p["a4"] * v_m)
+    for coefficient, parameter in ((2, "k1c"), (3, "k1e")):
+        put(coefficient, parameter, decay)
+        put(coefficient, "a4", -p[parameter] * v_m * decay)
+
+    on, off = p["a3"] * (i + p["I1"]), p["a3"] * p["I1"]
+    width_step = _sigma(on) - _sigma(off)
+    slope_on, slope_off = _sigma_derivative(on), _sigma_derivative(off)
+    scale_h = p["k4"] * v_m
+    put(4, "k4", v_m * (1.0 + p["k3"] * width_step))
+    put(4, "k3", scale_h * width_step)
+    put(4, "a3", scale_h * p["k3"] * (slope_on * (i + p["I1"]) - slope_off * p["I1"]))
+    put(4, "I1", scale_h * p["k3"] * p["a3"] * (slope_on - slope_off))
+
+    put(5, "k6", v_m)
+
+    # f_d = k5 f_t
+    jacobian[:, 6, :] = p["k5"] * jacobian[:, 0, :]
+    put(6, "k5", scale * yield_gain)
+    return jacobian
+
+
+def parameter_jacobian(
+    parameters: ArrayLike,
+    displacement: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    current: ArrayLike,
+) -> Array:
+    """Derivatives of :func:`force` with respect to the sixteen parameters, shape (n, 16)."""
+    v_m = peak_velocity(displacement, velocity, acceleration)
+    coefficients = operating_point_coefficients(parameters, v_m, current)
+    return np.einsum(
+        "nc,ncp->np",
+        coefficient_jacobian(coefficients, velocity, acceleration),
+        coefficient_parameter_jacobian(parameters, v_m, current),
+    )

@@ -1,0 +1,78 @@
+"""Covariance of least-squares estimates, also where the residual is autocorrelated."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array
+
+_WHITE = 3.0
+"""Residuals whose lag-1 autocorrelation is within this many standard errors of 0 count as white."""
+
+
+def normal_inverse(jacobian: Array, relative_cutoff: float = 1e-10) -> Array:
+    """Inverse of JᵀJ for a Jacobian of shape (n, p), shape (p, p).
+
+    Columns are scaled first, so that units do not matter. Directions that the data do not
+    determine get an infinite variance: every parameter that has a part in one is NaN.
+    """
+    lengths = np.linalg.norm(jacobian, axis=0)
+    safe = np.where(lengths > 0.0, lengths, 1.0)
+    _, singular, vt = np.linalg.svd(jacobian / safe, full_matrices=False)
+    determined = singular > relative_cutoff * max(float(singular[0]), 1e-300)
+    inverse = (vt[determined].T / singular[determined] ** 2) @ vt[determined]
+    inverse = inverse / np.outer(safe, safe)
+    lost = np.any(np.abs(vt[~determined]) > 1e-3, axis=0) | (lengths == 0.0)
+    inverse[lost, :] = np.nan
+    inverse[:, lost] = np.nan
+    return inverse
+
+
+def least_squares_covariance(jacobian: Array, residual: Array, weights: Array) -> Array:
+    """Covariance (p, p) of parameters fitted by weighted least squares.
+
+    ``jacobian`` (n, p) and ``residual`` (n,) are unweighted, ``weights`` (n,) multiply the
+    squared residuals. A white residual gives s² (JᵀWJ)⁻¹, with s² from n - p degrees of freedom.
+    An autocorrelated one, the rule where the model and not the sensor limits the fit, gives the
+    sandwich estimate of Newey and West (Econometrica 55, 1987) with Bartlett weights, whose lag
+    is taken from the autocorrelation itself.
+    """
+    n, p = jacobian.shape
+    root = np.sqrt(weights)
+    bread = normal_inverse(jacobian * root[:, np.newaxis])
+    freedom = max(n - p, 1)
+    weighted = residual * root
+    variance = float(weighted @ weighted) / freedom
+    lag = correlation_length(weighted)
+    if lag == 0:
+        return np.asarray(variance * bread)
+    scores = jacobian * (residual * weights)[:, np.newaxis]
+    meat = scores.T @ scores
+    for k in range(1, lag + 1):
+        product = scores[k:].T @ scores[:-k]
+        meat += (1.0 - k / (lag + 1.0)) * (product + product.T)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(bread @ meat @ bread * (n / freedom))
+
+
+def correlation_length(residual: Array) -> int:
+    """Number of samples over which a residual is correlated; 0 where it is white.
+
+    The first lag at which the autocorrelation has fallen below 0.05, times four, so that the
+    Bartlett weights keep most of what lies before it.
+    """
+    n = residual.size
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    if power == 0.0 or n < 32:
+        return 0
+    if abs(float(centred[1:] @ centred[:-1]) / power) <= _WHITE / math.sqrt(n):
+        return 0
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.fft.rfft(centred, size)
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, size)[: n // 4] / power
+    below = np.flatnonzero(correlation < 0.05)
+    first = int(below[0]) if below.size else correlation.size
+    return int(min(4 * first, n // 4))

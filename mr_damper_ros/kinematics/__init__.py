@@ -1,0 +1,1 @@
+"""From sampled displacement to velocity, acceleration and peak velocity of the cycle."""

@@ -1,0 +1,140 @@
+"""Motion of a window of samples: displacement, velocity, acceleration, peak velocity.
+
+A steady sinusoid is described by its fitted sine, whose derivatives carry almost no noise.
+Any other motion is differentiated by a local polynomial (Savitzky and Golay, 1964) whose length
+follows from the data. Which of the two is used is decided by the residual of the sine fit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from mr_damper_ros.damper.sigmoid import Array, peak_velocity
+from mr_damper_ros.kinematics.sine import Sine, fit_sine
+
+SINE_TOLERANCE = 2e-3
+"""A window is a sine where the fit leaves less than this fraction of the amplitude [1] ...
+
+A third harmonic of 0.2 % of the displacement is 0.6 % of the velocity: below the noise of the
+force in all published conditions. A larger distortion would bias the fit of the force.
+"""
+
+_NOISE_FACTOR = 1.2
+"""... or hardly more than the noise of the displacement itself."""
+
+_POLYNOMIAL_ORDER = 4
+_SHORTEST_FILTER = 7
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Kinematics of a window; arrays of shape (n,), SI units.
+
+    ``displacement`` is measured from the centre of the motion. ``sine`` is the fitted sine where
+    it describes the window, else None.
+    """
+
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    peak_velocity: Array
+    sine: Sine | None
+
+    @property
+    def amplitude(self) -> float:
+        """Half the span of the displacement, or the amplitude of the sine [m]."""
+        if self.sine is not None:
+            return self.sine.amplitude
+        return float(0.5 * np.ptp(self.displacement))
+
+    @property
+    def frequency(self) -> float:
+        """Frequency of the sine [Hz], NaN where the motion is no sine."""
+        return math.nan if self.sine is None else self.sine.frequency
+
+
+def displacement_noise(displacement: Array) -> float:
+    """Standard deviation [m] of the white part of a displacement of shape (n,), n >= 8.
+
+    From fourth differences, which a smooth motion leaves almost nothing of; the median makes it
+    robust against kinks and jumps.
+    """
+    differences = np.diff(displacement, 4)
+    # The sum of the squared binomial coefficients of the fourth difference is 70.
+    return float(np.median(np.abs(differences)) / 0.6745 / math.sqrt(70.0))
+
+
+def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
+    """Displacement, velocity, acceleration by the longest filter that leaves only noise behind.
+
+    A filter too long for the motion leaves part of the motion in the residual (discrepancy
+    principle); one too short passes more noise than it must.
+    """
+    noise = displacement_noise(displacement)
+    length = _SHORTEST_FILTER
+    candidate = length
+    while candidate < displacement.size // 2:
+        kept = savgol_coeffs(candidate, _POLYNOMIAL_ORDER)[candidate // 2]
+        left = displacement - savgol_filter(displacement, candidate, _POLYNOMIAL_ORDER)
+        # The worst stretch decides, not the average: a filter must not round off the reversals.
+        stretch = max(candidate, 32)
+        blocks = left[: left.size // stretch * stretch].reshape(-1, stretch)
+        worst = math.sqrt(float(np.max(np.mean(blocks**2, axis=1)))) if blocks.size else math.inf
+        allowed = noise * math.sqrt(1.0 - kept) * (1.0 + 3.0 / math.sqrt(2.0 * stretch))
+        if worst > _NOISE_FACTOR * allowed:
+            break
+        length = candidate
+        candidate = 2 * (3 * candidate // 4) + 1
+    u, v, a = (
+        savgol_filter(displacement, length, _POLYNOMIAL_ORDER, deriv=order, delta=period)
+        for order in range(3)
+    )
+    return u, v, a
+
+
+def window_motion(displacement: Array, period: float) -> Motion:
+    """Motion of a window of displacement samples.
+
+    ``displacement`` [m] has shape (n,), sampled every ``period`` [s]. The centre of the motion
+    is the offset of the sine, or the middle of the span where the motion is no sine.
+
+    Raises ValueError for less than 16 samples, a period that is not positive, values that are
+    not finite, or no motion at all.
+    """
+    u = np.asarray(displacement, dtype=float)
+    if u.ndim != 1 or u.size < 16:
+        raise ValueError(f"a window needs at least 16 samples of displacement (got {u.size})")
+    if not (math.isfinite(period) and period > 0.0):
+        raise ValueError(f"the sample period is {period} s: it must be positive")
+    if not np.all(np.isfinite(u)):
+        raise ValueError("the displacement holds NaN or infinite values: repair the recording")
+    if np.ptp(u) == 0.0:
+        raise ValueError("the displacement does not change: there is no motion to identify from")
+    sine = fit_sine(u, period)
+    if sine is not None:
+        noise = displacement_noise(u)
+        limit = max(SINE_TOLERANCE * sine.amplitude / math.sqrt(2.0), _NOISE_FACTOR * noise)
+        cycles = sine.frequency * period * u.size
+        if sine.residual_rms <= limit and cycles >= 0.5:
+            time = np.arange(u.size) * period
+            top_speed = 2.0 * np.pi * sine.frequency * sine.amplitude
+            return Motion(
+                displacement=sine.displacement(time),
+                velocity=sine.velocity(time),
+                acceleration=sine.acceleration(time),
+                peak_velocity=np.full(u.size, top_speed),
+                sine=sine,
+            )
+    smooth, velocity, acceleration = _smooth(u, period)
+    centred = smooth - 0.5 * (smooth.max() + smooth.min())
+    return Motion(
+        displacement=centred,
+        velocity=velocity,
+        acceleration=acceleration,
+        peak_velocity=peak_velocity(centred, velocity, acceleration),
+        sine=None,
+    )

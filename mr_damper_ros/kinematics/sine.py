@@ -1,0 +1,88 @@
+"""Sine fit of a sampled displacement (thesis 2.8.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from mr_damper_ros.damper.sigmoid import Array
+
+
+@dataclass(frozen=True)
+class Sine:
+    """u(t) = offset + amplitude sin(2 pi frequency t + phase), with the residual of its fit.
+
+    ``amplitude`` and ``offset`` [m], ``frequency`` [Hz], ``phase`` [rad] at t = 0;
+    ``residual_rms`` [m] is the standard deviation of what the sine leaves of the displacement.
+    """
+
+    amplitude: float
+    frequency: float
+    phase: float
+    offset: float
+    residual_rms: float
+
+    def displacement(self, time: Array) -> Array:
+        """Displacement about the centre of the motion (without the offset) [m]."""
+        return self.amplitude * np.sin(2.0 * np.pi * self.frequency * time + self.phase)
+
+    def velocity(self, time: Array) -> Array:
+        """First derivative [m/s]."""
+        omega = 2.0 * np.pi * self.frequency
+        return self.amplitude * omega * np.cos(omega * time + self.phase)
+
+    def acceleration(self, time: Array) -> Array:
+        """Second derivative [m/s²]."""
+        return -((2.0 * np.pi * self.frequency) ** 2) * self.displacement(time)
+
+
+def fit_sine(displacement: Array, period: float) -> Sine | None:
+    """Least-squares sine of a displacement of shape (n,) [m] sampled every ``period`` [s].
+
+    The spectrum's peak gives the start. Frequency is the only unknown that enters nonlinearly;
+    the other three are solved linearly at each step. Returns None where the samples hold less
+    than half a cycle of the strongest frequency or do not move at all: then there is no sine.
+    """
+    u = np.asarray(displacement, dtype=float)
+    n = u.size
+    centred = u - u.mean()
+    if n < 8 or not np.any(centred):
+        return None
+    # Zero padding refines the start to a fraction of a spectral line.
+    spectrum = np.abs(np.fft.rfft(centred * np.hanning(n), 8 * n))
+    # Below half a cycle in the window a sine, an offset and a ramp cannot be told apart.
+    lowest = 4
+    start = float(np.argmax(spectrum[lowest:]) + lowest) / (8 * n)
+    # Time is counted from the middle, where frequency and phase are nearly uncorrelated.
+    index = np.arange(n) - 0.5 * (n - 1)
+
+    def basis(cycles_per_sample: float) -> Array:
+        angle = 2.0 * np.pi * cycles_per_sample * index
+        return np.column_stack((np.sin(angle), np.cos(angle), np.ones(n)))
+
+    def solve(cycles_per_sample: float) -> tuple[Array, Array]:
+        columns = basis(cycles_per_sample)
+        weights = np.linalg.lstsq(columns, u, rcond=None)[0]
+        return weights, columns @ weights - u
+
+    scale = float(np.std(u))
+    fit = least_squares(
+        lambda x: solve(x[0])[1] / scale,
+        x0=[start],
+        x_scale=1.0 / (8 * n),
+        bounds=(lowest / (8 * n) / 2, 0.5),
+        xtol=1e-13,
+        ftol=1e-13,
+        gtol=1e-13,
+    )
+    (sine, cosine, offset), residual = solve(fit.x[0])
+    omega = 2.0 * np.pi * fit.x[0]
+    return Sine(
+        amplitude=float(np.hypot(sine, cosine)),
+        frequency=float(fit.x[0] / period),
+        phase=float((np.arctan2(cosine, sine) - omega * 0.5 * (n - 1)) % (2.0 * np.pi)),
+        offset=float(offset),
+        residual_rms=float(np.sqrt(np.mean(residual**2))),
+    )
