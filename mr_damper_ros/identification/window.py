@@ -153,3 +153,19 @@ def _constant_if_steady(values: Array) -> Array:
     if spread <= _STEADY * float(np.max(np.abs(values))):
         return np.asarray(values[:1].mean())
     return values
+
+
+def scale_parameter_errors(scales: Array, covariance: Array) -> Array:
+    """Standard errors (7,) of f0, a0, k1c, k1e, k4, k6, k5, the shape parameters being given.
+
+    ``scales`` and their ``covariance`` are those of :class:`ScaleMisfit`, whose last is f0 k5;
+    the error of k5 follows to first order. NaN where the data do not determine a scale.
+    """
+    errors = np.sqrt(np.diag(covariance))
+    f0 = scales[0]
+    if f0 == 0.0:
+        errors[6] = np.nan
+    else:
+        gradient = np.array([-scales[6] / f0**2, 1.0 / f0])
+        errors[6] = np.sqrt(gradient @ covariance[np.ix_([0, 6], [0, 6])] @ gradient)
+    return errors

@@ -1,0 +1,96 @@
+"""Whether a new parameter set may replace the running one."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class AcceptanceSettings:
+    """Limits of acceptance.
+
+    ``maximum_nrmse`` (RMSE/std on held-back samples): a fit worse than this explains too little.
+    ``residual_factor``: a residual this many times the usual one is a disturbance, not the
+    damper. ``step_limit``: a relative change of the force beyond this needs a second window in a
+    row that says the same.
+    """
+
+    maximum_nrmse: float = 0.5
+    residual_factor: float = 3.0
+    step_limit: float = 0.5
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a window says of the running and the new set, on samples held back from the fit.
+
+    ``nrmse_before`` and ``nrmse_after``: RMSE/std; ``rmse_after`` [N]; ``force_change``: relative
+    change of the force from the running to the new set over the window's motion.
+    """
+
+    nrmse_before: float
+    nrmse_after: float
+    rmse_after: float
+    force_change: float
+
+
+class Gatekeeper:
+    """Accepts or refuses new sets, with the reason; remembers the usual residual."""
+
+    _MEMORY = 15
+    _PATIENCE = 4
+    """After this many refusals in a row for the residual, the larger residual is the usual one."""
+
+    def __init__(self, settings: AcceptanceSettings) -> None:
+        self._settings = settings
+        self._residuals: deque[tuple[float, float]] = deque(maxlen=self._MEMORY)
+        self._refused_for_residual = 0
+        self._pending_change: float | None = None
+
+    def judge(self, evidence: Evidence) -> str:
+        """Why the new set is refused, in one sentence; empty where it is accepted."""
+        reason = self._judge(evidence)
+        if not reason:
+            self._residuals.append((evidence.rmse_after, evidence.nrmse_after))
+        return reason
+
+    def _judge(self, evidence: Evidence) -> str:
+        settings = self._settings
+        if not np.isfinite(evidence.nrmse_after):
+            return "the fit has no finite error: the window is refused"
+        if evidence.nrmse_after > settings.maximum_nrmse:
+            return (
+                f"the fit leaves {evidence.nrmse_after:.0%} of the force unexplained, more than "
+                f"maximum_nrmse ({settings.maximum_nrmse:.0%})"
+            )
+        known = bool(self._residuals)
+        if known:
+            # A sensor's noise keeps its newtons, a model's error its share of the force: a
+            # disturbance exceeds both.
+            usual_rmse, usual_nrmse = np.median(np.array(self._residuals), axis=0)
+            excess = min(evidence.rmse_after / usual_rmse, evidence.nrmse_after / usual_nrmse)
+            if excess > settings.residual_factor:
+                self._refused_for_residual += 1
+                if self._refused_for_residual <= self._PATIENCE:
+                    return (
+                        f"the residual is {excess:.1f} times the usual one: "
+                        "a disturbance or a sensor fault"
+                    )
+                # It has lasted: the rig itself has become noisier.
+                self._residuals.clear()
+        self._refused_for_residual = 0
+        if not evidence.nrmse_after < evidence.nrmse_before:
+            return "the running set predicts the held-back samples as well"
+        change = evidence.force_change
+        if known and abs(change) > settings.step_limit:
+            pending, self._pending_change = self._pending_change, change
+            if pending is None or abs(change - pending) > 0.2 * abs(pending):
+                return (
+                    f"the force changed by {change:+.0%} at once: "
+                    "waiting for the next window to confirm it"
+                )
+        self._pending_change = None
+        return ""

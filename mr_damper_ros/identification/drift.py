@@ -1,0 +1,69 @@
+"""How the force has changed against a baseline, with its standard error."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import (
+    Array,
+    Coefficients,
+    coefficient_jacobian,
+    force_from_coefficients,
+)
+from mr_damper_ros.identification.fit import WindowFit
+from mr_damper_ros.identification.reservoir import cell_of
+
+_POINTS = 256
+
+
+@dataclass(frozen=True)
+class ForceScale:
+    """Force against the baseline, 1 = unchanged; NaN where there is no baseline to compare with."""
+
+    value: float = math.nan
+    standard_error: float = math.nan
+
+
+class Baselines:
+    """The first accepted fit at each operating point."""
+
+    def __init__(self) -> None:
+        self._fits: dict[tuple[int, int], WindowFit] = {}
+
+    def add(self, fit: WindowFit) -> None:
+        """Keep a fit unless its operating point has a baseline already."""
+        self._fits.setdefault(cell_of(fit.operating_point), fit)
+
+    def get(self, operating_point: tuple[float, float]) -> WindowFit | None:
+        """The baseline of an operating point (peak velocity [m/s], current [A]), if any."""
+        return self._fits.get(cell_of(operating_point))
+
+
+def force_scale(baselines: Baselines, fit: WindowFit) -> ForceScale:
+    """Scale that maps the baseline's loop onto the loop of a fit, in the least-squares sense.
+
+    Both loops are evaluated over the same sinusoidal cycle of the fit's peak velocity, so noise
+    and phase of the window play no part. The standard error carries the covariance of the fit;
+    that of the baseline is common to all reports and left out.
+    """
+    baseline = baselines.get(fit.operating_point)
+    if baseline is None:
+        return ForceScale()
+    phase = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
+    velocity = fit.operating_point[0] * np.cos(phase)
+    branch = -np.sin(phase)
+    reference = _loop(baseline.coefficients, velocity, branch)
+    present = _loop(fit.coefficients, velocity, branch)
+    power = float(reference @ reference)
+    gradient = reference @ coefficient_jacobian(
+        Coefficients(*fit.coefficients), velocity, branch
+    ) / power
+    variance = float(gradient @ fit.coefficient_covariance @ gradient)
+    return ForceScale(float(present @ reference) / power, math.sqrt(max(variance, 0.0)))
+
+
+def _loop(coefficients: Array, velocity: Array, branch: Array) -> Array:
+    return force_from_coefficients(Coefficients(*coefficients), velocity, branch)

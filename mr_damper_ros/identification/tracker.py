@@ -1,0 +1,364 @@
+"""Follows a damper window by window: the pure object behind the identifier node.
+
+``WindowTracker`` holds what is known (the running set, the baselines, the reservoir) and makes
+tasks; ``run_fit`` and ``run_global`` do the work of a task and may run in another process;
+``complete`` and ``complete_global`` decide. Tasks are built one after another, each from the
+running set that the one before it left, so the same windows always give the same sets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_INDICES, Array, force
+from mr_damper_ros.identification.acceptance import AcceptanceSettings, Evidence, Gatekeeper
+from mr_damper_ros.identification.drift import Baselines, ForceScale, force_scale
+from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.identification.fit import WindowFit, fit_window
+from mr_damper_ros.identification.global_fit import (
+    GlobalFit,
+    GlobalProgress,
+    identify_global,
+)
+from mr_damper_ros.identification.reservoir import Reservoir
+from mr_damper_ros.identification.screening import Screening, fault_of_samples
+from mr_damper_ros.identification.window import Window, scale_parameter_errors
+from mr_damper_ros.streaming.windows import RawWindow
+
+_CHUNKS = 40
+_HELD_BACK_EVERY = 4
+"""Of the chunks into which a window is cut, every fourth is held back from the fit."""
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """Settings of the identification of windows.
+
+    ``method``: "nelder_mead" or "least_squares"; ``robust``: bound the influence of outliers;
+    ``global_period``: a global identification after this many accepted windows, 0 for never;
+    ``time_budget`` [s]: a fit is cut here with the best so far.
+    """
+
+    method: str = "nelder_mead"
+    robust: bool = False
+    global_period: int = 20
+    time_budget: float = 5.0
+    screening: Screening = field(default_factory=Screening)
+    acceptance: AcceptanceSettings = field(default_factory=AcceptanceSettings)
+    evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
+
+
+@dataclass(frozen=True, eq=False)
+class FitTask:
+    """One window and the parameters (16,) to start from."""
+
+    window: RawWindow
+    start: Array
+    settings: TrackerSettings
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """What the fit of a task found: ``fault`` says why nothing was fitted, else it is empty."""
+
+    task: FitTask
+    fault: str
+    window: Window | None = None
+    fit: WindowFit | None = None
+    evidence: Evidence | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class GlobalTask:
+    """The reservoir's windows and the parameters (16,) to start from."""
+
+    windows: tuple[Window, ...]
+    start: Array
+    settings: EvolutionSettings
+    stamp_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class GlobalResult:
+    """What a global identification found; ``fault`` says why nothing, else it is empty."""
+
+    task: GlobalTask
+    fault: str
+    fit: GlobalFit | None = None
+    nrmse_before: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """Outcome of one window or one global identification, as published; SI units."""
+
+    window_start_ns: int
+    stamp_ns: int
+    window_duration: float
+    sample_count: int
+    method: str
+    evaluations: int
+    nrmse_before: float
+    nrmse_after: float
+    accepted: bool
+    reason: str
+    set_id: str
+    scale: ForceScale
+    peak_velocity: float
+    amplitude: float
+    frequency: float
+    current: float
+    temperature: float
+    coefficients: Array
+    coefficient_errors: Array
+    global_due: bool
+
+
+def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> FitResult:
+    """Fit the window of a task; every fault of the data comes back as a sentence."""
+    raw, settings = task.window, task.settings
+    fault = fault_of_samples(raw.displacement, raw.force, raw.current, settings.screening)
+    if fault:
+        return FitResult(task, fault)
+    try:
+        window = Window.from_samples(raw.displacement, raw.force, raw.current, raw.period)
+        held_back = held_back_samples(window.sample_count)
+        trained = fit_window(
+            window.part(~held_back),
+            task.start,
+            method=settings.method,
+            robust=settings.robust,
+            should_stop=should_stop,
+        )
+        evidence = _evidence(window.part(held_back), window, task.start, trained.parameters)
+        # What is published uses every sample; the held-back part only judged whether to.
+        final = fit_window(
+            window, trained.parameters, method="least_squares", robust=settings.robust
+        )
+    except ValueError as error:
+        return FitResult(task, str(error))
+    final = replace(
+        final,
+        method=settings.method,
+        evaluations=trained.evaluations + final.evaluations,
+        success=trained.success,
+        message=trained.message,
+    )
+    return FitResult(task, "", window, final, evidence)
+
+
+def run_global(
+    task: GlobalTask, report: Callable[[GlobalProgress], bool] | None = None
+) -> GlobalResult:
+    """Global identification of a task's windows; ``report`` returning False stops it early."""
+    try:
+        fit = identify_global(task.windows, task.start, task.settings, report)
+    except ValueError as error:
+        return GlobalResult(task, str(error))
+    before = [_nrmse(window, task.start) for window in task.windows]
+    return GlobalResult(task, "", fit, float(np.median(before)))
+
+
+def held_back_samples(count: int) -> np.ndarray:
+    """Mask (n,) of the samples that are held back: chunks spread over the whole window."""
+    chunk = np.arange(count) * _CHUNKS // max(count, 1)
+    return np.asarray(chunk % _HELD_BACK_EVERY == _HELD_BACK_EVERY - 1)
+
+
+def _predicted(window: Window, parameters: Array) -> Array:
+    m = window.motion
+    return force(parameters, m.displacement, m.velocity, m.acceleration, window.current)
+
+
+def _nrmse(window: Window, parameters: Array) -> float:
+    residual = _predicted(window, parameters) - window.force
+    return float(np.sqrt(np.mean(residual**2)) / np.std(window.force))
+
+
+def _evidence(held_back: Window, whole: Window, before: Array, after: Array) -> Evidence:
+    spread = float(np.std(whole.force))
+    rmse_before, rmse_after = (
+        float(np.sqrt(np.mean((_predicted(held_back, set_) - held_back.force) ** 2)))
+        for set_ in (before, after)
+    )
+    old, new = _predicted(whole, before), _predicted(whole, after)
+    power = float(old @ old)
+    change = float(new @ old) / power - 1.0 if power > 0.0 else math.inf
+    return Evidence(rmse_before / spread, rmse_after / spread, rmse_after, change)
+
+
+class WindowTracker:
+    """The running parameter set and all that is needed to judge the next one."""
+
+    def __init__(self, settings: TrackerSettings, initial: ParameterSet) -> None:
+        self._settings = settings
+        self._initial = initial
+        self.parameters = initial
+        self._start_again()
+
+    def _start_again(self) -> None:
+        self._gatekeeper = Gatekeeper(self._settings.acceptance)
+        self._baselines = Baselines()
+        self._reservoir = Reservoir()
+        self._windows = 0
+        self._accepted = 0
+        self._accepted_since_global = 0
+
+    @property
+    def accepted_windows(self) -> int:
+        """Windows accepted since the start or the last reset."""
+        return self._accepted
+
+    @property
+    def reservoir(self) -> Reservoir:
+        """Windows kept for the global identification."""
+        return self._reservoir
+
+    def reset(self) -> None:
+        """Back to the initial set; baselines and reservoir are forgotten."""
+        self.parameters = self._initial
+        self._start_again()
+
+    def replace(self, parameters: ParameterSet) -> None:
+        """Run with this set (loaded by the user) from now on; it also starts a new baseline."""
+        self.parameters = parameters
+        self._start_again()
+
+    def window_task(self, window: RawWindow) -> FitTask:
+        """The task of a window, starting from the running set."""
+        return FitTask(window, self.parameters.values, self._settings)
+
+    def complete(self, result: FitResult) -> Report:
+        """Judge the result of a window's task and, if it is accepted, run with it."""
+        self._windows += 1
+        if result.fit is None or result.window is None or result.evidence is None:
+            return self._report(result, result.fault, ForceScale())
+        reason = self._gatekeeper.judge(result.evidence)
+        scale = force_scale(self._baselines, result.fit)
+        if not reason:
+            self._accept(result.window, result.fit, result)
+        return self._report(result, reason, scale)
+
+    def _accept(self, window: Window, fit: WindowFit, result: FitResult) -> None:
+        self._accepted += 1
+        self._accepted_since_global += 1
+        errors = self.parameters.standard_errors.copy()
+        errors[SCALE_INDICES] = scale_parameter_errors(fit.scales, fit.covariance)
+        observable = self.parameters.observable.copy()
+        observable[SCALE_INDICES] = np.isfinite(errors[SCALE_INDICES])
+        velocity_range, current_range = self._range_with(window)
+        self.parameters = ParameterSet(
+            values=fit.parameters,
+            standard_errors=errors,
+            observable=observable,
+            set_id=f"window-{self._windows}",
+            source=fit.method,
+            peak_velocity_range=velocity_range,
+            current_range=current_range,
+            nrmse=result.evidence.nrmse_after if result.evidence else math.nan,
+            stamp_ns=result.task.window.end_ns,
+        )
+        self._baselines.add(fit)
+        self._reservoir.add(window, fit)
+
+    def _range_with(self, window: Window) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Range of validity: the window's, widened by the reservoir's once shapes are known."""
+        speed, current = window.motion.peak_velocity, window.current
+        top = float(np.quantile(speed, 0.95))
+        bottom = float(np.quantile(speed, 0.05))
+        velocity_range = (bottom, top)
+        current_range = (float(current.min()), float(current.max()))
+        if self._shape_is_known():
+            old_v, old_i = self.parameters.peak_velocity_range, self.parameters.current_range
+            velocity_range = (min(bottom, old_v[0]), max(top, old_v[1]))
+            current_range = (min(current_range[0], old_i[0]), max(current_range[1], old_i[1]))
+        return velocity_range, current_range
+
+    def _shape_is_known(self) -> bool:
+        shape = np.ones(len(PARAMETER_NAMES), dtype=bool)
+        shape[SCALE_INDICES] = False
+        return bool(np.any(self.parameters.observable[shape]))
+
+    def _report(self, result: FitResult, reason: str, scale: ForceScale) -> Report:
+        raw, fit, window = result.task.window, result.fit, result.window
+        evidence = result.evidence
+        unknown = np.full(7, math.nan)
+        return Report(
+            window_start_ns=raw.start_ns,
+            stamp_ns=raw.end_ns,
+            window_duration=raw.force.size * raw.period,
+            sample_count=raw.force.size,
+            method=self._settings.method,
+            evaluations=fit.evaluations if fit else 0,
+            nrmse_before=evidence.nrmse_before if evidence else math.nan,
+            nrmse_after=evidence.nrmse_after if evidence else math.nan,
+            accepted=not reason,
+            reason=reason,
+            set_id=self.parameters.set_id,
+            scale=scale,
+            peak_velocity=fit.operating_point[0] if fit else math.nan,
+            amplitude=window.motion.amplitude if window else math.nan,
+            frequency=window.motion.frequency if window else math.nan,
+            current=float(np.mean(raw.current)),
+            temperature=raw.temperature,
+            coefficients=fit.coefficients if fit else unknown,
+            coefficient_errors=np.sqrt(np.diag(fit.coefficient_covariance)) if fit else unknown,
+            global_due=self._global_is_due(),
+        )
+
+    def _global_is_due(self) -> bool:
+        period = self._settings.global_period
+        return (
+            period > 0
+            and self._accepted_since_global >= period
+            and self._reservoir.operating_points > 1
+        )
+
+    def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
+        """Task of a global identification of the reservoir, with other settings if given."""
+        self._accepted_since_global = 0
+        return GlobalTask(
+            windows=self._reservoir.windows,
+            start=self.parameters.values,
+            settings=evolution or self._settings.evolution,
+            stamp_ns=self.parameters.stamp_ns,
+        )
+
+    def complete_global(self, result: GlobalResult) -> Report:
+        """Judge a global identification and, if it is accepted, run with it."""
+        fit = result.fit
+        reason = result.fault
+        if fit is not None and not fit.median_nrmse < result.nrmse_before:
+            reason = "the running set predicts the reservoir as well"
+        if fit is not None and not reason:
+            self.parameters = replace(
+                fit.parameter_set, set_id=f"global-{self._windows}", stamp_ns=result.task.stamp_ns
+            )
+        unknown = np.full(7, math.nan)
+        return Report(
+            window_start_ns=result.task.stamp_ns,
+            stamp_ns=result.task.stamp_ns,
+            window_duration=0.0,
+            sample_count=sum(window.sample_count for window in result.task.windows),
+            method="differential_evolution",
+            evaluations=fit.evaluations if fit else 0,
+            nrmse_before=result.nrmse_before,
+            nrmse_after=fit.median_nrmse if fit else math.nan,
+            accepted=not reason,
+            reason=reason,
+            set_id=self.parameters.set_id,
+            scale=ForceScale(),
+            peak_velocity=math.nan,
+            amplitude=math.nan,
+            frequency=math.nan,
+            current=math.nan,
+            temperature=math.nan,
+            coefficients=unknown,
+            coefficient_errors=unknown,
+            global_due=False,
+        )

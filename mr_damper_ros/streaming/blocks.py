@@ -1,0 +1,146 @@
+"""Blocks of samples as they arrive, and the one policy on time that every consumer follows.
+
+The stamps of the data are the only clock. A block must follow the one before it by its stamp
+(half a sample period is tolerated) and, where both are known, by its sequence number. What does
+not is named and handled the same way everywhere:
+
+- a *gap* (samples lost, or the source paused): whatever was being collected starts again;
+- a *jump back* (a bag that loops, a clock that was set): starts again too;
+- a *repeat* (a block whose samples all came before): ignored;
+- a *changed period*: starts again.
+
+Nothing that was identified is touched by any of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array
+
+NANOSECONDS = 1_000_000_000
+
+_REPEAT_HORIZON = 1.0
+"""A block older than the last one by less than this [s] is a repeat, by more a jump back."""
+
+
+class BlockError(ValueError):
+    """A block that cannot be used; the message says what is wrong with it."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampleBlock:
+    """Samples of displacement [m] and force [N], arrays of shape (n,), ``period`` [s] apart.
+
+    ``start_ns`` is the stamp of sample 0, ``sequence`` its index since the source started.
+
+    Raises BlockError where there are no samples, lengths differ, a value is not finite, or the
+    period is not positive.
+    """
+
+    start_ns: int
+    sequence: int
+    period: float
+    displacement: Array
+    force: Array
+
+    def __post_init__(self) -> None:
+        n = np.size(self.displacement)
+        if n == 0:
+            raise BlockError("the block holds no samples")
+        if np.size(self.force) != n:
+            raise BlockError(f"the block holds {n} displacements but {np.size(self.force)} forces")
+        if not (math.isfinite(self.period) and self.period > 0.0):
+            raise BlockError(f"the sample period is {self.period} s: it must be positive")
+        for name in ("displacement", "force"):
+            finite = np.isfinite(getattr(self, name))
+            if not finite.all():
+                raise BlockError(
+                    f"the {name} of sample {int(np.argmin(finite))} of the block is not finite"
+                )
+
+    @property
+    def sample_count(self) -> int:
+        """Number of samples."""
+        return int(np.size(self.displacement))
+
+    @property
+    def end_ns(self) -> int:
+        """Stamp at which the next block should start."""
+        return self.start_ns + round(self.sample_count * self.period * NANOSECONDS)
+
+
+@dataclass(frozen=True)
+class Continuity:
+    """How a block follows its predecessor: ``kind`` is one of the words below.
+
+    "first", "next", "gap", "jump_back", "repeat", "changed_period". ``lost`` counts the samples
+    missing in a gap; ``sentence`` says it in words, empty for "first" and "next".
+    """
+
+    kind: str
+    lost: int = 0
+    sentence: str = ""
+
+    @property
+    def restarts(self) -> bool:
+        """Whether whatever is being collected must start again."""
+        return self.kind in ("gap", "jump_back", "changed_period")
+
+
+class BlockSequence:
+    """Remembers the last block of a stream and judges the next one."""
+
+    def __init__(self) -> None:
+        self._last: SampleBlock | None = None
+        self.lost_samples = 0
+        self.repeated_samples = 0
+
+    @property
+    def last(self) -> SampleBlock | None:
+        """The last block that was not a repeat."""
+        return self._last
+
+    def follow(self, block: SampleBlock) -> Continuity:
+        """Judge a block and, unless it is a repeat, make it the last one."""
+        verdict = self._judge(block)
+        if verdict.kind == "repeat":
+            self.repeated_samples += block.sample_count
+            return verdict
+        self.lost_samples += verdict.lost
+        self._last = block
+        return verdict
+
+    def _judge(self, block: SampleBlock) -> Continuity:
+        last = self._last
+        if last is None:
+            return Continuity("first")
+        if not math.isclose(block.period, last.period, rel_tol=1e-6):
+            return Continuity(
+                "changed_period",
+                sentence=f"the sample period changed from {last.period:g} s to {block.period:g} s: "
+                "the window starts again",
+            )
+        late = (block.start_ns - last.end_ns) / NANOSECONDS
+        missing = block.sequence - (last.sequence + last.sample_count)
+        if abs(late) <= 0.5 * block.period:
+            if missing == 0:
+                return Continuity("next")
+            # The stamps go on but the count does not: the source was started again.
+            return Continuity(
+                "gap",
+                sentence="the sample count was set back or forward: the window starts again",
+            )
+        if late > 0.0:
+            lost = max(missing, 0)
+            detail = f"{lost} samples were lost" if lost else f"the samples pause for {late:.3g} s"
+            return Continuity("gap", lost, f"{detail}: the window starts again")
+        if block.end_ns <= last.end_ns and -late < _REPEAT_HORIZON and missing < 0:
+            return Continuity("repeat", sentence="a block came twice or too late: it is ignored")
+        return Continuity(
+            "jump_back",
+            sentence=f"the stamps jump back by {-late:.3g} s: the window starts again",
+        )

@@ -1,0 +1,59 @@
+"""Coil current on the sample clock: each value holds until the next one is stamped."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.streaming.blocks import NANOSECONDS
+
+
+class HeldCurrent:
+    """Stamped values of the supply current, held from each stamp to the next."""
+
+    def __init__(self, keep: float) -> None:
+        """Keep at least the last ``keep`` seconds of values."""
+        self._keep_ns = round(keep * NANOSECONDS)
+        self._stamps: list[int] = []
+        self._values: list[float] = []
+
+    @property
+    def last_stamp_ns(self) -> int | None:
+        """Stamp of the newest value; None before the first."""
+        return self._stamps[-1] if self._stamps else None
+
+    def add(self, stamp_ns: int, current: float) -> None:
+        """Add a value [A]; one that jumps back in time takes the place of all that came after."""
+        # One topic keeps its order: an earlier stamp means that time was set back.
+        place = bisect_left(self._stamps, stamp_ns)
+        del self._stamps[place:], self._values[place:]
+        self._stamps.append(stamp_ns)
+        self._values.append(current)
+        # One value older than the horizon stays: it holds up to the next.
+        surplus = bisect_right(self._stamps, stamp_ns - self._keep_ns) - 1
+        if surplus > 0:
+            del self._stamps[:surplus], self._values[:surplus]
+
+    def known_from(self, stamp_ns: int) -> bool:
+        """Whether a value is in force at the stamp."""
+        return bool(self._stamps) and self._stamps[0] <= stamp_ns
+
+    def at(self, start_ns: int, period: float, count: int) -> Array:
+        """Current [A] at ``count`` samples from ``start_ns``, ``period`` [s] apart, shape (n,).
+
+        Before the first value that value is taken: ask :meth:`known_from`.
+        """
+        first = max(bisect_right(self._stamps, start_ns) - 1, 0)
+        result = np.full(count, self._values[first])
+        for stamp, value in zip(
+            self._stamps[first + 1 :], self._values[first + 1 :], strict=True
+        ):
+            # Rounding of the stamp to nanoseconds must not move a step by one sample.
+            offset = (stamp - start_ns) / (period * NANOSECONDS)
+            index = int(np.ceil(offset - 1e-3))
+            if index >= count:
+                break
+            result[max(index, 0) :] = value
+        return result

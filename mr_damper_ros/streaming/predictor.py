@@ -1,0 +1,157 @@
+"""Predicts the damper's force from a stream of displacement and current, from the past alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.sigmoid import Array, force, peak_velocity
+from mr_damper_ros.kinematics.causal import CausalDifferentiator
+from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
+from mr_damper_ros.streaming.centre import MotionCentre
+from mr_damper_ros.streaming.held_current import HeldCurrent
+
+_REVERSALS_FOR_CENTRE = 2
+"""The centre of the motion is known once both of its ends have been seen."""
+
+
+@dataclass(frozen=True)
+class PredictorSettings:
+    """How the prediction follows the stream.
+
+    ``bandwidth`` [Hz] of the observer of velocity and acceleration: wider follows faster motion,
+    narrower passes less noise. ``centre_memory`` [s] must hold a whole cycle of the motion.
+    ``current_timeout`` [s]: an older supply current makes the force invalid.
+    ``velocity_margin`` (relative) and ``current_margin`` [A]: how far outside of what the
+    parameters were identified from a prediction still counts as valid.
+    """
+
+    bandwidth: float = 40.0
+    centre_memory: float = 10.0
+    current_timeout: float = 1.0
+    velocity_margin: float = 0.25
+    current_margin: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Predicted force [N], shape (n,), of the block's samples; ``reason`` tells why not valid."""
+
+    start_ns: int
+    sequence: int
+    period: float
+    force: Array
+    set_id: str
+    valid: bool
+    reason: str
+    continuity: str
+
+
+class ForcePredictor:
+    """Predicts the force of each block as it arrives."""
+
+    def __init__(self, settings: PredictorSettings) -> None:
+        self._settings = settings
+        self._parameters: ParameterSet | None = None
+        self._current = HeldCurrent(keep=60.0)
+        self._sequence = BlockSequence()
+        self._differentiator: CausalDifferentiator | None = None
+        self._centre: MotionCentre | None = None
+
+    @property
+    def lost_samples(self) -> int:
+        """Samples missing from the stream, by the sequence numbers."""
+        return self._sequence.lost_samples
+
+    @property
+    def parameters(self) -> ParameterSet | None:
+        """The set in use; None before the first."""
+        return self._parameters
+
+    def set_parameters(self, parameters: ParameterSet) -> None:
+        """Predict with this set from the next block on."""
+        self._parameters = parameters
+
+    def add_current(self, stamp_ns: int, current: float) -> None:
+        """Add a value of the supply current [A]."""
+        self._current.add(stamp_ns, current)
+
+    def predict(self, block: SampleBlock) -> Prediction:
+        """Force at the samples of a block; NaN, and not valid, where it cannot be computed."""
+        verdict = self._sequence.follow(block)
+        if verdict.kind == "repeat":
+            return self._invalid(block, verdict.sentence, verdict.sentence)
+        if self._differentiator is None or self._centre is None or verdict.restarts:
+            bandwidth = min(self._settings.bandwidth, 0.25 / block.period)
+            self._differentiator = CausalDifferentiator(block.period, bandwidth)
+            self._centre = MotionCentre(self._settings.centre_memory, block.period)
+        displacement, velocity, acceleration = self._differentiator.follow(block.displacement)
+        centre = self._centre.follow(block.displacement)
+        reason = ""
+        if self._parameters is None:
+            reason = "no parameters yet: start the identifier or give parameter_file"
+        elif not self._current.known_from(block.start_ns):
+            reason = "no supply current yet: is it published on supply/current?"
+        if reason or self._parameters is None:
+            return self._invalid(block, reason, verdict.sentence)
+        centred = displacement - centre
+        current = self._current.at(block.start_ns, block.period, block.sample_count)
+        predicted = force(self._parameters.values, centred, velocity, acceleration, current)
+        reason = self._doubt(
+            block, peak_velocity(centred, velocity, acceleration), current, self._parameters
+        )
+        return Prediction(
+            start_ns=block.start_ns,
+            sequence=block.sequence,
+            period=block.period,
+            force=predicted,
+            set_id=self._parameters.set_id,
+            valid=not reason,
+            reason=reason,
+            continuity=verdict.sentence,
+        )
+
+    def _doubt(
+        self, block: SampleBlock, speed: Array, current: Array, parameters: ParameterSet
+    ) -> str:
+        """Why the force of this block should not be relied on; empty where it may be."""
+        assert self._differentiator is not None and self._centre is not None
+        if not self._differentiator.settled:
+            return "the velocity estimate is still settling after the start of the stream"
+        if self._centre.reversals < _REVERSALS_FOR_CENTRE:
+            return "the centre of the motion is not known before two reversals"
+        last = self._current.last_stamp_ns
+        assert last is not None
+        age = (block.end_ns - last) / NANOSECONDS
+        if age > self._settings.current_timeout:
+            return f"the supply current is {age:.1f} s old: is it still published?"
+        low, high = parameters.current_range
+        margin = self._settings.current_margin
+        if current.min() < low - margin or current.max() > high + margin:
+            return (
+                f"the current of {float(np.median(current)):.2f} A is outside of the identified "
+                f"{low:.2f} to {high:.2f} A"
+            )
+        low, high = parameters.peak_velocity_range
+        margin = self._settings.velocity_margin
+        middle = float(np.median(speed))
+        if not low * (1.0 - margin) <= middle <= high * (1.0 + margin):
+            return (
+                f"the peak velocity of {middle:.3g} m/s is outside of the identified "
+                f"{low:.3g} to {high:.3g} m/s"
+            )
+        return ""
+
+    def _invalid(self, block: SampleBlock, reason: str, continuity: str) -> Prediction:
+        return Prediction(
+            start_ns=block.start_ns,
+            sequence=block.sequence,
+            period=block.period,
+            force=np.full(block.sample_count, np.nan),
+            set_id=self._parameters.set_id if self._parameters else "",
+            valid=False,
+            reason=reason,
+            continuity=continuity,
+        )

@@ -1,0 +1,173 @@
+"""Cuts a stream of blocks into windows for identification, by the data's stamps alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
+from mr_damper_ros.streaming.held_current import HeldCurrent
+
+_WAIT_FOR_CURRENT = 64
+"""At most this many complete windows wait for the current to become known."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawWindow:
+    """Samples of one window: arrays of shape (n,), SI units; ``temperature`` [°C], NaN unknown."""
+
+    start_ns: int
+    period: float
+    displacement: Array
+    force: Array
+    current: Array
+    temperature: float = math.nan
+
+    @property
+    def end_ns(self) -> int:
+        """Stamp of the last sample."""
+        return self.start_ns + round((self.force.size - 1) * self.period * NANOSECONDS)
+
+
+class WindowAssembler:
+    """Collects blocks into windows of ``window`` seconds, one every ``hop`` seconds of data.
+
+    A window is handed out once the current is known for all of it, that is once a value stamped
+    at or after its last sample has come: what a window holds then does not depend on the order
+    in which the messages of different topics arrive.
+    """
+
+    def __init__(self, window: float, hop: float) -> None:
+        """Raises ValueError where ``window`` or ``hop`` is not positive or hop exceeds window."""
+        if not (math.isfinite(window) and window > 0.0):
+            raise ValueError(f"the window is {window} s long: it must be positive")
+        if not 0.0 < hop <= window:
+            raise ValueError(f"the hop is {hop} s: it must lie between 0 and the window, {window} s")
+        self._window = window
+        self._hop = hop
+        self._sequence = BlockSequence()
+        self._current = HeldCurrent(keep=4.0 * window + 60.0)
+        self._temperature = math.nan
+        self._events: list[str] = []
+        self._waiting: list[RawWindow] = []
+        self._empty()
+
+    def _empty(self) -> None:
+        self._blocks: list[SampleBlock] = []
+        self._count = 0
+
+    @property
+    def lost_samples(self) -> int:
+        """Samples missing from the stream, by the sequence numbers."""
+        return self._sequence.lost_samples
+
+    @property
+    def repeated_samples(self) -> int:
+        """Samples that came twice or too late and were ignored."""
+        return self._sequence.repeated_samples
+
+    @property
+    def fill(self) -> float:
+        """Part of the present window that is there, 0 to 1."""
+        if not self._blocks:
+            return 0.0
+        return min(self._count * self._blocks[0].period / self._window, 1.0)
+
+    @property
+    def waits_for_current(self) -> bool:
+        """Whether complete windows wait for a value of the current."""
+        return bool(self._waiting)
+
+    def take_events(self) -> list[str]:
+        """What happened since the last call, in sentences."""
+        events, self._events = self._events, []
+        return events
+
+    def reset(self) -> None:
+        """Forget the samples collected so far; the stream goes on."""
+        self._empty()
+        self._waiting.clear()
+
+    def add_block(self, block: SampleBlock) -> list[RawWindow]:
+        """Add a block; returns the windows that became complete, oldest first."""
+        verdict = self._sequence.follow(block)
+        if verdict.sentence:
+            self._events.append(verdict.sentence)
+        if verdict.kind == "repeat":
+            return []
+        if verdict.restarts:
+            self._empty()
+        if verdict.kind == "jump_back":
+            # Windows that still wait belong to the time before the jump.
+            self._waiting.clear()
+        self._blocks.append(block)
+        self._count += block.sample_count
+        self._cut()
+        return self._ready()
+
+    def add_current(self, stamp_ns: int, current: float) -> list[RawWindow]:
+        """Add a value of the supply current [A]; returns the windows that became complete.
+
+        Raises ValueError where the current is not finite.
+        """
+        if not math.isfinite(current):
+            raise ValueError(f"the supply current is {current}: it must be a finite number")
+        self._current.add(stamp_ns, current)
+        return self._ready()
+
+    def add_temperature(self, celsius: float) -> None:
+        """Set the temperature [°C] for the windows completed from now on."""
+        self._temperature = celsius
+
+    def _cut(self) -> None:
+        period = self._blocks[0].period
+        length = max(round(self._window / period), 1)
+        step = max(round(self._hop / period), 1)
+        while self._count >= length:
+            displacement = np.concatenate([block.displacement for block in self._blocks])
+            force = np.concatenate([block.force for block in self._blocks])
+            start_ns = self._blocks[0].start_ns
+            self._waiting.append(
+                RawWindow(
+                    start_ns=start_ns,
+                    period=period,
+                    displacement=displacement[:length],
+                    force=force[:length],
+                    current=np.full(length, math.nan),
+                    temperature=self._temperature,
+                )
+            )
+            rest = SampleBlock(
+                start_ns=start_ns + round(step * period * NANOSECONDS),
+                sequence=self._blocks[0].sequence + step,
+                period=period,
+                displacement=displacement[step:],
+                force=force[step:],
+            ) if self._count > step else None
+            self._blocks = [rest] if rest is not None else []
+            self._count -= step
+        if len(self._waiting) > _WAIT_FOR_CURRENT:
+            del self._waiting[:-_WAIT_FOR_CURRENT]
+
+    def _ready(self) -> list[RawWindow]:
+        ready = []
+        last = self._current.last_stamp_ns
+        while self._waiting and last is not None and last >= self._waiting[0].end_ns:
+            window = self._waiting.pop(0)
+            if not self._current.known_from(window.start_ns):
+                # The current is not known for the beginning: no guess is made.
+                continue
+            ready.append(
+                RawWindow(
+                    start_ns=window.start_ns,
+                    period=window.period,
+                    displacement=window.displacement,
+                    force=window.force,
+                    current=self._current.at(window.start_ns, window.period, window.force.size),
+                    temperature=window.temperature,
+                )
+            )
+        return ready
