@@ -76,6 +76,24 @@ class Failed:
 Outcome = Progress | Done | Failed
 
 
+class Control:
+    """What a task in the worker is given to talk to the node; its methods may be called often."""
+
+    def __init__(self, number: int, connection: Connection, stopped: set[int]) -> None:
+        self._number = number
+        self._connection = connection
+        self._stopped = stopped
+
+    def should_stop(self) -> bool:
+        """Whether the task should return soon with what it has."""
+        return self._number in self._stopped
+
+    def report(self, value: Any) -> bool:
+        """Deliver any picklable value as a :class:`Progress`; False where the task should stop."""
+        self._connection.send(("progress", self._number, value))
+        return not self.should_stop()
+
+
 class _Process:
     """One worker process with the threads that talk to it: no call here ever blocks."""
 
@@ -147,20 +165,17 @@ class _Process:
 class Worker:
     """Runs one function call at a time in another process.
 
-    ``budget`` is the time [s] that a task may take. ``wake`` is called, from another thread, when
-    :meth:`poll` has something to say; call :meth:`poll` a few times a second besides, since that
-    is what enforces the budget.
+    ``wake`` is called, from another thread, when :meth:`poll` has something to say; call
+    :meth:`poll` a few times a second besides, since that is what enforces time budgets.
     """
 
-    def __init__(self, *, budget: float, wake: Callable[[], None] = lambda: None) -> None:
-        if not budget > 0.0:
-            raise ValueError(f"the time budget is {budget} s: give a positive time")
+    def __init__(self, wake: Callable[[], None] = lambda: None) -> None:
         self.replaced = 0
-        self._budget = budget
         self._wake = wake
         self._notices: list[str] = []
         self._number = 0
         self._task: bytes | None = None
+        self._budget = math.inf
         self._retried = False
         self._started: float | None = None  # the task, in a process that is ready
         self._stop_asked: float | None = None
@@ -177,20 +192,18 @@ class Worker:
         """Id of the present worker process; None for the moment in which there is none."""
         return None if self._process is None else self._process.pid
 
-    def submit(self, function: Callable[..., Any], *args: Any, progress: bool = False) -> int:
-        """Start ``function(*args)`` in the worker and return the task's number.
+    def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
+        """Start ``function(*args, control)`` in the worker and return the task's number.
 
-        The function must be importable there. With ``progress`` it gets one more argument, a
-        callback that takes any picklable value, delivers it as a :class:`Progress`, and returns
-        False when the function should return soon with what it has.
-
-        Raises RuntimeError while another task runs.
+        The function must be importable there; it is given a :class:`Control`. ``budget`` is the
+        time [s] that it may take. Raises RuntimeError while another task runs.
         """
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
-        call = pickle.dumps((function, args, progress))
+        call = pickle.dumps((function, args))
         self._number += 1
         self._task = _TASK + pickle.dumps((self._number, call))
+        self._budget = budget
         self._retried = False
         self._stop_asked = None
         self._begin()
@@ -317,17 +330,12 @@ def serve(descriptor: int) -> None:
     connection.send(("ready",))
     while True:
         number, call = pickle.loads(tasks.get())
-        connection.send_bytes(_answer(number, call, connection, stopped))
+        connection.send_bytes(_answer(number, call, Control(number, connection, stopped)))
 
 
-def _answer(number: int, call: bytes, connection: Connection, stopped: set[int]) -> bytes:
-    def progress(value: Any) -> bool:
-        connection.send(("progress", number, value))
-        return number not in stopped
-
+def _answer(number: int, call: bytes, control: Control) -> bytes:
     try:
-        function, args, with_progress = pickle.loads(call)
-        result = function(*args, progress) if with_progress else function(*args)
-        return pickle.dumps(("done", number, result))
+        function, args = pickle.loads(call)
+        return pickle.dumps(("done", number, function(*args, control)))
     except Exception as error:
         return pickle.dumps(("failed", number, f"{type(error).__name__}: {error}"))
