@@ -1,0 +1,53 @@
+# `make help` lists the targets. Settings: PYTHON=... (interpreter for the environments), ARGS=...
+# (arguments for pytest or the demo).
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.ONESHELL:
+.NOTPARALLEL:
+.DEFAULT_GOAL := help
+export PYTHON
+
+PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
+STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
+
+.PHONY: help setup demo test test-noble lint format clean distclean
+
+help: ## List the targets
+	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
+	  printf '  make %-12s %s\n' "$$name" "$$text"
+	done
+
+setup: ## Install what is missing and build both packages (a second call does nothing)
+	@scripts/setup.bash
+
+demo: setup ## Replay a bag through bridge, identifier and model; table and figures at the end
+	@. ./env.bash
+	exec $(PROGRAMS)/demo $(ARGS)
+
+test: setup ## Run all tests: core, packaging, and nodes over real DDS
+	@. ./env.bash
+	export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+	exec python -m pytest test $(ARGS)
+
+test-noble: ## Run the core tests with the package versions of Ubuntu 24.04, without ROS
+	@scripts/setup.bash noble
+	exec env -u PYTHONPATH .venv-noble/bin/python -m pytest test/core $(ARGS)
+
+lint: setup ## Check style, types and the package.xml files
+	@. ./env.bash
+	ruff check $(STYLED)
+	ruff format --check $(STYLED)
+	mypy
+	python scripts/check_package_xml.py package.xml msg_defs/package.xml
+
+format: setup ## Bring the code into the form that `make lint` wants
+	@. ./env.bash
+	ruff check --fix $(STYLED)
+	ruff format $(STYLED)
+
+clean: ## Remove what was built
+	@rm -rf build install log .setup.lock .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find mr_damper_ros test scripts -name __pycache__ -prune -exec rm -rf {} +
+
+distclean: clean ## Remove the environments too
+	@rm -rf .venv .venv-noble

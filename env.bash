@@ -1,0 +1,71 @@
+# The environment that `make setup` built, for a bash or zsh shell, from any folder:
+#     . ./env.bash
+
+_mr_damper_env() {
+  local root shell mode flags programs
+  if [ -n "${BASH_VERSION:-}" ]; then
+    shell=bash
+    root=$(CDPATH="" cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd -P)
+  elif [ -n "${ZSH_VERSION:-}" ]; then
+    shell=zsh
+    root=$1
+  else
+    echo "mr_damper_ros: env.bash is for bash and zsh." >&2
+    return 1
+  fi
+  programs=$root/install/mr_damper_ros/lib/mr_damper_ros
+  if [ ! -f "$root/.venv/stamp" ] || [ ! -f "$root/install/mr_damper_ros.stamp" ] \
+    || [ ! -f "$root/install/mr_damper_msgs.stamp" ]; then
+    echo "mr_damper_ros: nothing is built yet: run \`make setup\` in $root first." >&2
+    return 1
+  fi
+  read -r mode _ <"$root/.venv/stamp"
+  if [ "$mode" = wheels ] && [ -n "${ROS_DISTRO:-}" ]; then
+    echo "mr_damper_ros: this was built without the ROS that is sourced here: run \`make setup\` in $root again." >&2
+    return 1
+  fi
+
+  case ":$PATH:" in
+    *":$root/.venv/bin:"*) ;;
+    *) export PATH="$root/.venv/bin:$PATH" ;;
+  esac
+  export VIRTUAL_ENV="$root/.venv"
+  flags=$-
+  set +eu # the scripts of colcon are not written for these
+  if [ "$mode" = wheels ]; then
+    # The first is where the wheels have their libraries, the others what these were linked with.
+    local folder
+    for folder in $(find "$root/.venv/lib/" -maxdepth 3 -type d -name 'ros_*.libs') "$root/.venv/lib"; do
+      case ":${LD_LIBRARY_PATH:-}:" in
+        *":$folder:"*) ;;
+        *) export LD_LIBRARY_PATH="$folder${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}" ;;
+      esac
+    done
+    export AMENT_PREFIX_PATH="$root/.venv"
+    . "$root/install/local_setup.$shell"
+  else
+    . "$root/install/setup.$shell"
+  fi
+  case $flags in *e*) set -e ;; esac
+  case $flags in *u*) set -u ;; esac
+
+  # No traffic with other machines unless it is asked for.
+  export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+
+  # The wheels have no `ros2` command. So the programs can be called by their names, and a small
+  # stand-in knows `ros2 run`.
+  case "$(command -v ros2 || true)" in
+    "" | "$root"/*)
+      case ":$PATH:" in
+        *":$programs:"*) ;;
+        *) export PATH="$programs:$PATH:$root/scripts/bin" ;;
+      esac
+      ;;
+  esac
+}
+
+if [ -n "${ZSH_VERSION:-}" ]; then
+  eval '_mr_damper_env "${${(%):-%x}:A:h}"'
+else
+  _mr_damper_env
+fi

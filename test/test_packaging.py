@@ -1,0 +1,178 @@
+"""What is built and installed: both packages, their messages, programs and files."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PROGRAMS = ("bridge", "identifier", "model", "replay") + (
+    "demo",
+    "identify",
+    "import_record",
+    "thesis_bags",
+    "validate",
+)
+MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
+
+
+def prefix_of(package: str) -> Path:
+    """Folder that the package is installed to; skips the test where it is not built."""
+    packages = pytest.importorskip("ament_index_python.packages")
+    try:
+        return Path(packages.get_package_prefix(package))
+    except packages.PackageNotFoundError:
+        pytest.skip(f"{package} is not built, or env.bash is not sourced")
+
+
+def version_in(path: Path) -> str:
+    found = re.search(r"<version>(.*?)</version>", path.read_text(encoding="utf-8"))
+    assert found
+    return found[1]
+
+
+def test_colcon_sees_both_packages():
+    pytest.importorskip("colcon_core")
+    code = "from colcon_core.command import main; raise SystemExit(main())"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--log-base", "/dev/null", "list"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    listed = sorted(line.split("\t") for line in done.stdout.splitlines())
+    assert listed == [
+        ["mr_damper_msgs", "msg_defs", "(ros.ament_cmake)"],
+        ["mr_damper_ros", ".", "(ros.ament_python)"],
+    ]
+
+
+@pytest.mark.parametrize("name", ["package.xml", "msg_defs/package.xml"])
+def test_package_xml_is_valid(name):
+    pytest.importorskip("lxml")
+    pytest.importorskip("catkin_pkg")
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts" / "check_package_xml.py"), str(ROOT / name)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("correct", "wrong"),
+    [
+        ("maintainers@example.com", "maintainers at example.com"),
+        ("<license>Apache-2.0</license>", ""),
+        ("exec_depend>", "run_depend>"),
+        ('format="3"', 'format="2"'),
+        ("<version>0.1.0<", "<version>0.1<"),
+    ],
+)
+def test_the_schema_refuses_a_wrong_package_xml(tmp_path, correct, wrong):
+    pytest.importorskip("lxml")
+    pytest.importorskip("catkin_pkg")
+    text = (ROOT / "package.xml").read_text(encoding="utf-8")
+    assert correct in text
+    path = tmp_path / "package.xml"
+    path.write_text(text.replace(correct, wrong), encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts" / "check_package_xml.py"), str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert str(path) in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_one_version_everywhere():
+    version = version_in(ROOT / "package.xml")
+    assert version_in(ROOT / "msg_defs" / "package.xml") == version
+    assert f'version="{version}"' in (ROOT / "setup.py").read_text(encoding="utf-8")
+    heading = re.search(
+        r"^(\S+) \(.*\)\n-+$", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert heading
+    assert heading[1] == version
+
+
+def typestore():
+    """Types of ROS 2 Jazzy as rosbags knows them, and the messages of this repository."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    types = {}
+    for name in MESSAGES:
+        text = (ROOT / "msg_defs" / "msg" / f"{name}.msg").read_text(encoding="utf-8")
+        types.update(typesys.get_types_from_msg(text, f"mr_damper_msgs/msg/{name}"))
+    store.register(types)
+    return store
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_rosbags_and_the_built_messages_agree_on_the_type_hash(name):
+    share = prefix_of("mr_damper_msgs") / "share" / "mr_damper_msgs"
+    built = json.loads((share / "msg" / f"{name}.json").read_text(encoding="utf-8"))
+    hashes = {entry["type_name"]: entry["hash_string"] for entry in built["type_hashes"]}
+    type_name = f"mr_damper_msgs/msg/{name}"
+    assert typestore().hash_rihs01(type_name) == hashes[type_name]
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_every_field_of_a_message_says_its_unit_or_meaning(name):
+    """A comment stands above each field, or above the group of fields it belongs to."""
+    lines = (ROOT / "msg_defs" / "msg" / f"{name}.msg").read_text(encoding="utf-8").splitlines()
+    described = False
+    for line in lines:
+        if not line.strip():
+            described = False
+        elif line.startswith("#"):
+            described = True
+        else:
+            assert described, line
+            if line.startswith("float64"):
+                start = lines.index(line)
+                group = []
+                for above in reversed(lines[:start]):
+                    if not above.strip():
+                        break
+                    group.append(above)
+                assert re.search(r"\[.+\]|unit", " ".join(group)), f"{line}: no unit"
+
+
+def test_messages_and_services_can_be_imported():
+    prefix_of("mr_damper_msgs")
+    from mr_damper_msgs.action import IdentifyGlobal
+    from mr_damper_msgs.msg import MtsSamples
+    from mr_damper_msgs.srv import LoadParameters, SaveParameters
+
+    assert IdentifyGlobal.Goal().generations == 0
+    assert MtsSamples().period == 0.0
+    assert LoadParameters.Request().name == SaveParameters.Request().name == ""
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_programs_lie_where_ros2_run_looks(program):
+    path = prefix_of("mr_damper_ros") / "lib" / "mr_damper_ros" / program
+    assert path.is_file()
+    assert path.stat().st_mode & 0o111
+
+
+def test_files_of_the_package_are_installed():
+    share = prefix_of("mr_damper_ros") / "share" / "mr_damper_ros"
+    expected = {Path("package.xml")}
+    for pattern in ("config/**/*.yaml", "launch/**/*.py", "bags/**/*"):
+        expected |= {path.relative_to(ROOT) for path in ROOT.glob(pattern) if path.is_file()}
+    missing = sorted(str(path) for path in expected if not (share / path).is_file())
+    assert missing == []
+    marker = share.parent / "ament_index" / "resource_index" / "packages" / "mr_damper_ros"
+    assert marker.is_file()
