@@ -75,7 +75,8 @@ else
 fi
 
 msgs_stamp="$stamp $(hash_of msg_defs)"
-files=$(find config launch bags -type f -not -name '*.pyc' 2>/dev/null | LC_ALL=C sort | sha256sum)
+files=$({ find config launch bags -type f -not -name '*.pyc' 2>/dev/null || true; } \
+  | LC_ALL=C sort | sha256sum)
 package_stamp="$msgs_stamp $(hash_of setup.py setup.cfg package.xml resource) $files"
 
 # built PACKAGE STAMP
