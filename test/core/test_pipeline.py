@@ -1,0 +1,259 @@
+"""Windows and searches go through in the order of the data, whatever else happens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.published import THESIS_28_CELSIUS
+from mr_damper_ros.damper.sigmoid import force
+from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.nodes.pipeline import (
+    Budget,
+    Event,
+    Pipeline,
+    Search,
+    SearchEnded,
+    SearchProgress,
+    WindowEnded,
+)
+from mr_damper_ros.nodes.worker import Done, Failed, Outcome, Progress
+from mr_damper_ros.streaming.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.streaming.windows import RawWindow
+
+PERIOD = 1.0 / 512.0
+COUNT = 1024
+INITIAL = ParameterSet(THESIS_28_CELSIUS * np.where(np.arange(16) == 0, 0.7, 1.0), set_id="start")
+QUICK_SEARCH = EvolutionSettings(generations=3, population=5)
+
+
+def window(number: int, current: float = 1.0, speed: float = 1.0) -> RawWindow:
+    """A window of a damper that weakens by 5 % from one to the next."""
+    t = np.arange(COUNT) * PERIOD
+    w = 2.0 * math.pi * speed
+    u, v, a = 5e-3 * np.sin(w * t), 5e-3 * w * np.cos(w * t), -5e-3 * w * w * np.sin(w * t)
+    noise = np.random.default_rng(number).normal(0.0, 5.0, COUNT)
+    return RawWindow(
+        start_ns=number * 10**9,
+        period=PERIOD,
+        displacement=u,
+        force=0.95**number * force(THESIS_28_CELSIUS, u, v, a, np.full(COUNT, current)) + noise,
+        current=np.full(COUNT, current),
+    )
+
+
+@dataclass
+class StepWorker:
+    """Stands for the worker process: a task ends at the poll after :meth:`work` is called."""
+
+    failing: bool = False
+    function: Callable[..., Any] | None = None
+    arguments: tuple[Any, ...] = ()
+    number: int = 0
+    stopped: bool = False
+    outcomes: list[Outcome] = field(default_factory=list)
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, budget: float) -> int:
+        assert self.function is None, "one task at a time"
+        self.function, self.arguments, self.stopped = function, arguments, False
+        self.number += 1
+        return self.number
+
+    def cancel(self) -> None:
+        self.stopped = True
+
+    def should_stop(self) -> bool:
+        return self.stopped
+
+    def report(self, value: Any) -> bool:
+        self.outcomes.append(Progress(self.number, value))
+        return not self.stopped
+
+    def work(self) -> None:
+        if self.function is None:
+            return
+        function, self.function = self.function, None
+        if self.failing:
+            self.outcomes.append(Failed(self.number, "the worker process died"))
+        else:
+            self.outcomes.append(Done(self.number, function(*self.arguments, self)))
+
+    def poll(self) -> list[Outcome]:
+        outcomes, self.outcomes = self.outcomes, []
+        return outcomes
+
+
+@dataclass
+class Bench:
+    """A pipeline with its parts."""
+
+    pipeline: Pipeline
+    worker: StepWorker
+    tracker: WindowTracker
+
+    def work_off(self) -> list[Event]:
+        events: list[Event] = []
+        while True:
+            self.worker.work()
+            events += self.pipeline.poll()
+            if not self.pipeline.running:
+                return events
+
+
+def bench(*, waiting_windows: int = 1000, global_period: int = 0) -> Bench:
+    worker = StepWorker()
+    settings = TrackerSettings(global_period=global_period, evolution=QUICK_SEARCH)
+    tracker = WindowTracker(settings, INITIAL)
+    pipeline = Pipeline(
+        tracker,
+        worker,  # type: ignore[arg-type]
+        waiting_windows=waiting_windows,
+        budget=Budget(fit=60.0, search=60.0),
+    )
+    return Bench(pipeline, worker, tracker)
+
+
+def starts(events: list[Event]) -> list[int]:
+    return [e.report.window_start_ns // 10**9 for e in events if isinstance(e, WindowEnded)]
+
+
+def results(events: list[Event]) -> list[tuple[Any, ...]]:
+    """Everything that the reports say, comparable."""
+    return [
+        (e.report.stamp_ns, e.report.accepted, e.report.set_id, e.report.coefficients.tobytes())
+        for e in events
+        if not isinstance(e, SearchProgress) and e.report is not None
+    ]
+
+
+def test_windows_are_fitted_in_their_order_each_from_the_set_before() -> None:
+    b = bench()
+    for number in range(4):
+        b.pipeline.add_window(window(number))
+    assert (b.pipeline.running, b.pipeline.waiting_windows) == ("fit", 3)
+    events = b.work_off()
+    assert starts(events) == [0, 1, 2, 3]
+    assert [e.report.accepted for e in events if isinstance(e, WindowEnded)] == [True] * 4
+    assert (b.pipeline.running, b.pipeline.waiting_windows) == ("", 0)
+    scale = b.tracker.parameters.values[0] / THESIS_28_CELSIUS[0]
+    assert scale == pytest.approx(0.95**3, rel=0.1)
+
+
+def test_the_results_do_not_depend_on_how_fast_the_windows_come() -> None:
+    windows = [window(n, current=0.5 * (n % 3), speed=1.0 + n % 2) for n in range(8)]
+    fast, slow = bench(global_period=3), bench(global_period=3)
+    for item in windows:
+        fast.pipeline.add_window(item)
+    fast_events = fast.work_off()
+    slow_events: list[Event] = []
+    for item in windows:
+        slow.pipeline.add_window(item)
+        slow_events += slow.work_off()
+    assert results(fast_events) == results(slow_events)
+    assert any(isinstance(event, SearchEnded) for event in fast_events)
+    assert np.array_equal(fast.tracker.parameters.values, slow.tracker.parameters.values)
+
+
+def test_the_oldest_waiting_window_makes_room() -> None:
+    b = bench(waiting_windows=1)
+    for number in range(5):
+        b.pipeline.add_window(window(number))
+    assert b.pipeline.dropped_windows == 3
+    assert starts(b.work_off()) == [0, 4]
+
+
+def test_a_window_that_cannot_be_fitted_has_its_report() -> None:
+    b = bench()
+    b.worker.failing = True
+    b.pipeline.add_window(window(0))
+    (event,) = b.work_off()
+    assert isinstance(event, WindowEnded)
+    assert not event.report.accepted
+    assert event.report.reason == "the worker process died"
+    assert b.tracker.parameters is INITIAL
+    b.worker.failing = False
+    b.pipeline.add_window(window(1))
+    (event,) = b.work_off()
+    assert isinstance(event, WindowEnded)
+    assert event.report.accepted
+
+
+def test_a_search_goes_before_the_windows_that_wait() -> None:
+    b = bench()
+    for number in range(3):
+        b.pipeline.add_window(window(number, speed=1.0 + 0.5 * number))
+    search = Search(QUICK_SEARCH)
+    b.pipeline.add_search(search)
+    events = b.work_off()
+    kinds = [type(event) for event in events if not isinstance(event, SearchProgress)]
+    assert kinds == [WindowEnded, SearchEnded, WindowEnded, WindowEnded]
+    progress = [event for event in events if isinstance(event, SearchProgress)]
+    assert progress
+    assert all(event.search is search for event in progress)
+
+
+def test_a_search_without_windows_ends_with_the_reason() -> None:
+    b = bench()
+    b.pipeline.add_search(Search(QUICK_SEARCH))
+    (event,) = b.work_off()
+    assert isinstance(event, SearchEnded)
+    assert event.report is not None
+    assert not event.report.accepted
+    assert event.report.reason
+
+
+def test_a_cancelled_search_keeps_the_best_so_far() -> None:
+    b = bench()
+    b.pipeline.add_window(window(0))
+    b.work_off()
+    search = Search(EvolutionSettings(generations=10**6, population=5))
+    b.pipeline.add_search(search)
+    b.pipeline.cancel_search(search)
+    (event,) = [e for e in b.work_off() if isinstance(e, SearchEnded)]
+    assert event.result is not None
+    assert event.result.fit is not None
+
+
+def test_a_search_cancelled_in_the_queue_never_runs() -> None:
+    b = bench()
+    b.pipeline.add_window(window(0))
+    search = Search(QUICK_SEARCH)
+    b.pipeline.add_search(search)
+    b.pipeline.cancel_search(search)
+    events = b.work_off()
+    assert [type(event) for event in events] == [SearchEnded, WindowEnded] or [
+        type(event) for event in events
+    ] == [WindowEnded, SearchEnded]
+    (event,) = [e for e in events if isinstance(e, SearchEnded)]
+    assert event.result is None
+
+
+def test_reset_forgets_what_runs_and_what_waits() -> None:
+    b = bench()
+    for number in range(3):
+        b.pipeline.add_window(window(number))
+    b.pipeline.reset()
+    assert b.work_off() == []
+    assert b.tracker.parameters is INITIAL
+    b.pipeline.add_window(window(3))
+    assert starts(b.work_off()) == [3]
+
+
+def test_a_new_set_makes_the_running_fit_start_again_from_it() -> None:
+    b = bench()
+    for number in range(2):
+        b.pipeline.add_window(window(number))
+    loaded = ParameterSet(THESIS_28_CELSIUS, set_id="loaded")
+    b.pipeline.replace(loaded)
+    assert b.tracker.parameters is loaded
+    reference = bench()
+    reference.pipeline.replace(loaded)
+    for number in range(2):
+        reference.pipeline.add_window(window(number))
+    assert results(b.work_off()) == results(reference.work_off())
