@@ -1,0 +1,60 @@
+"""The state of a node in words, on /diagnostics, once a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+OK = DiagnosticStatus.OK
+WARN = DiagnosticStatus.WARN
+ERROR = DiagnosticStatus.ERROR
+STALE = DiagnosticStatus.STALE
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One concern: how it stands (``level``), in words, and figures by name."""
+
+    level: bytes
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+class Diagnostics:
+    """Publishes what the ``concerns`` (a function per name) find, every second.
+
+    The timer runs on the steady clock: with ``use_sim_time`` the node's clock may stand still,
+    and that is when one wants to know why nothing happens.
+    """
+
+    def __init__(self, node: Node, concerns: Mapping[str, Callable[[], Finding]]) -> None:
+        self._node = node
+        self._concerns = dict(concerns)
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._timer = node.create_timer(
+            1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+
+    def publish(self) -> None:
+        """Publish the present findings."""
+        name = self._node.get_fully_qualified_name().lstrip("/")
+        array = DiagnosticArray()
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        for concern, find in self._concerns.items():
+            finding = find()
+            array.status.append(
+                DiagnosticStatus(
+                    level=finding.level,
+                    name=f"{name}: {concern}",
+                    message=finding.message,
+                    hardware_id=name,
+                    values=[
+                        KeyValue(key=key, value=str(value)) for key, value in finding.values.items()
+                    ],
+                )
+            )
+        self._publisher.publish(array)

@@ -1,0 +1,125 @@
+"""Starts a node, spins it, and ends it cleanly."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+
+import rclpy
+from rclpy.exceptions import (
+    InvalidNamespaceException,
+    InvalidNodeNameException,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+)
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.utilities import remove_ros_args
+
+from mr_damper_ros.nodes.parameters import ConfigurationError, Table, describe
+
+SUCCESS = 0
+BAD_CONFIGURATION = 2
+
+_WAKE_UP = 0.5
+"""Seconds after which a spinning node looks whether it has been asked to stop."""
+
+
+class Finished(Exception):  # noqa: N818 - the end of the work, not an error
+    """Raised in a callback of a node that has nothing left to do."""
+
+
+def run(
+    factory: Callable[[], Node], parameters: type[Table], arguments: Sequence[str] | None = None
+) -> int:
+    """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
+
+    A configuration that the node cannot start with is one sentence on stderr and exit code 2.
+    """
+    arguments = list(sys.argv if arguments is None else arguments)
+    try:
+        others = remove_ros_args(arguments)[1:]
+    except Exception as error:  # rcl's errors share no public base class
+        return _reject(_without_source_position(error))
+    if "-h" in others or "--help" in others:
+        print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
+        print(describe(parameters))
+        return SUCCESS
+    if others:
+        return _reject(
+            f"unknown argument {others[0]}: parameters are set by --ros-args -p NAME:=VALUE"
+        )
+
+    # rclpy's own handlers shut the context down and then call these. Without them SIGINT would
+    # also raise KeyboardInterrupt wherever the interpreter happens to be, and a signal that comes
+    # before rclpy has started would be lost or end in a traceback.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        rclpy.init(args=arguments)
+    except Exception as error:
+        return _reject(_without_source_position(error))
+    node: Node | None = None
+    try:
+        node = factory()
+        executor = _executor()
+        executor.add_node(node)
+        while not stop.is_set() and rclpy.ok():
+            executor.spin_once(timeout_sec=_WAKE_UP)
+    except (ExternalShutdownException, Finished):
+        pass
+    except _CONFIGURATION_ERRORS as error:
+        if node is not None:
+            raise
+        return _reject(str(error))
+    except Exception:
+        # What a callback was doing while the context was shut down under it may fail: that is the
+        # end that was asked for.
+        if rclpy.ok() and not stop.is_set():
+            raise
+    finally:
+        if node is not None:
+            with contextlib.suppress(Exception):
+                node.destroy_node()
+        rclpy.try_shutdown()
+    return SUCCESS
+
+
+_CONFIGURATION_ERRORS = (
+    ConfigurationError,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    InvalidQosOverridesError,
+    InvalidNodeNameException,
+    InvalidNamespaceException,
+)
+
+
+def _reject(sentence: str) -> int:
+    print(sentence, file=sys.stderr)
+    return BAD_CONFIGURATION
+
+
+def _without_source_position(error: Exception) -> str:
+    """rcl's message without where in its sources it comes from."""
+    return f"the command line cannot be used: {str(error).split(', at /')[0]}"
+
+
+def _executor() -> Executor:
+    """The executor that all nodes use.
+
+    The events executor takes half of the processor time of the single-threaded one and has the
+    shorter tail of latencies; services, timers, lifecycle transitions and actions were tried with
+    it. It must be driven by ``spin_once`` with a timeout: its ``spin`` waits in an undefined way
+    before rclpy 7.1.8. Jazzy had none before rclpy 7.1.4.
+    """
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    return EventsExecutor()
