@@ -27,7 +27,7 @@ demo: setup ## Replay a bag through bridge, identifier and model; table and figu
 test: setup ## Run all tests: core, packaging, and nodes over real DDS
 	@. ./env.bash
 	export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
-	exec python -m pytest test $(ARGS)
+	exec python -m pytest $(ARGS)
 
 test-noble: ## Run the core tests with the package versions of Ubuntu 24.04, without ROS
 	@scripts/setup.bash noble

@@ -32,20 +32,8 @@ _mr_damper_env() {
   export VIRTUAL_ENV="$root/.venv"
   flags=$-
   set +eu # the scripts of colcon are not written for these
-  if [ "$mode" = wheels ]; then
-    # The first is where the wheels have their libraries, the others what these were linked with.
-    local folder
-    for folder in $(find "$root/.venv/lib/" -maxdepth 3 -type d -name 'ros_*.libs') "$root/.venv/lib"; do
-      case ":${LD_LIBRARY_PATH:-}:" in
-        *":$folder:"*) ;;
-        *) export LD_LIBRARY_PATH="$folder${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}" ;;
-      esac
-    done
-    export AMENT_PREFIX_PATH="$root/.venv"
-    . "$root/install/local_setup.$shell"
-  else
-    . "$root/install/setup.$shell"
-  fi
+  [ "$mode" = jazzy ] || unset AMENT_PREFIX_PATH # another clone's, it would be mixed with this
+  . "$root/install/setup.$shell"
   case $flags in *e*) set -e ;; esac
   case $flags in *u*) set -u ;; esac
 

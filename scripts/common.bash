@@ -80,11 +80,11 @@ pip_install() {
     "$@" >>"$log" 2>&1; then
     return
   fi
-  grep -E '^ *ERROR:' "$log" | tail -n 3 >&2 || true
   if grep -qiE 'NewConnectionError|ConnectTimeout|ReadTimeout|name resolution|ProxyError|Connection (refused|reset)|unreachable|No matching distribution|No route' "$log"; then
     fail "pip could not fetch the packages: connect this machine to the network (or point pip to" \
       "your mirror or proxy) and call make again; pip's own words are in $log."
   fi
+  grep -E '^ *(ERROR|error):' "$log" | tail -n 3 >&2 || true
   fail "pip could not install the packages; its own words are in $log."
 }
 

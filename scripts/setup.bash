@@ -79,6 +79,22 @@ files=$({ find config launch bags -type f -not -name '*.pyc' 2>/dev/null || true
   | LC_ALL=C sort | sha256sum)
 package_stamp="$msgs_stamp $(hash_of setup.py setup.cfg package.xml resource) $files"
 
+# A prefix has a local_setup file, which install/setup.bash sources; the wheels bring none.
+write_local_setup() {
+  local libraries shell
+  libraries=$({ printf '%s\n' "$root/.venv/lib"
+    find "$root/.venv/lib/" -maxdepth 3 -type d -name 'ros_*.libs' | LC_ALL=C sort; } | paste -sd:)
+  for shell in sh bash zsh; do
+    cat >".venv/local_setup.$shell" <<SETUP
+export AMENT_PREFIX_PATH="$root/.venv\${AMENT_PREFIX_PATH:+:\$AMENT_PREFIX_PATH}"
+case ":\${LD_LIBRARY_PATH:-}:" in
+  *":$libraries:"*) ;;
+  *) export LD_LIBRARY_PATH="$libraries\${LD_LIBRARY_PATH:+:\$LD_LIBRARY_PATH}" ;;
+esac
+SETUP
+  done
+}
+
 # built PACKAGE STAMP
 built() {
   [ -f "install/$1/share/$1/package.xml" ] && [ "$(cat "install/$1.stamp" 2>/dev/null)" = "$2" ]
@@ -113,6 +129,7 @@ if ! usable .venv "$stamp"; then
     pip_install .venv -c requirements/constraints.txt --no-build-isolation \
       -r requirements/ros.in -r requirements/core.in -r requirements/dev.in
     .venv/bin/python scripts/repair_wheels.py
+    write_local_setup
   else
     python=${PYTHON:-python3}
     "$python" -c 'import rclpy, colcon_core.command, rosidl_generator_py' 2>/dev/null \
