@@ -162,9 +162,7 @@ class ParameterSet:
             if not isinstance(entry, dict):
                 entry = {"value": entry}
             stray = [
-                str(k)
-                for k in entry
-                if k not in ("value", "unit", "standard_error", "observable")
+                str(k) for k in entry if k not in ("value", "unit", "standard_error", "observable")
             ]
             if stray:
                 raise ParameterError(

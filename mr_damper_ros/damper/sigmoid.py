@@ -67,9 +67,7 @@ class Coefficients(NamedTuple):
     f_d: Array
 
 
-def peak_velocity(
-    displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike
-) -> Array:
+def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
     """Peak velocity of the present cycle, sqrt(max(v² - a u, 0)) [m/s].
 
     In sinusoidal motion it is constant and equal to 2 pi f A. Inputs broadcast; displacement is
@@ -125,9 +123,7 @@ def operating_point_coefficients(
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         yield_gain = 1.0 + p["k2"] * (_sigma(p["a2"] * (i + p["I0"])) - _sigma(p["a2"] * p["I0"]))
         width_gain = 1.0 + p["k3"] * (_sigma(p["a3"] * (i + p["I1"])) - _sigma(p["a3"] * p["I1"]))
-        f_t = _saturated(
-            _saturated(p["f0"] * (1.0 + _exp(p["a1"] * v_m))) * _saturated(yield_gain)
-        )
+        f_t = _saturated(_saturated(p["f0"] * (1.0 + _exp(p["a1"] * v_m))) * _saturated(yield_gain))
         decay = _exp(-p["a4"] * v_m)
         # 0/0, the only way to a NaN here, is a sigmoid of no steepness: zero.
         alpha = np.nan_to_num(

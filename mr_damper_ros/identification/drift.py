@@ -58,9 +58,9 @@ def force_scale(baselines: Baselines, fit: WindowFit) -> ForceScale:
     reference = _loop(baseline.coefficients, velocity, branch)
     present = _loop(fit.coefficients, velocity, branch)
     power = float(reference @ reference)
-    gradient = reference @ coefficient_jacobian(
-        Coefficients(*fit.coefficients), velocity, branch
-    ) / power
+    gradient = (
+        reference @ coefficient_jacobian(Coefficients(*fit.coefficients), velocity, branch) / power
+    )
     variance = float(gradient @ fit.coefficient_covariance @ gradient)
     return ForceScale(float(present @ reference) / power, math.sqrt(max(variance, 0.0)))
 

@@ -8,6 +8,9 @@ import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
 
+_FEWEST_BLOCKS = 20
+"""Fewer block sums than this would give a covariance of their own chance."""
+
 _WHITE = 3.0
 """Residuals whose lag-1 autocorrelation is within this many standard errors of 0 count as white."""
 
@@ -30,38 +33,36 @@ def normal_inverse(jacobian: Array, relative_cutoff: float = 1e-10) -> Array:
     return inverse
 
 
-def least_squares_covariance(jacobian: Array, residual: Array, weights: Array) -> Array:
+def least_squares_covariance(
+    jacobian: Array, residual: Array, weights: Array | None = None
+) -> Array:
     """Covariance (p, p) of parameters fitted by weighted least squares.
 
     ``jacobian`` (n, p) and ``residual`` (n,) are unweighted, ``weights`` (n,) multiply the
     squared residuals. A white residual gives s² (JᵀWJ)⁻¹, with s² from n - p degrees of freedom.
     An autocorrelated one, the rule where the model and not the sensor limits the fit, gives the
-    sandwich estimate of Newey and West (Econometrica 55, 1987) with Bartlett weights, whose lag
-    is taken from the autocorrelation itself.
+    sandwich estimate with the scores summed over blocks longer than the correlation (Liang and
+    Zeger, Biometrika 73, 1986). NaN for parameters that the data do not determine.
     """
     n, p = jacobian.shape
-    root = np.sqrt(weights)
-    bread = normal_inverse(jacobian * root[:, np.newaxis])
+    if weights is not None:
+        root = np.sqrt(weights)
+        jacobian, residual = jacobian * root[:, np.newaxis], residual * root
+    bread = normal_inverse(jacobian)
     freedom = max(n - p, 1)
-    weighted = residual * root
-    variance = float(weighted @ weighted) / freedom
-    lag = correlation_length(weighted)
-    if lag == 0:
-        return np.asarray(variance * bread)
-    scores = jacobian * (residual * weights)[:, np.newaxis]
-    meat = scores.T @ scores
-    for k in range(1, lag + 1):
-        product = scores[k:].T @ scores[:-k]
-        meat += (1.0 - k / (lag + 1.0)) * (product + product.T)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(bread @ meat @ bread * (n / freedom))
+    length = correlation_length(residual)
+    if length == 0:
+        return np.asarray(float(residual @ residual) / freedom * bread)
+    blocks = max(n // length, min(_FEWEST_BLOCKS, n))
+    edges = np.linspace(0, n, blocks, endpoint=False).astype(int)
+    scores = np.add.reduceat(jacobian * residual[:, np.newaxis], edges, axis=0)
+    return np.asarray(bread @ (scores.T @ scores) @ bread * (n / freedom))
 
 
 def correlation_length(residual: Array) -> int:
     """Number of samples over which a residual is correlated; 0 where it is white.
 
-    The first lag at which the autocorrelation has fallen below 0.05, times four, so that the
-    Bartlett weights keep most of what lies before it.
+    Four times the first lag at which the autocorrelation has fallen below 0.05.
     """
     n = residual.size
     centred = residual - residual.mean()

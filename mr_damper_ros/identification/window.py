@@ -117,9 +117,7 @@ class ScaleMisfit:
 
     def coefficients(self, scales: Array) -> Coefficients:
         """Operating-point coefficients for scales of shape (7,)."""
-        return Coefficients(
-            *(scale * base for scale, base in zip(scales, self._base, strict=True))
-        )
+        return Coefficients(*(scale * base for scale, base in zip(scales, self._base, strict=True)))
 
     def residual(self, scales: Array) -> Array:
         """Model minus measurement [N], shape (n,)."""
@@ -133,9 +131,7 @@ class ScaleMisfit:
 
     def jacobian(self, scales: Array) -> Array:
         """Derivatives of the residual with respect to the scales, shape (n, 7)."""
-        derivatives = coefficient_jacobian(
-            self.coefficients(scales), self._velocity, self._branch
-        )
+        derivatives = coefficient_jacobian(self.coefficients(scales), self._velocity, self._branch)
         for column, base in enumerate(self._base):
             derivatives[:, column] *= base
         return derivatives

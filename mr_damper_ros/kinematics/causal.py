@@ -83,8 +83,7 @@ def _numerators(denominator: Array, period: float) -> list[Array]:
     output = np.eye(_ORDER)[0]
     # Ackermann's formula for the predictor gain F L, from the wanted characteristic polynomial.
     polynomial = sum(
-        weight * np.linalg.matrix_power(advance, _ORDER - k)
-        for k, weight in enumerate(denominator)
+        weight * np.linalg.matrix_power(advance, _ORDER - k) for k, weight in enumerate(denominator)
     )
     observability = np.vstack([output @ np.linalg.matrix_power(advance, k) for k in range(_ORDER)])
     predictor_gain = polynomial @ np.linalg.solve(observability, np.eye(_ORDER)[-1])

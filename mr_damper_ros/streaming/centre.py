@@ -41,7 +41,7 @@ class MotionCentre:
         return 0.5 * (bottom + top)
 
     def _count_reversals(self, low: float, high: float, threshold: float) -> None:
-        # A reversal counts once the motion has come back by a quarter of its span: noise never does.
+        # A reversal counts once the motion has come back by a quarter of its span: noise does not.
         if math.isnan(self._turning):
             self._turning = low
             return

@@ -47,9 +47,7 @@ class HeldCurrent:
         """
         first = max(bisect_right(self._stamps, start_ns) - 1, 0)
         result = np.full(count, self._values[first])
-        for stamp, value in zip(
-            self._stamps[first + 1 :], self._values[first + 1 :], strict=True
-        ):
+        for stamp, value in zip(self._stamps[first + 1 :], self._values[first + 1 :], strict=True):
             # Rounding of the stamp to nanoseconds must not move a step by one sample.
             offset = (stamp - start_ns) / (period * NANOSECONDS)
             index = int(np.ceil(offset - 1e-3))

@@ -45,7 +45,7 @@ class WindowAssembler:
         if not (math.isfinite(window) and window > 0.0):
             raise ValueError(f"the window is {window} s long: it must be positive")
         if not 0.0 < hop <= window:
-            raise ValueError(f"the hop is {hop} s: it must lie between 0 and the window, {window} s")
+            raise ValueError(f"the hop is {hop} s: it must lie in 0 to {window} s, the window")
         self._window = window
         self._hop = hop
         self._sequence = BlockSequence()
@@ -140,13 +140,17 @@ class WindowAssembler:
                     temperature=self._temperature,
                 )
             )
-            rest = SampleBlock(
-                start_ns=start_ns + round(step * period * NANOSECONDS),
-                sequence=self._blocks[0].sequence + step,
-                period=period,
-                displacement=displacement[step:],
-                force=force[step:],
-            ) if self._count > step else None
+            rest = (
+                SampleBlock(
+                    start_ns=start_ns + round(step * period * NANOSECONDS),
+                    sequence=self._blocks[0].sequence + step,
+                    period=period,
+                    displacement=displacement[step:],
+                    force=force[step:],
+                )
+                if self._count > step
+                else None
+            )
             self._blocks = [rest] if rest is not None else []
             self._count -= step
         if len(self._waiting) > _WAIT_FOR_CURRENT:

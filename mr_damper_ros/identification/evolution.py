@@ -1,0 +1,147 @@
+"""Differential evolution (Storn and Price, 1997): SciPy's, with progress, seed and early stop."""
+
+from __future__ import annotations
+
+import inspect
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from mr_damper_ros.damper.sigmoid import Array
+
+STRATEGIES = ("rand1bin", "best1bin", "currenttobest1bin", "rand2bin")
+"""SciPy's names of the schemes of the thesis' table 3: rand/1, best/1, x + F (x_best - x + x_1 -
+x_2), which the thesis calls rand-to-best/2, and rand/2; all with binomial crossover."""
+
+# SciPy renamed the keyword in 1.15.
+_GENERATOR_KEYWORD = (
+    "rng" if "rng" in inspect.signature(differential_evolution).parameters else "seed"
+)
+
+
+@dataclass(frozen=True)
+class EvolutionSettings:
+    """Settings of differential evolution; the defaults are the thesis' (2.7.2 and 4.6).
+
+    ``strategy``: one of ``STRATEGIES``; ``mutation``: F; ``recombination``: CR; ``generations``:
+    at most so many; ``population``: individuals per unknown; ``seed``: of the random numbers.
+
+    Raises ValueError, in one sentence, for values out of range.
+    """
+
+    strategy: str = "rand1bin"
+    mutation: float = 0.8
+    recombination: float = 0.8
+    generations: int = 500
+    population: int = 15
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.strategy not in STRATEGIES:
+            raise ValueError(
+                f"strategy '{self.strategy}' is unknown: use one of {', '.join(STRATEGIES)}"
+            )
+        if not 0.0 < self.mutation < 2.0:
+            raise ValueError(f"mutation is {self.mutation}: it must lie between 0 and 2")
+        if not 0.0 <= self.recombination <= 1.0:
+            raise ValueError(f"recombination is {self.recombination}: it must lie in 0 to 1")
+        if self.generations < 1:
+            raise ValueError(f"generations is {self.generations}: at least 1 is needed")
+        if self.population < 5:
+            raise ValueError(f"population is {self.population}: at least 5 per unknown are needed")
+        if self.seed < 0:
+            raise ValueError(f"seed is {self.seed}: it must not be negative")
+
+
+@dataclass(frozen=True)
+class GlobalProgress:
+    """How far a long search is: ``best_cost`` is that of the present ``stage`` [1].
+
+    ``time_left`` [s] is an estimate for all that remains.
+    """
+
+    stage: str
+    generation: int
+    generations: int
+    best_cost: float
+    time_left: float
+
+
+Report = Callable[[GlobalProgress], bool]
+"""Told of progress; returning False stops the search with the best so far."""
+
+
+class ProgressClock:
+    """Counts generations over the stages of a search and estimates the time left."""
+
+    def __init__(self, generations: int, report: Report | None) -> None:
+        self._total = generations
+        self._done = 0
+        self._report = report
+        self._began = time.monotonic()
+        self.stopped = False
+
+    def tick(self, stage: str, best_cost: float) -> None:
+        """One generation more."""
+        self._done += 1
+        if self._report is None or self.stopped:
+            return
+        elapsed = time.monotonic() - self._began
+        left = max(self._total - self._done, 0) * elapsed / self._done
+        progress = GlobalProgress(stage, self._done, self._total, best_cost, left)
+        self.stopped = not self._report(progress)
+
+    def skip(self, generations: int) -> None:
+        """A stage ended so many generations early."""
+        self._done += generations
+
+
+def evolve(
+    cost: Callable[[Array], Array],
+    bounds: Sequence[tuple[float, float]],
+    settings: EvolutionSettings,
+    clock: ProgressClock,
+    *,
+    stage: str,
+    start: Array | None = None,
+) -> tuple[Array, float, int]:
+    """Minimise ``cost``, which takes individuals of shape (p, s) and returns (s,).
+
+    Returns the best individual (p,), its cost and the number of evaluations. ``start`` joins the
+    first population. Costs that are not numbers lose against every other.
+    """
+
+    def safe_cost(individuals: Array) -> Array:
+        return np.nan_to_num(cost(individuals), nan=1e300, posinf=1e300)
+
+    generations = 0
+
+    def follow(intermediate_result: object) -> bool:
+        nonlocal generations
+        generations += 1
+        clock.tick(stage, float(intermediate_result.fun))  # type: ignore[attr-defined]
+        return clock.stopped
+
+    low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
+    result = differential_evolution(
+        safe_cost,
+        list(zip(low, high, strict=True)),
+        strategy=settings.strategy,
+        mutation=settings.mutation,
+        recombination=settings.recombination,
+        maxiter=settings.generations,
+        popsize=settings.population,
+        tol=1e-8,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        init="latinhypercube",
+        x0=None if start is None else np.clip(start, low, high),
+        callback=follow,
+        **{_GENERATOR_KEYWORD: np.random.default_rng(settings.seed)},
+    )
+    clock.skip(settings.generations - generations)
+    return np.asarray(result.x), float(result.fun), int(result.nfev)

@@ -1,0 +1,329 @@
+"""One set of the sixteen parameters for many windows.
+
+1. Each window gives its seven coefficients (least squares, no dependence on velocity or current
+   assumed within it).
+2. The laws are fitted to these coefficients: differential evolution over the sixteen parameters
+   in their decoupled groups (:mod:`laws`).
+3. A local search on the samples themselves, over the parameters that the data determine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, force
+from mr_damper_ros.identification.evolution import (
+    EvolutionSettings,
+    GlobalProgress,
+    ProgressClock,
+    Report,
+    evolve,
+)
+from mr_damper_ros.identification.fit import WindowFit, fit_window
+from mr_damper_ros.identification.laws import (
+    CoefficientTable,
+    fit_laws,
+    searched_laws,
+    shape_bounds,
+)
+from mr_damper_ros.identification.observability import (
+    determined_parameters,
+    operating_points_within,
+    varied_parameters,
+)
+from mr_damper_ros.identification.pooled import PooledMisfit
+from mr_damper_ros.identification.search import LocalSearch, Stopped
+from mr_damper_ros.identification.uncertainty import correlation_length, least_squares_covariance
+from mr_damper_ros.identification.window import Window
+
+__all__ = ["METHODS", "GlobalFit", "GlobalProgress", "identify_global"]
+
+METHODS = ("global", "nelder_mead", "least_squares", "differential_evolution")
+
+_SEARCH_SAMPLES = 1000
+"""Samples per window in the search; the last polish uses all."""
+
+_EVOLUTION_SAMPLES = 200
+"""Samples per window where differential evolution evaluates thousands of sets."""
+
+_CLEARLY_BETTER = 0.98
+"""A search from elsewhere must lower the mean square by this factor to be preferred."""
+
+_GAIN_RANGE = 100.0
+"""Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
+
+_RIDGE = 1e-4
+"""Weight that keeps a flat direction from running away: no more than a trace of the misfit."""
+
+
+@dataclass(frozen=True, eq=False)
+class GlobalFit:
+    """Result of a global identification.
+
+    ``nrmse`` (k,): RMSE/std of the force, window by window; ``message`` says how it ended.
+    """
+
+    parameter_set: ParameterSet
+    nrmse: Array
+    evaluations: int
+    success: bool
+    message: str
+
+    @property
+    def median_nrmse(self) -> float:
+        """Median over the windows."""
+        return float(np.median(self.nrmse))
+
+
+def neutral_shape(parameters: Array) -> Array:
+    """The same scales with coefficients that depend on neither peak velocity nor current.
+
+    ``v_h`` and ``v_d`` stay proportional to the peak velocity. Shape (16,).
+    """
+    values = np.array(parameters, dtype=float)
+    for name in ("a1", "k0", "a4", "k2", "k3"):
+        values[PARAMETER_NAMES.index(name)] = 0.0
+    return values
+
+
+def identify_global(
+    windows: Sequence[Window],
+    start: Array,
+    settings: EvolutionSettings,
+    report: Report | None = None,
+    *,
+    method: str = "global",
+) -> GlobalFit:
+    """One parameter set for all windows.
+
+    ``start`` (16,) gives the values that undetermined parameters keep. ``method``: "global" as
+    described above; "nelder_mead" and "least_squares" search on the samples from the laws;
+    "differential_evolution" searches on the samples over all free parameters at once, as the
+    thesis does. ``report`` hears of the progress and may stop the search: the best so far is then
+    returned with ``success`` False.
+
+    Raises ValueError where there are no windows, a force does not change, or for an unknown
+    method.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method '{method}' is unknown: use one of {', '.join(METHODS)}")
+    start = np.asarray(start, dtype=float)
+    search = _GlobalSearch(windows, start, settings, report)
+    message = "converged"
+    try:
+        search.run(method)
+    except Stopped:
+        message = "stopped before it converged: this is the best so far"
+    return _result(search, method, message)
+
+
+class _GlobalSearch:
+    """The steps of a global identification, and the best parameters (16,) so far."""
+
+    def __init__(
+        self,
+        windows: Sequence[Window],
+        start: Array,
+        settings: EvolutionSettings,
+        report: Report | None,
+    ) -> None:
+        self.windows = windows
+        self._start = start
+        self._settings = settings
+        self._thinned = [_thinned(window, _SEARCH_SAMPLES) for window in windows]
+        self.fits = [_neutral_fit(window, start) for window in self._thinned]
+        self.pooled = PooledMisfit(self._thinned, [fit.rmse for fit in self.fits])
+        self.evaluations = sum(fit.evaluations for fit in self.fits)
+        speeds, currents = operating_points_within(windows)
+        self._varied = varied_parameters(speeds, currents)
+        self._varied_between = varied_parameters(
+            [fit.operating_point[0] for fit in self.fits],
+            [fit.operating_point[1] for fit in self.fits],
+        )
+        bounds = shape_bounds(max(speeds), float(np.max(np.abs(currents))))
+        self._bounds = {**bounds, **dict.fromkeys(("k2", "k3"), (-_GAIN_RANGE, _GAIN_RANGE))}
+        self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
+        self._report = report
+        self.free: frozenset[str] = frozenset()
+        self.best = start
+
+    def run(self, method: str) -> None:
+        stages = searched_laws(self._varied_between)
+        generations = self._settings.generations * (stages + (method == "differential_evolution"))
+        self._clock = ProgressClock(max(generations, 1), self._report)
+        laws = self._fit_laws(self._start, self._varied_between)
+        self.best = min((laws, self._without_dependence()), key=self.pooled.mean_square)
+        self.free = self._determined(self.best)
+        candidates = self._candidates(laws)
+        if method == "differential_evolution":
+            self.best = min(candidates, key=self.pooled.mean_square)
+            candidates = [self._evolve_samples()]
+        if self._clock.stopped:
+            raise Stopped
+        polished = [
+            self._local(self.pooled, candidate, method == "nelder_mead") for candidate in candidates
+        ]
+        costs = [self.pooled.mean_square(parameters) for parameters in polished]
+        best = int(np.argmin(costs))
+        # The first keeps most of the start: the others must be better, not just different.
+        self.best = polished[best if costs[best] < _CLEARLY_BETTER * costs[0] else 0]
+        whole = PooledMisfit(self.windows, [fit.rmse for fit in self.fits])
+        self.best = self._local(whole, self.best, False)
+
+    def _candidates(self, laws: Array) -> list[Array]:
+        """Where to start on the samples: with the start's undetermined values, or without any."""
+        neutral = neutral_shape(self._start)
+        if self._varied <= self.free:
+            return [laws, self._without_dependence()]
+        # Scales must adapt to the values that the undetermined parameters are held at.
+        free = self._varied_between & self.free
+        return [self._fit_laws(self._start, free), self._fit_laws(neutral, free)]
+
+    def _fit_laws(self, start: Array, free: frozenset[str]) -> Array:
+        table = CoefficientTable(
+            peak_velocity=np.array([fit.operating_point[0] for fit in self.fits]),
+            current=np.array([fit.operating_point[1] for fit in self.fits]),
+            coefficients=np.array([fit.coefficients for fit in self.fits]),
+            errors=np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in self.fits]),
+        )
+        parameters, count = fit_laws(table, start, free, self._settings, self._clock)
+        self.evaluations += count
+        return parameters
+
+    def _without_dependence(self) -> Array:
+        """The best of the windows' own fits, which assume no dependence on the operating point."""
+        return min((fit.parameters for fit in self.fits), key=self.pooled.mean_square)
+
+    def _determined(self, parameters: Array) -> frozenset[str]:
+        residual = self.pooled.residual(parameters)
+        # Correlated samples count once per correlation length.
+        spread = float(np.sqrt(np.mean(residual**2) * max(correlation_length(residual), 1)))
+        jacobian = self.pooled.jacobian(parameters) / spread
+        return determined_parameters(jacobian, self._varied, self._ranges)
+
+    def _evolve_samples(self) -> Array:
+        names = [name for name in PARAMETER_NAMES if name in self.free]
+        places = [PARAMETER_NAMES.index(name) for name in names]
+        centre = self.best
+        bounds = []
+        for name, place in zip(names, places, strict=True):
+            reach = 3.0 * max(abs(float(centre[place])), 1e-3)
+            bounds.append(self._bounds.get(name, (-reach, reach)))
+        few = [_thinned(window, _EVOLUTION_SAMPLES) for window in self.windows]
+        misfit = PooledMisfit(few, [fit.rmse for fit in self.fits])
+
+        def cost(individuals: Array) -> Array:
+            sets = np.repeat(centre[np.newaxis], individuals.shape[1], axis=0)
+            sets[:, places] = individuals.T
+            return misfit.population_cost(sets)
+
+        found, _, count = evolve(
+            cost, bounds, self._settings, self._clock, stage="all free parameters"
+        )
+        self.evaluations += count
+        result = centre.copy()
+        result[places] = found
+        return result
+
+    def _local(self, pooled: PooledMisfit, start: Array, nelder_mead: bool) -> Array:
+        problem = _FreeProblem(pooled, start, self.free, self._ranges)
+        search = LocalSearch(problem, problem.start)
+        if nelder_mead:
+            search.nelder_mead()
+        search.least_squares()
+        self.evaluations += search.evaluations
+        return problem.parameters(search.best)
+
+
+class _FreeProblem:
+    """A pooled misfit as a function of its free parameters, each in units of its own size."""
+
+    def __init__(
+        self,
+        pooled: PooledMisfit,
+        start: Array,
+        free: frozenset[str],
+        ranges: dict[str, float],
+    ) -> None:
+        self._pooled = pooled
+        self._values = np.array(start)
+        names = [name for name in PARAMETER_NAMES if name in free]
+        self._places = [PARAMETER_NAMES.index(name) for name in names]
+        sizes = [
+            max(abs(float(start[place])), 0.05 * ranges.get(name, 1.0))
+            for name, place in zip(names, self._places, strict=True)
+        ]
+        self._sizes = np.array(sizes)
+        self.start = self._values[self._places] / self._sizes
+        self._ridge = _RIDGE * np.sqrt(pooled.sample_count)
+
+    def parameters(self, unknowns: Array) -> Array:
+        values = self._values.copy()
+        values[self._places] = unknowns * self._sizes
+        return values
+
+    def residual(self, unknowns: Array) -> Array:
+        # The ridge keeps flat directions where they are.
+        return np.concatenate(
+            (
+                self._pooled.residual(self.parameters(unknowns)),
+                self._ridge * (unknowns - self.start),
+            )
+        )
+
+    def jacobian(self, unknowns: Array) -> Array:
+        derivatives = self._pooled.jacobian(self.parameters(unknowns))[:, self._places]
+        ridge = self._ridge * np.eye(len(self._places))
+        return np.concatenate((derivatives * self._sizes, ridge))
+
+
+def _thinned(window: Window, most: int) -> Window:
+    stride = max(window.sample_count // most, 1)
+    return window if stride == 1 else window.part(slice(None, None, stride))
+
+
+def _neutral_fit(window: Window, start: Array) -> WindowFit:
+    return fit_window(window, neutral_shape(start), method="least_squares")
+
+
+def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
+    best = search.best
+    names = [name for name in PARAMETER_NAMES if name in search.free]
+    places = [PARAMETER_NAMES.index(name) for name in names]
+    errors = np.full(len(PARAMETER_NAMES), math.nan)
+    if places:
+        misfit = PooledMisfit(search.windows, [fit.rmse for fit in search.fits])
+        covariance = least_squares_covariance(
+            misfit.jacobian(best)[:, places], misfit.residual(best)
+        )
+        errors[places] = np.sqrt(np.diag(covariance))
+    nrmse = []
+    for window in search.windows:
+        m = window.motion
+        predicted = force(best, m.displacement, m.velocity, m.acceleration, window.current)
+        error = float(np.sqrt(np.mean((predicted - window.force) ** 2)))
+        nrmse.append(error / float(np.std(window.force)))
+    speeds = np.concatenate([window.motion.peak_velocity for window in search.windows])
+    currents = np.concatenate([window.current for window in search.windows])
+    parameter_set = ParameterSet(
+        values=best,
+        standard_errors=errors,
+        observable=np.isfinite(errors),
+        set_id=method,
+        source=method,
+        peak_velocity_range=(float(np.quantile(speeds, 0.05)), float(np.quantile(speeds, 0.95))),
+        current_range=(float(currents.min()), float(currents.max())),
+        nrmse=float(np.median(nrmse)),
+    )
+    return GlobalFit(
+        parameter_set=parameter_set,
+        nrmse=np.array(nrmse),
+        evaluations=search.evaluations,
+        success=message == "converged",
+        message=message,
+    )

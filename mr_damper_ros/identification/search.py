@@ -1,0 +1,128 @@
+"""Local search of a least-squares problem: Nelder-Mead and Levenberg-Marquardt, both SciPy's.
+
+Nelder-Mead searches in coordinates in which the sum of squares is nearly a sphere, taken from the
+Jacobian at its start; there a simplex of seven dimensions converges in a few hundred evaluations
+instead of thousands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import leastsq, minimize
+
+from mr_damper_ros.damper.sigmoid import Array
+
+_SIMPLEX_TOLERANCE = 1e-2
+"""Nelder-Mead stops where the simplex is this many standard errors wide."""
+
+_FAR = 30.0
+"""A search that moved by more standard errors than this starts again with new axes."""
+
+_MOST_RESTARTS = 5
+
+
+class Problem(Protocol):
+    """Something to fit: residual (n,) and its Jacobian (n, p) for unknowns (p,)."""
+
+    def residual(self, unknowns: Array) -> Array: ...
+
+    def jacobian(self, unknowns: Array) -> Array: ...
+
+
+class Stopped(Exception):
+    """The caller wants no further evaluation; the best so far stays in the search."""
+
+
+class LocalSearch:
+    """A problem with the best unknowns found so far and the number of evaluations.
+
+    ``should_stop`` is asked at every evaluation; where it says so, :class:`Stopped` is raised.
+    """
+
+    def __init__(
+        self, problem: Problem, start: Array, should_stop: Callable[[], bool] | None = None
+    ) -> None:
+        self.problem = problem
+        self.best = start
+        self.best_cost = math.inf
+        self.evaluations = 0
+        self._should_stop = should_stop
+
+    def residual(self, unknowns: Array) -> Array:
+        """Residual (n,) of the problem, counted."""
+        if self._should_stop is not None and self._should_stop():
+            raise Stopped
+        self.evaluations += 1
+        return self.problem.residual(unknowns)
+
+    def try_out(self, unknowns: Array) -> float:
+        """Sum of squares; becomes the best if it is."""
+        residual = self.residual(unknowns)
+        cost = float(residual @ residual)
+        if cost < self.best_cost:
+            self.best, self.best_cost = unknowns, cost
+        return cost
+
+    def nelder_mead(self) -> None:
+        """Nelder-Mead from the best so far, with new axes as long as it moves far."""
+        if math.isinf(self.best_cost):
+            self.try_out(self.best)
+        for _ in range(_MOST_RESTARTS):
+            centre = self.best
+            jacobian = self.problem.jacobian(centre)
+            noise_power = self.best_cost / jacobian.shape[0]
+            axes = _standard_error_axes(jacobian, math.sqrt(noise_power))
+            simplex = np.vstack((np.zeros(centre.size), np.eye(centre.size)))
+
+            def cost(steps: Array, centre: Array = centre, axes: Array = axes) -> float:
+                return self.try_out(centre + axes @ steps)
+
+            result = minimize(
+                cost,
+                simplex[0],
+                method="Nelder-Mead",
+                options={
+                    "initial_simplex": simplex,
+                    "xatol": _SIMPLEX_TOLERANCE,
+                    "fatol": 1e-3 * noise_power,
+                    "maxfev": 300 * centre.size,
+                },
+            )
+            if np.max(np.abs(result.x)) < _FAR:
+                return
+
+    def least_squares(self, weights: Array | None = None) -> None:
+        """Levenberg-Marquardt (MINPACK) from the best so far; ``weights`` (n,) on the squares."""
+        root = 1.0 if weights is None else np.sqrt(weights)
+
+        def residual(unknowns: Array) -> Array:
+            return self.residual(unknowns) * root
+
+        def jacobian(unknowns: Array) -> Array:
+            derivatives = self.problem.jacobian(unknowns)
+            return derivatives if weights is None else derivatives * root[:, np.newaxis]
+
+        found, *_ = leastsq(residual, self.best, Dfun=jacobian, full_output=True, maxfev=300)
+        if weights is not None:
+            self.best = found
+            return
+        self.try_out(found)
+
+
+def _standard_error_axes(jacobian: Array, noise: float) -> Array:
+    """Axes (p, p) along which a step of 1 raises the sum of squares by the noise variance.
+
+    Directions that the samples hardly determine are cut short, so that a simplex does not wander
+    off along them.
+    """
+    lengths = np.linalg.norm(jacobian, axis=0)
+    safe = np.where(lengths > 0.0, lengths, 1.0)
+    # The triangular factor has the singular values of the whole Jacobian, and is small.
+    triangular = np.linalg.qr(jacobian / safe, mode="r")
+    _, singular, vt = np.linalg.svd(triangular)
+    step = noise / np.maximum(singular, 1e-4 * max(float(singular[0]), 1e-300))
+    return np.asarray((vt.T * step) / safe[:, np.newaxis])
