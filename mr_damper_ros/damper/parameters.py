@@ -14,9 +14,11 @@ from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
 MODEL_NAME = "sigmoid"
 
 UNITS = {
-    **{"f0": "N", "I0": "A", "I1": "A", "a0": "s/m", "a1": "s/m", "a2": "1/A", "a3": "1/A"},
-    **{"a4": "s/m", "k0": "s/m", "k1c": "s/m", "k1e": "s/m", "k2": "1", "k3": "1", "k4": "1"},
-    **{"k5": "1", "k6": "1"},
+    **dict.fromkeys(("a0", "a1", "a4", "k0", "k1c", "k1e"), "s/m"),
+    **dict.fromkeys(("k2", "k3", "k4", "k5", "k6"), "1"),
+    **dict.fromkeys(("a2", "a3"), "1/A"),
+    **dict.fromkeys(("I0", "I1"), "A"),
+    "f0": "N",
 }
 """Unit of each parameter. The thesis prints (m/s)^-1 for a3, which multiplies a current."""
 
@@ -106,7 +108,7 @@ class ParameterSet:
                 )
             },
         }
-        return yaml.safe_dump(document, sort_keys=False)
+        return str(yaml.safe_dump(document, sort_keys=False))
 
     @classmethod
     def from_yaml(cls, text: str) -> ParameterSet:

@@ -76,7 +76,7 @@ def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: Ar
     u = np.clip(displacement, -_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
     v = np.clip(velocity, -_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
     a = np.clip(acceleration, -_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
-    return np.sqrt(np.maximum(v * v - a * u, 0.0))
+    return np.asarray(np.sqrt(np.maximum(v * v - a * u, 0.0)))
 
 
 def _exp(exponent: Array) -> Array:
@@ -155,7 +155,7 @@ def force_from_coefficients(
     v = np.asarray(velocity, dtype=float)
     slope = np.where(v >= 0.0, c.k_c, c.k_e)
     sigmoid = np.tanh(0.5 * c.alpha * (v + np.sign(acceleration) * c.v_h + c.v_d))
-    return (c.f_t * sigmoid - c.f_d) * (1.0 + slope * np.abs(v))
+    return np.asarray((c.f_t * sigmoid - c.f_d) * (1.0 + slope * np.abs(v)))
 
 
 def force(
@@ -270,8 +270,9 @@ def parameter_jacobian(
     """Derivatives of :func:`force` with respect to the sixteen parameters, shape (n, 16)."""
     v_m = peak_velocity(displacement, velocity, acceleration)
     coefficients = operating_point_coefficients(parameters, v_m, current)
-    return np.einsum(
+    jacobian = np.einsum(
         "nc,ncp->np",
         coefficient_jacobian(coefficients, velocity, acceleration),
         coefficient_parameter_jacobian(parameters, v_m, current),
     )
+    return np.asarray(jacobian)

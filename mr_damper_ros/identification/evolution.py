@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ x_2), which the thesis calls rand-to-best/2, and rand/2; all with binomial cross
 _GENERATOR_KEYWORD = (
     "rng" if "rng" in inspect.signature(differential_evolution).parameters else "seed"
 )
+
+
+_WORST = 1e300
 
 
 @dataclass(frozen=True)
@@ -113,16 +117,19 @@ def evolve(
     Returns the best individual (p,), its cost and the number of evaluations. ``start`` joins the
     first population. Costs that are not numbers lose against every other.
     """
-
-    def safe_cost(individuals: Array) -> Array:
-        return np.nan_to_num(cost(individuals), nan=1e300, posinf=1e300)
-
+    best_cost = math.inf
     generations = 0
 
-    def follow(intermediate_result: object) -> bool:
+    def safe_cost(individuals: Array) -> Array:
+        nonlocal best_cost
+        costs = np.nan_to_num(cost(individuals), nan=_WORST, posinf=_WORST)
+        best_cost = min(best_cost, float(costs.min()))
+        return costs
+
+    def follow(best: Array, convergence: float) -> bool:
         nonlocal generations
         generations += 1
-        clock.tick(stage, float(intermediate_result.fun))  # type: ignore[attr-defined]
+        clock.tick(stage, best_cost)
         return clock.stopped
 
     low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.identification.search import LocalSearch, Stopped
+from mr_damper_ros.identification.search import LocalSearch, StopRequestedError
 from mr_damper_ros.identification.uncertainty import least_squares_covariance
 from mr_damper_ros.identification.window import ScaleMisfit, Window
 
@@ -89,7 +89,7 @@ def fit_window(
         search.least_squares()
         if robust:
             weights = _reweighted_least_squares(search)
-    except Stopped:
+    except StopRequestedError:
         message = "stopped before it converged: this is the best so far"
     return _result(misfit, search, weights, spread, method, message)
 
@@ -163,8 +163,10 @@ def _cold_starts(misfit: ScaleMisfit) -> list[Array]:
     base = np.where(base == 0.0, 1.0, base)
     return [
         np.array(
-            [0.4 * (top - bottom), steepness / top_speed, 0.2 / top_speed, 0.2 / top_speed]
-            + [hysteresis * top_speed, 0.0, -0.5 * (top + bottom)]
+            [
+                *(0.4 * (top - bottom), steepness / top_speed, 0.2 / top_speed),
+                *(0.2 / top_speed, hysteresis * top_speed, 0.0, -0.5 * (top + bottom)),
+            ]
         )
         / base
         for steepness, hysteresis in product(_COLD_STEEPNESS, _COLD_HYSTERESIS)

@@ -37,7 +37,7 @@ from mr_damper_ros.identification.observability import (
     varied_parameters,
 )
 from mr_damper_ros.identification.pooled import PooledMisfit
-from mr_damper_ros.identification.search import LocalSearch, Stopped
+from mr_damper_ros.identification.search import LocalSearch, StopRequestedError
 from mr_damper_ros.identification.uncertainty import correlation_length, least_squares_covariance
 from mr_damper_ros.identification.window import Window
 
@@ -117,7 +117,7 @@ def identify_global(
     message = "converged"
     try:
         search.run(method)
-    except Stopped:
+    except StopRequestedError:
         message = "stopped before it converged: this is the best so far"
     return _result(search, method, message)
 
@@ -164,7 +164,7 @@ class _GlobalSearch:
             self.best = min(candidates, key=self.pooled.mean_square)
             candidates = [self._evolve_samples()]
         if self._clock.stopped:
-            raise Stopped
+            raise StopRequestedError
         polished = [
             self._local(self.pooled, candidate, method == "nelder_mead") for candidate in candidates
         ]

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -33,8 +34,11 @@ _EXPONENT_SPAN = 8.0
 
 @dataclass(frozen=True, eq=False)
 class CoefficientTable:
-    """Coefficients of k operating points: ``peak_velocity`` and ``current`` (k,),
-    ``coefficients`` and their ``errors`` (k, 7), with positive f_t."""
+    """Coefficients of k operating points, with positive f_t.
+
+    ``peak_velocity`` [m/s] and ``current`` [A] have shape (k,), ``coefficients`` and their
+    standard ``errors`` shape (k, 7).
+    """
 
     peak_velocity: Array
     current: Array
@@ -85,9 +89,7 @@ def fit_laws(
         problem = _LawProblem(law, table, values, free)
         if names and not clock.stopped:
             best, _, count = evolve(
-                lambda trial, problem=problem, names=names: problem.solve(
-                    dict(zip(names, trial[:, :, np.newaxis], strict=True))
-                )[0],
+                partial(problem.misfit, names),
                 [bounds[name] for name in names],
                 settings,
                 clock,
@@ -121,8 +123,10 @@ def shape_bounds(top_velocity: float, top_current: float) -> dict[str, tuple[flo
     exponent = (-_EXPONENT_SPAN / v, _EXPONENT_SPAN / v)
     slope, shift = (0.2 / i, 30.0 / i), (-1.5 * i, 1.5 * i)
     return {
-        **{"a1": exponent, "a4": exponent, "k0": (-0.9 / v, 1e3 / v)},
-        **{"a2": slope, "I0": shift, "a3": slope, "I1": shift},
+        **dict.fromkeys(("a1", "a4"), exponent),
+        **dict.fromkeys(("a2", "a3"), slope),
+        **dict.fromkeys(("I0", "I1"), shift),
+        "k0": (-0.9 / v, 1e3 / v),
     }
 
 
@@ -137,6 +141,10 @@ class _LawProblem:
         self._values = values
         self._free = free
         self._weights = {column: table.weights(column) for column, _ in law.scales}
+
+    def misfit(self, names: list[str], individuals: Array) -> Array:
+        """Misfit (s,) of individuals of shape (len(names), s)."""
+        return self.solve(dict(zip(names, individuals[:, :, np.newaxis], strict=True)))[0]
 
     def solve(self, trial: Values) -> tuple[Array, dict[str, float]]:
         """Misfit (s,) for trial unknowns of shape (s, 1), and the scales of the last trial."""
@@ -154,8 +162,8 @@ class _LawProblem:
             weights = self._weights[column]
             target = weights * self._table.coefficients[:, column]
             if name not in self._free:
-                scale = float(self._values[name])
-                misfit += np.sum((scale * constant * weights - target) ** 2, axis=-1)
+                given = float(self._values[name])
+                misfit += np.sum((given * constant * weights - target) ** 2, axis=-1)
             elif gain_is_free:
                 scale, product, cost = _two_scales(constant * weights, step * weights, target)
                 misfit += cost

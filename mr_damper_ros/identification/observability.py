@@ -78,7 +78,7 @@ def determined_parameters(
     ranges of the shape parameters. Scale parameters come first; a shape parameter joins, the
     surest first, while no standard error exceeds a quarter of its range.
     """
-    triangular = np.linalg.qr(jacobian, mode="r")
+    triangular = np.asarray(np.linalg.qr(jacobian, mode="r"))
     chosen = [
         name
         for name in PARAMETER_NAMES

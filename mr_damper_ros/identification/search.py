@@ -28,19 +28,21 @@ _MOST_RESTARTS = 5
 class Problem(Protocol):
     """Something to fit: residual (n,) and its Jacobian (n, p) for unknowns (p,)."""
 
-    def residual(self, unknowns: Array) -> Array: ...
+    def residual(self, unknowns: Array) -> Array:
+        """Model minus measurement, shape (n,)."""
 
-    def jacobian(self, unknowns: Array) -> Array: ...
+    def jacobian(self, unknowns: Array) -> Array:
+        """Derivatives of the residual, shape (n, p)."""
 
 
-class Stopped(Exception):
+class StopRequestedError(Exception):
     """The caller wants no further evaluation; the best so far stays in the search."""
 
 
 class LocalSearch:
     """A problem with the best unknowns found so far and the number of evaluations.
 
-    ``should_stop`` is asked at every evaluation; where it says so, :class:`Stopped` is raised.
+    ``should_stop`` is asked at every evaluation; where it says so, :class:`StopRequestedError` is raised.
     """
 
     def __init__(
@@ -55,7 +57,7 @@ class LocalSearch:
     def residual(self, unknowns: Array) -> Array:
         """Residual (n,) of the problem, counted."""
         if self._should_stop is not None and self._should_stop():
-            raise Stopped
+            raise StopRequestedError
         self.evaluations += 1
         return self.problem.residual(unknowns)
 
@@ -122,7 +124,7 @@ def _standard_error_axes(jacobian: Array, noise: float) -> Array:
     lengths = np.linalg.norm(jacobian, axis=0)
     safe = np.where(lengths > 0.0, lengths, 1.0)
     # The triangular factor has the singular values of the whole Jacobian, and is small.
-    triangular = np.linalg.qr(jacobian / safe, mode="r")
+    triangular = np.asarray(np.linalg.qr(jacobian / safe, mode="r"))
     _, singular, vt = np.linalg.svd(triangular)
-    step = noise / np.maximum(singular, 1e-4 * max(float(singular[0]), 1e-300))
+    step = noise / np.maximum(singular, 1e-4 * max(float(singular.max()), 1e-300))
     return np.asarray((vt.T * step) / safe[:, np.newaxis])

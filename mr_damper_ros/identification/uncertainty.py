@@ -25,12 +25,12 @@ def normal_inverse(jacobian: Array, relative_cutoff: float = 1e-10) -> Array:
     safe = np.where(lengths > 0.0, lengths, 1.0)
     _, singular, vt = np.linalg.svd(jacobian / safe, full_matrices=False)
     determined = singular > relative_cutoff * max(float(singular[0]), 1e-300)
-    inverse = (vt[determined].T / singular[determined] ** 2) @ vt[determined]
+    inverse = np.asarray((vt[determined].T / singular[determined] ** 2) @ vt[determined])
     inverse = inverse / np.outer(safe, safe)
     lost = np.any(np.abs(vt[~determined]) > 1e-3, axis=0) | (lengths == 0.0)
     inverse[lost, :] = np.nan
     inverse[:, lost] = np.nan
-    return inverse
+    return np.asarray(inverse)
 
 
 def least_squares_covariance(

@@ -62,8 +62,13 @@ class Window:
     def part(self, chosen: slice | Array) -> Window:
         """The chosen samples: a slice, or a mask of shape (n,)."""
         m = self.motion
-        arrays = (m.displacement, m.velocity, m.acceleration, m.peak_velocity)
-        motion = Motion(*(array[chosen] for array in arrays), sine=m.sine)
+        motion = Motion(
+            displacement=m.displacement[chosen],
+            velocity=m.velocity[chosen],
+            acceleration=m.acceleration[chosen],
+            peak_velocity=m.peak_velocity[chosen],
+            sine=m.sine,
+        )
         return Window(motion, self.force[chosen], self.current[chosen])
 
     @property
@@ -105,7 +110,7 @@ class ScaleMisfit:
     @property
     def start(self) -> Array:
         """Scales of the parameters given, shape (7,)."""
-        scales = self._start[SCALE_INDICES].copy()
+        scales = np.array(self._start[SCALE_INDICES])
         scales[6] *= scales[0]
         return scales
 
@@ -122,7 +127,7 @@ class ScaleMisfit:
     def residual(self, scales: Array) -> Array:
         """Model minus measurement [N], shape (n,)."""
         predicted = force_from_coefficients(self.coefficients(scales), self._velocity, self._branch)
-        return predicted - self.window.force
+        return np.asarray(predicted - self.window.force)
 
     def sum_of_squares(self, scales: Array) -> float:
         """Sum of the squared residual [N²]."""

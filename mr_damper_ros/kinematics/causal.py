@@ -36,7 +36,7 @@ class CausalDifferentiator:
                 f"of the sample rate ({0.25 / period:g} Hz)"
             )
         pole = math.exp(-2.0 * math.pi * bandwidth * period)
-        self._denominator = np.poly(np.full(_ORDER, pole))
+        self._denominator = np.asarray(np.poly(np.full(_ORDER, pole)), dtype=float)
         self._numerators = _numerators(self._denominator, period)
         self._states = [np.zeros(_ORDER) for _ in self._numerators]
         self._settling = math.ceil(_SETTLING / (2.0 * math.pi * bandwidth * period))

@@ -120,7 +120,7 @@ def window_motion(displacement: Array, period: float) -> Motion:
         limit = max(SINE_TOLERANCE * sine.amplitude / math.sqrt(2.0), _NOISE_FACTOR * noise)
         cycles = sine.frequency * period * u.size
         if sine.residual_rms <= limit and cycles >= 0.5:
-            time = np.arange(u.size) * period
+            time: Array = np.arange(u.size, dtype=float) * period
             top_speed = 2.0 * np.pi * sine.frequency * sine.amplitude
             return Motion(
                 displacement=sine.displacement(time),

@@ -1,1 +1,1 @@
-"""Objects that follow a stream of samples by its stamps; the nodes drive them, ROS is not needed."""
+"""Objects that follow a stream of samples by its stamps; nodes drive them, ROS is not needed."""

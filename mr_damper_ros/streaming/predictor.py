@@ -117,7 +117,8 @@ class ForcePredictor:
         self, block: SampleBlock, speed: Array, current: Array, parameters: ParameterSet
     ) -> str:
         """Why the force of this block should not be relied on; empty where it may be."""
-        assert self._differentiator is not None and self._centre is not None
+        assert self._differentiator is not None
+        assert self._centre is not None
         if not self._differentiator.settled:
             return "the velocity estimate is still settling after the start of the stream"
         if self._centre.reversals < _REVERSALS_FOR_CENTRE:

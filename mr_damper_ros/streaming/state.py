@@ -72,24 +72,13 @@ class StateDirectory:
         Raises StateError where there is none, or where its file is damaged or cannot be used.
         """
         path = self.file(name)
-        try:
-            if path.resolve().parent != path.parent.resolve():
-                raise StateError(f"{path} is a link out of state_dir: copy the file there instead")
-            if path.stat().st_size > _SIZE_LIMIT:
-                raise StateError(f"{path} is too big for a parameter file: remove it")
-            text = path.read_text(encoding="utf-8")
-        except FileNotFoundError as error:
+        if path.is_symlink() and path.resolve().parent != path.parent.resolve():
+            raise StateError(f"{path} is a link out of state_dir: copy the file there instead")
+        if not os.path.lexists(path):
             raise StateError(
                 f"there is no {path}: the names kept are {', '.join(self.names()) or '(none)'}"
-            ) from error
-        except UnicodeDecodeError as error:
-            raise StateError(f"{path} is damaged: it is not text") from error
-        except (OSError, RuntimeError) as error:  # RuntimeError: a link to itself
-            raise StateError(f"cannot read {path}: {error}") from error
-        try:
-            return ParameterSet.from_yaml(_checked(text, path))
-        except ParameterError as error:
-            raise StateError(f"{path}: {error}") from error
+            )
+        return read_parameter_file(path)
 
     def names(self) -> list[str]:
         """Names under which sets are kept, sorted."""
@@ -108,6 +97,27 @@ class StateDirectory:
         except OSError as error:
             raise StateError(f"cannot rename {path}: {error.strerror}") from error
         return aside
+
+
+def read_parameter_file(path: str | Path) -> ParameterSet:
+    """The parameter set in a file, written by a :class:`StateDirectory` or by hand.
+
+    Raises StateError where the file cannot be read, is damaged or does not fit.
+    """
+    path = Path(path).expanduser()
+    try:
+        if path.stat().st_size > _SIZE_LIMIT:
+            raise StateError(f"{path} is too big for a parameter file: give another one")
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise StateError(f"{path} is damaged: it is not text") from error
+    except (OSError, RuntimeError) as error:  # RuntimeError: a link to itself
+        detail = getattr(error, "strerror", None) or "it is a link to itself"
+        raise StateError(f"cannot read {path}: {detail}") from error
+    try:
+        return ParameterSet.from_yaml(_checked(text, path))
+    except ParameterError as error:
+        raise StateError(f"{path}: {error}") from error
 
 
 def _digest(body: str) -> str:
