@@ -13,8 +13,10 @@ from pathlib import Path
 
 import numpy
 
-FOREIGN = re.compile(r"/opt/python/cp3\d+-cp3\d+/(?P<numpy>lib/python3\.\d+/site-packages/numpy/"
-                     r"(?:_core|core)/include)|/opt/python/cp3\d+-cp3\d+/include/python3\.\d+")
+FOREIGN = re.compile(
+    r"/opt/python/cp3\d+-cp3\d+/(?P<numpy>lib/python3\.\d+/site-packages/numpy/"
+    r"(?:_core|core)/include)|/opt/python/cp3\d+-cp3\d+/include/python3\.\d+"
+)
 
 
 def repair(text: str) -> str:

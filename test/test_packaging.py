@@ -9,13 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PROGRAMS = ("bridge", "identifier", "model", "replay") + (
-    "demo",
-    "identify",
-    "import_record",
-    "thesis_bags",
-    "validate",
-)
+NODES = ("bridge", "identifier", "model", "replay")
+TOOLS = ("demo", "identify", "import_record", "thesis_bags", "validate")
 MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
 
 
@@ -160,7 +155,7 @@ def test_messages_and_services_can_be_imported():
     assert LoadParameters.Request().name == SaveParameters.Request().name == ""
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.parametrize("program", NODES + TOOLS)
 def test_programs_lie_where_ros2_run_looks(program):
     path = prefix_of("mr_damper_ros") / "lib" / "mr_damper_ros" / program
     assert path.is_file()
