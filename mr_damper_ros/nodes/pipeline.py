@@ -6,6 +6,8 @@ it is complete: what is accepted then depends on the data alone, never on how fa
 
 from __future__ import annotations
 
+import math
+import time
 from collections import deque
 from dataclasses import dataclass
 
@@ -54,15 +56,17 @@ class SearchEnded:
     """A search is over; ``result`` and ``report`` are None where it never ran or does not count."""
 
     search: Search
-    result: GlobalResult | None
-    report: Report | None
+    result: GlobalResult | None = None
+    report: Report | None = None
+    duration: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
 class WindowEnded:
-    """The fit of a window is over."""
+    """The fit of a window is over, after ``duration`` seconds of work (NaN: it failed)."""
 
     report: Report
+    duration: float
 
 
 Event = SearchProgress | SearchEnded | WindowEnded
@@ -126,7 +130,7 @@ class Pipeline:
             self._worker.cancel()
         elif search in self._searches:
             self._searches.remove(search)
-            self._given_up.append(SearchEnded(search, None, None))
+            self._given_up.append(SearchEnded(search))
 
     def reset(self) -> None:
         """Back to the initial set; windows that wait belong to the past and are forgotten."""
@@ -154,11 +158,11 @@ class Pipeline:
                 continue
             self._job = None
             if isinstance(outcome, Done):
-                events += self._complete(job, outcome.result)
+                events += self._complete(job, *outcome.result)
             elif isinstance(job.task, FitTask):
-                events += self._complete(job, FitResult(job.task, outcome.reason))
+                events += self._complete(job, FitResult(job.task, outcome.reason), math.nan)
             else:
-                events += self._complete(job, GlobalResult(job.task, outcome.reason))
+                events += self._complete(job, GlobalResult(job.task, outcome.reason), math.nan)
         self._next()
         return events
 
@@ -168,7 +172,9 @@ class Pipeline:
             self._overtaken = True
             self._worker.cancel()
 
-    def _complete(self, job: _Job, result: FitResult | GlobalResult) -> list[Event]:
+    def _complete(
+        self, job: _Job, result: FitResult | GlobalResult, duration: float
+    ) -> list[Event]:
         overtaken, self._overtaken = self._overtaken, False
         if isinstance(result, FitResult):
             if overtaken:
@@ -176,11 +182,12 @@ class Pipeline:
             report = self._tracker.complete(result)
             if report.global_due:
                 self._searches.append(Search())
-            return [WindowEnded(report)]
+            return [WindowEnded(report, duration)]
         assert job.search is not None
         if overtaken:
-            return [SearchEnded(job.search, None, None)]
-        return [SearchEnded(job.search, result, self._tracker.complete_global(result))]
+            return [SearchEnded(job.search)]
+        report = self._tracker.complete_global(result)
+        return [SearchEnded(job.search, result, report, duration)]
 
     def _next(self) -> None:
         if self._job is not None:
@@ -196,9 +203,11 @@ class Pipeline:
             self._job = _Job(number, fit_task, None)
 
 
-def _run_fit(task: FitTask, control: Control) -> FitResult:
-    return run_fit(task, control.should_stop)
+def _run_fit(task: FitTask, control: Control) -> tuple[FitResult, float]:
+    began = time.perf_counter()
+    return run_fit(task, control.should_stop), time.perf_counter() - began
 
 
-def _run_search(task: GlobalTask, control: Control) -> GlobalResult:
-    return run_global(task, control.report)
+def _run_search(task: GlobalTask, control: Control) -> tuple[GlobalResult, float]:
+    began = time.perf_counter()
+    return run_global(task, control.report), time.perf_counter() - began

@@ -43,9 +43,9 @@ _PR_SET_PDEATHSIG = 1
 _TASK, _STOP = b"t", b"s"
 """First byte of what the node sends: a pickled (number, call), or the number of one to stop."""
 
-_SINGLE_THREADED = {
-    name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-}
+_SINGLE_THREADED = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
 """The arrays are small: more BLAS threads would only take the node's time away from it."""
 
 

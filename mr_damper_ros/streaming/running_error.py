@@ -26,7 +26,8 @@ class RunningError:
         duration = measured.size * period
         self._blocks.append((duration, sums))
         self._duration += duration
-        while self._duration > self._memory and len(self._blocks) > 1:
+        # What is left must still span the memory, up to rounding.
+        while self._duration - self._blocks[0][0] > (1.0 - 1e-9) * self._memory:
             self._duration -= self._blocks.popleft()[0]
 
     def reset(self) -> None:

@@ -186,8 +186,11 @@ def test_a_window_that_cannot_be_fitted_has_its_report() -> None:
 
 def test_a_search_goes_before_the_windows_that_wait() -> None:
     b = bench()
-    for number in range(3):
-        b.pipeline.add_window(window(number, speed=1.0 + 0.5 * number))
+    for number in range(2):
+        b.pipeline.add_window(window(number, speed=1.0 + number))
+    b.work_off()
+    for number in range(2, 5):
+        b.pipeline.add_window(window(number, speed=1.0 + number))
     search = Search(QUICK_SEARCH)
     b.pipeline.add_search(search)
     events = b.work_off()

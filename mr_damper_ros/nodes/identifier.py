@@ -1,0 +1,583 @@
+"""Node that identifies the damper while it runs: window by window, and as a whole now and then."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from mr_damper_msgs.action import IdentifyGlobal
+from mr_damper_msgs.msg import DamperParameters, FitReport
+from mr_damper_msgs.srv import LoadParameters, SaveParameters
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import Temperature
+from std_srvs.srv import Trigger
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.identification.acceptance import AcceptanceSettings
+from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
+from mr_damper_ros.identification.fit import METHODS
+from mr_damper_ros.identification.screening import Screening
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.inputs import Inputs
+from mr_damper_ros.nodes.parameters import (
+    ConfigurationError,
+    NodeParameters,
+    Table,
+    group,
+    option,
+)
+from mr_damper_ros.nodes.pipeline import (
+    Budget,
+    Pipeline,
+    Search,
+    SearchEnded,
+    SearchProgress,
+    WindowEnded,
+)
+from mr_damper_ros.nodes.results import parameters_message, report_message
+from mr_damper_ros.nodes.running import run
+from mr_damper_ros.nodes.worker import Worker
+from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.streaming.state import StateDirectory, StateError, read_parameter_file
+from mr_damper_ros.streaming.tracker import Report, TrackerSettings, WindowTracker
+from mr_damper_ros.streaming.windows import WindowAssembler
+
+_SUPERVISION_PERIOD = 0.1
+"""Seconds between two looks at the worker's time budget; its results wake the node themselves."""
+
+_LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
+"""Peak velocity [m/s] of the test that the literature's set is for: 1 Hz, 2.5 mm, at 0 A."""
+
+
+@dataclass(frozen=True)
+class EvolutionParameters:
+    """Parameters of the differential evolution."""
+
+    strategy: str = option(
+        EvolutionSettings.strategy,
+        "How differential evolution makes new individuals.",
+        choices=STRATEGIES,
+        read_only=True,
+    )
+    mutation: float = option(
+        EvolutionSettings.mutation,
+        "Differential weight F.",
+        minimum=0.01,
+        maximum=1.99,
+        read_only=True,
+    )
+    recombination: float = option(
+        EvolutionSettings.recombination,
+        "Crossover probability CR.",
+        minimum=0.0,
+        maximum=1.0,
+        read_only=True,
+    )
+    generations: int = option(
+        EvolutionSettings.generations,
+        "At most so many generations.",
+        minimum=1,
+        maximum=1_000_000,
+        read_only=True,
+    )
+    population: int = option(
+        EvolutionSettings.population,
+        "Individuals per unknown.",
+        minimum=5,
+        maximum=1000,
+        read_only=True,
+    )
+    seed: int = option(
+        EvolutionSettings.seed,
+        "Seed of the random numbers: the same seed and data give the same result.",
+        minimum=0,
+        maximum=2**32 - 1,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class ScreeningParameters:
+    """Limits that a window must keep to be fitted at all."""
+
+    minimum_amplitude: float = option(
+        Screening.minimum_amplitude,
+        "Least half span of the displacement [m] in a window.",
+        minimum=0.0,
+        maximum=1.0,
+        read_only=True,
+    )
+    current_tolerance: float = option(
+        Screening.current_tolerance,
+        "Largest change of the current [A] within a window.",
+        minimum=0.0,
+        maximum=100.0,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class AcceptanceParameters:
+    """Limits that a fit must keep to be accepted."""
+
+    maximum_nrmse: float = option(
+        AcceptanceSettings.maximum_nrmse,
+        "Largest RMSE/std of the force on held-back samples.",
+        minimum=0.0,
+        maximum=10.0,
+        read_only=True,
+    )
+    residual_factor: float = option(
+        AcceptanceSettings.residual_factor,
+        "A residual so many times the usual one is taken for a disturbance.",
+        minimum=1.0,
+        maximum=1e6,
+        read_only=True,
+    )
+    step_limit: float = option(
+        AcceptanceSettings.step_limit,
+        "A relative change of the force beyond this must be confirmed by the next window.",
+        minimum=0.0,
+        maximum=1e6,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class IdentifierParameters(Table):
+    """Parameters of the identifier node."""
+
+    window: float = option(
+        2.0,
+        "Length of a window [s]; at least one cycle of the motion must fit in.",
+        minimum=0.01,
+        maximum=3600.0,
+        read_only=True,
+    )
+    hop: float = option(
+        1.0,
+        "Time [s] from the start of a window to the start of the next, at most the window's "
+        "length.",
+        minimum=0.001,
+        maximum=3600.0,
+        read_only=True,
+    )
+    method: str = option(
+        TrackerSettings.method, "How a window is fitted.", choices=METHODS, read_only=True
+    )
+    robust: bool = option(
+        TrackerSettings.robust,
+        "Whether the influence of outliers in the force is bounded (Huber).",
+        read_only=True,
+    )
+    fit_time_budget: float = option(
+        30.0,
+        "Time [s] after which the fit of a window is cut, with the best so far.",
+        minimum=0.01,
+        maximum=3600.0,
+        read_only=True,
+    )
+    waiting_windows: int = option(
+        1000,
+        "At most so many windows wait for their fit; then the oldest one makes room. 1: the "
+        "newest window replaces the waiting one.",
+        minimum=1,
+        maximum=1_000_000,
+        read_only=True,
+    )
+    global_period: int = option(
+        TrackerSettings.global_period,
+        "A global identification follows every so many accepted windows; 0 for never.",
+        minimum=0,
+        maximum=1_000_000,
+        read_only=True,
+    )
+    search_time_budget: float = option(
+        600.0,
+        "Time [s] after which a global identification is cut, with the best so far.",
+        minimum=0.01,
+        maximum=86_400.0,
+        read_only=True,
+    )
+    evolution: EvolutionParameters = group(EvolutionParameters)
+    screening: ScreeningParameters = group(ScreeningParameters)
+    acceptance: AcceptanceParameters = group(AcceptanceParameters)
+    initial_parameters: str = option(
+        "literature",
+        "Parameter file (YAML) to start from; 'literature' for the published start of the "
+        "thesis' searches.",
+        read_only=True,
+    )
+    state_dir: str = option(
+        "",
+        "Folder in which parameter sets are kept: the running one, read again at the next start, "
+        "and those of the services save_parameters and load_parameters. Empty: nothing is kept.",
+        read_only=True,
+    )
+    frame_id: str = option("damper", "Frame of the published messages.", read_only=True)
+
+    def objection(self) -> str:
+        """Why these values do not go together."""
+        if self.hop > self.window:
+            return (
+                f"hop ({self.hop:g} s) is longer than window ({self.window:g} s): "
+                "samples between two windows would never be used"
+            )
+        return ""
+
+    @property
+    def tracker_settings(self) -> TrackerSettings:
+        """The settings of the identification itself."""
+        return TrackerSettings(
+            method=self.method,
+            robust=self.robust,
+            global_period=self.global_period,
+            screening=Screening(**dataclasses.asdict(self.screening)),
+            acceptance=AcceptanceSettings(**dataclasses.asdict(self.acceptance)),
+            evolution=EvolutionSettings(**dataclasses.asdict(self.evolution)),
+        )
+
+
+class Identifier(Node):
+    """Feeds what arrives to the identification, and publishes what comes of it."""
+
+    def __init__(self) -> None:
+        super().__init__("identifier")
+        self._options = NodeParameters(self, IdentifierParameters).values
+        self._state = StateDirectory(self._options.state_dir)
+        self._state_fault = ""
+        # Two dampers in two namespaces may share a folder.
+        self._own_name = self.get_fully_qualified_name().strip("/").replace("/", ".")
+        self._assembler = WindowAssembler(self._options.window, self._options.hop)
+        self._tracker = WindowTracker(
+            self._options.tracker_settings, _initial_set(self._options.initial_parameters)
+        )
+        self._resume()
+        self._goals: dict[Search, tuple[ServerGoalHandle, Future]] = {}
+        self._last_report: Report | None = None
+        self._parameters_publisher = self.create_publisher(
+            DamperParameters, "damper/parameters", quality.latched()
+        )
+        self._report_publisher = self.create_publisher(
+            FitReport,
+            "damper/fit_report",
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self._publish_parameters()
+        awake = self.create_guard_condition(self._attend)
+        self._worker = Worker(wake=awake.trigger)
+        self._pipeline = Pipeline(
+            self._tracker,
+            self._worker,
+            waiting_windows=self._options.waiting_windows,
+            budget=Budget(self._options.fit_time_budget, self._options.search_time_budget),
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_SUPERVISION_PERIOD, self._attend, clock=steady)
+        self._inputs = Inputs(self, quality.lossless, self._take_block, self._take_current)
+        self.create_subscription(
+            Temperature, "temperature", self._take_temperature, quality.stream()
+        )
+        self.create_service(SaveParameters, "~/save_parameters", self._save)
+        self.create_service(LoadParameters, "~/load_parameters", self._load)
+        self.create_service(Trigger, "~/reset", self._reset)
+        self._action = ActionServer(
+            self,
+            IdentifyGlobal,
+            "~/identify_global",
+            self._identify_global,
+            cancel_callback=self._cancel,
+        )
+        self._diagnostics = Diagnostics(
+            self,
+            {
+                "input": lambda: self._inputs.samples_finding(self._assembler.lost_samples),
+                "current": self._inputs.current_finding,
+                "window": self._window_finding,
+                "fit": self._fit_finding,
+                "worker": self._worker_finding,
+                "parameters": self._parameters_finding,
+                "state": self._state_finding,
+            },
+        )
+
+    def destroy_node(self) -> None:
+        """End the worker too."""
+        self._worker.close()
+        super().destroy_node()
+
+    # What arrives
+
+    def _take_block(self, block: SampleBlock) -> None:
+        for window in self._assembler.add_block(block):
+            self._pipeline.add_window(window)
+        for event in self._assembler.take_events():
+            self.get_logger().warning(event, throttle_duration_sec=1.0)
+
+    def _take_current(self, stamp_ns: int, current: float) -> None:
+        for window in self._assembler.add_current(stamp_ns, current):
+            self._pipeline.add_window(window)
+
+    def _take_temperature(self, message: Temperature) -> None:
+        self._assembler.add_temperature(message.temperature)
+
+    # What comes of it
+
+    def _attend(self) -> None:
+        for event in self._pipeline.poll():
+            if isinstance(event, WindowEnded):
+                self._publish_report(event.report, event.duration)
+            elif isinstance(event, SearchProgress):
+                self._publish_progress(event)
+            else:
+                self._finish_search(event)
+        for notice in self._worker.take_notices():
+            self.get_logger().warning(notice)
+
+    def _publish_report(self, report: Report, duration: float) -> None:
+        self._last_report = report
+        self._report_publisher.publish(report_message(report, duration, self._options.frame_id))
+        if report.accepted:
+            self._publish_parameters()
+            self._keep()
+
+    def _publish_parameters(self) -> None:
+        self._parameters_publisher.publish(
+            parameters_message(self._tracker.parameters, self._options.frame_id)
+        )
+
+    def _publish_progress(self, event: SearchProgress) -> None:
+        if event.search in self._goals:
+            progress = event.progress
+            self._goals[event.search][0].publish_feedback(
+                IdentifyGlobal.Feedback(
+                    generation=progress.generation,
+                    generations=progress.generations,
+                    best_cost=progress.best_cost,
+                    time_left=progress.time_left,
+                )
+            )
+
+    def _finish_search(self, event: SearchEnded) -> None:
+        if event.report is not None:
+            self._publish_report(event.report, event.duration)
+        if event.search in self._goals:
+            self._goals.pop(event.search)[1].set_result(event)
+
+    # Global identification on demand
+
+    async def _identify_global(self, goal: ServerGoalHandle) -> IdentifyGlobal.Result:
+        request = goal.request
+        configured = self._options.tracker_settings.evolution
+        try:
+            settings = dataclasses.replace(
+                configured,
+                generations=request.generations or configured.generations,
+                seed=request.seed,
+                strategy=request.strategy or configured.strategy,
+            )
+        except ValueError as error:
+            goal.abort()
+            return IdentifyGlobal.Result(message=str(error), nrmse=math.nan)
+        search, ended = Search(settings), Future()
+        self._goals[search] = (goal, ended)
+        self._pipeline.add_search(search)
+        event: SearchEnded = await ended
+        result = self._search_result(event)
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif result.success:
+            goal.succeed()
+        else:
+            goal.abort()
+        return result
+
+    def _search_result(self, event: SearchEnded) -> IdentifyGlobal.Result:
+        if event.result is None or event.report is None:
+            return IdentifyGlobal.Result(
+                message="cancelled, or overtaken by a reset or another set", nrmse=math.nan
+            )
+        fit = event.result.fit
+        if fit is None:
+            return IdentifyGlobal.Result(message=event.result.fault, nrmse=math.nan)
+        message = fit.message
+        if event.report.reason:
+            message += f"; not in use: {event.report.reason}"
+        return IdentifyGlobal.Result(
+            accepted=event.report.accepted,
+            success=True,
+            message=message,
+            parameters=parameters_message(fit.parameter_set, self._options.frame_id),
+            nrmse=event.report.nrmse_after,
+            evaluations=fit.evaluations,
+        )
+
+    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        for search, (known, _) in self._goals.items():
+            if known == goal:
+                self._pipeline.cancel_search(search)
+        return CancelResponse.ACCEPT
+
+    # State on disk
+
+    def _resume(self) -> None:
+        """Go on with the set that was in use when the node ended."""
+        if not self._options.state_dir:
+            return
+        try:
+            file = self._state.file(self._own_name)
+            if not file.exists():
+                self._state.save(self._own_name, self._tracker.parameters)
+                return
+        except StateError as error:
+            raise ConfigurationError(f"state_dir: {error}") from error
+        try:
+            self._tracker.replace(self._state.load(self._own_name))
+            self.get_logger().info(f"going on with parameters {self._tracker.parameters.set_id}")
+        except StateError as error:
+            self._state_fault = str(error)
+            with contextlib.suppress(StateError):
+                self._state_fault += f"; set aside as {self._state.set_aside(self._own_name)}"
+            self.get_logger().error(self._state_fault)
+
+    def _keep(self) -> None:
+        """Write the running set to disk, for the next start."""
+        if not self._options.state_dir:
+            return
+        try:
+            self._state.save(self._own_name, self._tracker.parameters)
+            self._state_fault = ""
+        except StateError as error:
+            self._state_fault = str(error)
+            self.get_logger().error(str(error), throttle_duration_sec=60.0)
+
+    def _save(self, request: Any, response: Any) -> Any:
+        try:
+            path = self._state.save(request.name or self._own_name, self._tracker.parameters)
+        except StateError as error:
+            response.message = str(error)
+            return response
+        response.success = True
+        response.message = f"saved {self._tracker.parameters.set_id} as {path}"
+        return response
+
+    def _load(self, request: Any, response: Any) -> Any:
+        try:
+            parameters = self._state.load(request.name or self._own_name)
+        except StateError as error:
+            response.message = str(error)
+            return response
+        self._pipeline.replace(parameters)
+        self._publish_parameters()
+        self._keep()
+        response.success = True
+        response.message = f"running with {parameters.set_id}"
+        return response
+
+    def _reset(self, request: Any, response: Any) -> Any:
+        self._assembler.reset()
+        self._pipeline.reset()
+        self._last_report = None
+        self._publish_parameters()
+        self._keep()
+        response.success = True
+        response.message = f"running with {self._tracker.parameters.set_id}"
+        return response
+
+    # Diagnostics
+
+    def _window_finding(self) -> Finding:
+        values = {"repeated samples": self._assembler.repeated_samples}
+        if self._assembler.waits_for_current:
+            return Finding(
+                WARN,
+                "a window is full but waits for a supply current stamped at or after its end",
+                values,
+            )
+        return Finding(OK, f"window {self._assembler.fill:.0%} full", values)
+
+    def _fit_finding(self) -> Finding:
+        report = self._last_report
+        if report is None:
+            return Finding(STALE, "no window has been fitted yet")
+        values = {
+            "NRMSE before": f"{report.nrmse_before:.4f}",
+            "NRMSE after": f"{report.nrmse_after:.4f}",
+            "force scale": f"{report.scale.value:.4f} ± {report.scale.standard_error:.4f}",
+            "accepted windows": self._tracker.accepted_windows,
+            "operating points": self._tracker.reservoir.operating_points,
+        }
+        if report.accepted:
+            return Finding(OK, f"accepted as {report.set_id}", values)
+        limit = self._options.acceptance.maximum_nrmse
+        good = report.nrmse_before <= limit
+        return Finding(OK if good else WARN, f"not accepted: {report.reason}", values)
+
+    def _worker_finding(self) -> Finding:
+        waiting, dropped = self._pipeline.waiting_windows, self._pipeline.dropped_windows
+        values = {
+            "waiting windows": waiting,
+            "dropped windows": dropped,
+            "replaced": self._worker.replaced,
+            "process": self._worker.pid,
+        }
+        if dropped:
+            return Finding(
+                WARN,
+                f"{dropped} windows were dropped: they come faster than they are fitted; "
+                "raise hop or waiting_windows",
+                values,
+            )
+        return Finding(OK, self._pipeline.running or "idle", values)
+
+    def _parameters_finding(self) -> Finding:
+        parameters = self._tracker.parameters
+        age = (self.get_clock().now().nanoseconds - parameters.stamp_ns) / NANOSECONDS
+        values = {
+            "id": parameters.set_id,
+            "source": parameters.source,
+            "age [s]": f"{age:.1f}" if parameters.stamp_ns else "unknown",
+            "NRMSE": f"{parameters.nrmse:.4f}",
+        }
+        if self._tracker.accepted_windows == 0:
+            return Finding(
+                WARN, f"no window accepted yet: running with {parameters.set_id}", values
+            )
+        return Finding(OK, f"running with {parameters.set_id}", values)
+
+    def _state_finding(self) -> Finding:
+        if self._state_fault:
+            return Finding(ERROR, self._state_fault)
+        if not self._options.state_dir:
+            return Finding(OK, "nothing is kept on disk: state_dir is not set")
+        return Finding(OK, f"kept in {self._state.file(self._own_name)}")
+
+
+def _initial_set(source: str) -> ParameterSet:
+    if source == "literature":
+        return ParameterSet(
+            LITERATURE,
+            set_id="literature",
+            source="literature",
+            peak_velocity_range=(_LITERATURE_PEAK_VELOCITY, _LITERATURE_PEAK_VELOCITY),
+            current_range=(0.0, 0.0),
+        )
+    try:
+        return read_parameter_file(source)
+    except StateError as error:
+        raise ConfigurationError(f"initial_parameters: {error}") from error
+
+
+def main() -> int:
+    """Run the node."""
+    return run(Identifier, IdentifierParameters)

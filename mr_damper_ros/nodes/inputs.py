@@ -1,0 +1,136 @@
+"""The two streams that identifier and model take in: samples of the press and supply current."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
+from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
+from mr_damper_ros.nodes.quality import overridable
+from mr_damper_ros.streaming.blocks import BlockError, SampleBlock
+
+SAMPLES_TOPIC = "mts/samples"
+CURRENT_TOPIC = "supply/current"
+
+_SILENCE = 2.0
+"""Seconds without a message after which a stream counts as silent."""
+
+
+class Stream:
+    """What has come in on a topic: how much, how fast, and what could not be used."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._node = node
+        self._topic = topic
+        self._count = 0
+        self._since = time.monotonic()
+        self._last: float | None = None
+        self._rejected_since = 0
+        self._rejection = ""
+        self.rejected = 0
+
+    def accept(self, count: int) -> None:
+        """Count samples that were taken."""
+        self._count += count
+        self._last = time.monotonic()
+
+    def reject(self, reason: str) -> None:
+        """Count a message that could not be used."""
+        self.rejected += 1
+        self._rejected_since += 1
+        self._rejection = reason
+        self._last = time.monotonic()
+        self._node.get_logger().warning(
+            f"a message on {self._topic} is ignored: {reason}", throttle_duration_sec=10.0
+        )
+
+    def take_rate(self) -> float:
+        """Samples per second since the last call."""
+        now = time.monotonic()
+        rate = self._count / max(now - self._since, 1e-9)
+        self._count, self._since = 0, now
+        return rate
+
+    def take_fault(self) -> str:
+        """What is wrong with the stream since the last call, in a sentence; empty for nothing."""
+        rejected, self._rejected_since = self._rejected_since, 0
+        if rejected:
+            return f"{rejected} messages on {self._topic} could not be used: {self._rejection}"
+        if self._last is not None and time.monotonic() - self._last < _SILENCE:
+            return ""
+        if self._node.count_publishers(self._topic) == 0:
+            return f"nobody publishes {self._topic}: is the bridge running in this namespace?"
+        return f"nothing arrives on {self._topic}: does its publisher stand still?"
+
+
+class Inputs:
+    """Subscribes both streams, hands on what can be used, and counts the rest."""
+
+    def __init__(
+        self,
+        node: Node,
+        quality: Callable[[], QoSProfile],
+        on_block: Callable[[SampleBlock], None],
+        on_current: Callable[[int, float], None],
+    ) -> None:
+        self._samples = Stream(node, SAMPLES_TOPIC)
+        self._current = Stream(node, CURRENT_TOPIC)
+        self._on_block = on_block
+        self._on_current = on_current
+        self._value = math.nan
+        self._lost = 0
+        for message_type, topic, callback in (
+            (MtsSamples, SAMPLES_TOPIC, self._take_samples),
+            (SupplyCurrent, CURRENT_TOPIC, self._take_current),
+        ):
+            node.create_subscription(
+                message_type, topic, callback, quality(), qos_overriding_options=overridable()
+            )
+
+    def _take_samples(self, message: MtsSamples) -> None:
+        try:
+            block = sample_block(message)
+        except BlockError as error:
+            self._samples.reject(str(error))
+            return
+        self._samples.accept(block.sample_count)
+        self._on_block(block)
+
+    def _take_current(self, message: SupplyCurrent) -> None:
+        if not math.isfinite(message.current):
+            self._current.reject(f"the current is {message.current}")
+            return
+        self._value = message.current
+        self._current.accept(1)
+        self._on_current(to_nanoseconds(message.header.stamp), message.current)
+
+    def samples_finding(self, lost: int) -> Finding:
+        """How the samples come in; ``lost`` counts those missing since the start."""
+        rate, fault = self._samples.take_rate(), self._samples.take_fault()
+        newly_lost, self._lost = lost - self._lost, lost
+        if not fault and newly_lost > 0:
+            fault = f"{newly_lost} samples were lost: is the computer or the network overloaded?"
+        return Finding(
+            WARN if fault else OK,
+            fault or f"{rate:.0f} samples/s",
+            {"samples/s": f"{rate:.1f}", "lost": lost, "rejected messages": self._samples.rejected},
+        )
+
+    def current_finding(self) -> Finding:
+        """How the supply current comes in."""
+        rate, fault = self._current.take_rate(), self._current.take_fault()
+        return Finding(
+            WARN if fault else OK,
+            fault or f"{self._value:.3f} A",
+            {
+                "current [A]": self._value,
+                "values/s": f"{rate:.1f}",
+                "rejected messages": self._current.rejected,
+            },
+        )

@@ -1,0 +1,234 @@
+"""Node that predicts the damper's force, block by block, for controllers."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
+from mr_damper_msgs.msg import DamperParameters, PredictedForce
+from rclpy.node import Node
+
+from mr_damper_ros.damper.parameters import ParameterError, ParameterSet
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.inputs import Inputs
+from mr_damper_ros.nodes.messages import header
+from mr_damper_ros.nodes.parameters import ConfigurationError, NodeParameters, Table, option
+from mr_damper_ros.nodes.results import parameter_set, prediction_message
+from mr_damper_ros.nodes.running import run
+from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.streaming.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.streaming.running_error import RunningError
+from mr_damper_ros.streaming.state import StateError, read_parameter_file
+
+
+@dataclass(frozen=True)
+class ModelParameters(Table):
+    """Parameters of the model node."""
+
+    parameter_file: str = option(
+        "",
+        "Parameter file (YAML) to predict with until an identifier publishes on "
+        "damper/parameters; empty for none.",
+        read_only=True,
+    )
+    bandwidth: float = option(
+        PredictorSettings.bandwidth,
+        "Bandwidth [Hz] of the observer of velocity and acceleration: wider follows faster "
+        "motion, narrower passes less noise.",
+        minimum=0.1,
+        maximum=10_000.0,
+        read_only=True,
+    )
+    centre_memory: float = option(
+        PredictorSettings.centre_memory,
+        "Time [s] over which the centre of the motion is taken; a whole cycle must fit in.",
+        minimum=0.01,
+        maximum=3600.0,
+        read_only=True,
+    )
+    current_timeout: float = option(
+        PredictorSettings.current_timeout,
+        "Age [s] of the supply current beyond which the force is marked invalid.",
+        minimum=0.0,
+        maximum=3600.0,
+        read_only=True,
+    )
+    velocity_margin: float = option(
+        PredictorSettings.velocity_margin,
+        "Part by which the peak velocity may leave the identified range before the force is "
+        "marked invalid (0.25 = 25 %).",
+        minimum=0.0,
+        maximum=100.0,
+        read_only=True,
+    )
+    current_margin: float = option(
+        PredictorSettings.current_margin,
+        "How far [A] the current may leave the identified range before the force is marked "
+        "invalid.",
+        minimum=0.0,
+        maximum=100.0,
+        read_only=True,
+    )
+    error_memory: float = option(
+        10.0,
+        "Time [s] over which the error against the measured force is taken for the diagnostics.",
+        minimum=0.1,
+        maximum=3600.0,
+        read_only=True,
+    )
+    wrench_rate: float = option(
+        50.0,
+        "At most so many messages a second of data on damper/predicted_wrench, a mirror of the "
+        "valid predictions for standard tools; 0 for none.",
+        minimum=0.0,
+        maximum=10_000.0,
+        read_only=True,
+    )
+    frame_id: str = option(
+        "damper", "Frame of the published forces, x along the rod.", read_only=True
+    )
+
+
+class Model(Node):
+    """Publishes a prediction for every block of samples, valid or not."""
+
+    def __init__(self) -> None:
+        super().__init__("model")
+        self._options = NodeParameters(self, ModelParameters).values
+        self._predictor = ForcePredictor(
+            PredictorSettings(
+                bandwidth=self._options.bandwidth,
+                centre_memory=self._options.centre_memory,
+                current_timeout=self._options.current_timeout,
+                velocity_margin=self._options.velocity_margin,
+                current_margin=self._options.current_margin,
+            )
+        )
+        self._error = RunningError(self._options.error_memory)
+        self._last: Prediction | None = None
+        self._next_wrench_ns: int | None = None
+        self._slowest = 0.0
+        self._refused_parameters = ""
+        if self._options.parameter_file:
+            self._predictor.set_parameters(_read(self._options.parameter_file))
+        self._force = self.create_publisher(
+            PredictedForce,
+            "damper/predicted_force",
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self._wrench = self.create_publisher(
+            WrenchStamped,
+            "damper/predicted_wrench",
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self.create_subscription(
+            DamperParameters, "damper/parameters", self._take_parameters, quality.latched()
+        )
+        self._inputs = Inputs(self, quality.stream, self._take_block, self._predictor.add_current)
+        self._diagnostics = Diagnostics(
+            self,
+            {
+                "input": lambda: self._inputs.samples_finding(self._predictor.lost_samples),
+                "current": self._inputs.current_finding,
+                "parameters": self._parameters_finding,
+                "prediction": self._prediction_finding,
+                "latency": self._latency_finding,
+            },
+        )
+
+    def _take_parameters(self, message: DamperParameters) -> None:
+        try:
+            parameters = parameter_set(message)
+        except ParameterError as error:
+            self._refused_parameters = str(error)
+            self.get_logger().warning(f"parameters {message.id} are not used: {error}")
+            return
+        self._refused_parameters = ""
+        self._predictor.set_parameters(parameters)
+        self._error.reset()
+        self.get_logger().info(f"predicting with parameters {parameters.set_id}")
+
+    def _take_block(self, block: SampleBlock) -> None:
+        began = time.perf_counter()
+        prediction = self._predictor.predict(block)
+        self._force.publish(prediction_message(prediction, self._options.frame_id))
+        self._slowest = max(self._slowest, time.perf_counter() - began)
+        self._last = prediction
+        if prediction.continuity:
+            self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
+            self._next_wrench_ns = None
+        if prediction.valid:
+            self._error.add(prediction.force, block.force, block.period)
+            self._mirror(prediction)
+
+    def _mirror(self, prediction: Prediction) -> None:
+        """Publish the last sample of the block as a wrench, where one is due."""
+        if self._options.wrench_rate == 0.0:
+            return
+        offset = round((prediction.force.size - 1) * prediction.period * NANOSECONDS)
+        stamp_ns = prediction.start_ns + offset
+        if self._next_wrench_ns is not None and stamp_ns < self._next_wrench_ns:
+            return
+        self._next_wrench_ns = stamp_ns + round(NANOSECONDS / self._options.wrench_rate)
+        force = Vector3(x=float(prediction.force[-1]))
+        self._wrench.publish(
+            WrenchStamped(
+                header=header(stamp_ns, self._options.frame_id), wrench=Wrench(force=force)
+            )
+        )
+
+    def _parameters_finding(self) -> Finding:
+        parameters = self._predictor.parameters
+        if self._refused_parameters:
+            return Finding(WARN, f"the newest parameters are not used: {self._refused_parameters}")
+        if parameters is None:
+            return Finding(
+                WARN,
+                "no parameters yet: start the identifier in this namespace, or give parameter_file",
+            )
+        return Finding(
+            OK,
+            f"predicting with {parameters.set_id}",
+            {
+                "id": parameters.set_id,
+                "source": parameters.source,
+                "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
+                "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
+            },
+        )
+
+    def _prediction_finding(self) -> Finding:
+        nrmse = self._error.nrmse
+        values = {"NRMSE": f"{nrmse:.4f}"}
+        if self._last is None:
+            return Finding(STALE, "nothing to predict yet", values)
+        if not self._last.valid:
+            return Finding(WARN, f"not valid: {self._last.reason}", values)
+        if math.isnan(nrmse):
+            return Finding(OK, "valid", values)
+        return Finding(OK, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
+
+    def _latency_finding(self) -> Finding:
+        slowest, self._slowest = self._slowest, 0.0
+        return Finding(
+            OK,
+            f"at most {1e3 * slowest:.2f} ms from a block to its prediction",
+            {"slowest [ms]": f"{1e3 * slowest:.3f}"},
+        )
+
+
+def _read(path: str) -> ParameterSet:
+    try:
+        return read_parameter_file(path)
+    except StateError as error:
+        raise ConfigurationError(f"parameter_file: {error}") from error
+
+
+def main() -> int:
+    """Run the node."""
+    return run(Model, ModelParameters)

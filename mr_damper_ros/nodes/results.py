@@ -1,0 +1,97 @@
+"""Between what is identified or predicted and its messages."""
+
+from __future__ import annotations
+
+import numpy as np
+from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
+
+from mr_damper_ros.damper.parameters import MODEL_NAME, UNITS, ParameterError, ParameterSet
+from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, PARAMETER_NAMES
+from mr_damper_ros.nodes.messages import header, to_field, to_nanoseconds, to_stamp
+from mr_damper_ros.streaming.predictor import Prediction
+from mr_damper_ros.streaming.tracker import Report
+
+
+def parameters_message(parameters: ParameterSet, frame_id: str) -> DamperParameters:
+    """The message of a parameter set."""
+    return DamperParameters(
+        header=header(parameters.stamp_ns, frame_id),
+        id=parameters.set_id,
+        model=MODEL_NAME,
+        names=list(PARAMETER_NAMES),
+        units=[UNITS[name] for name in PARAMETER_NAMES],
+        values=to_field(parameters.values),
+        standard_errors=to_field(parameters.standard_errors),
+        observable=parameters.observable.tolist(),
+        source=parameters.source,
+        peak_velocity_min=parameters.peak_velocity_range[0],
+        peak_velocity_max=parameters.peak_velocity_range[1],
+        current_min=parameters.current_range[0],
+        current_max=parameters.current_range[1],
+        nrmse=parameters.nrmse,
+    )
+
+
+def parameter_set(message: DamperParameters) -> ParameterSet:
+    """The parameter set in a message.
+
+    Raises ParameterError, with a sentence, where the message cannot be used.
+    """
+    if message.model != MODEL_NAME:
+        raise ParameterError(
+            f"the parameters are for the model '{message.model}': publish those of '{MODEL_NAME}'"
+        )
+    if tuple(message.names) != PARAMETER_NAMES:
+        raise ParameterError(f"the parameters must be {', '.join(PARAMETER_NAMES)}, in this order")
+    return ParameterSet(
+        values=np.array(message.values),
+        standard_errors=np.array(message.standard_errors),
+        observable=np.array(message.observable, dtype=bool),
+        set_id=message.id,
+        source=message.source,
+        peak_velocity_range=(message.peak_velocity_min, message.peak_velocity_max),
+        current_range=(message.current_min, message.current_max),
+        nrmse=message.nrmse,
+        stamp_ns=to_nanoseconds(message.header.stamp),
+    )
+
+
+def report_message(report: Report, duration: float, frame_id: str) -> FitReport:
+    """The message of a report; ``duration`` [s] is the time that the fit took."""
+    return FitReport(
+        header=header(report.stamp_ns, frame_id),
+        window_start=to_stamp(report.window_start_ns),
+        window_duration=(report.stamp_ns - report.window_start_ns) * 1e-9,
+        samples=report.sample_count,
+        method=report.method,
+        evaluations=report.evaluations,
+        duration=duration,
+        nrmse_before=report.nrmse_before,
+        nrmse_after=report.nrmse_after,
+        accepted=report.accepted,
+        reason=report.reason,
+        parameter_set=report.set_id,
+        force_scale=report.scale.value,
+        force_scale_standard_error=report.scale.standard_error,
+        peak_velocity=report.peak_velocity,
+        amplitude=report.amplitude,
+        frequency=report.frequency,
+        current=report.current,
+        temperature=report.temperature,
+        coefficient_names=list(COEFFICIENT_NAMES),
+        coefficients=to_field(report.coefficients),
+        coefficient_standard_errors=to_field(report.coefficient_errors),
+    )
+
+
+def prediction_message(prediction: Prediction, frame_id: str) -> PredictedForce:
+    """The message of the prediction for one block."""
+    return PredictedForce(
+        header=header(prediction.start_ns, frame_id),
+        seq=prediction.sequence,
+        period=prediction.period,
+        force=to_field(prediction.force),
+        parameter_set=prediction.set_id,
+        valid=prediction.valid,
+        reason=prediction.reason,
+    )
