@@ -24,6 +24,7 @@ _GENERATOR_KEYWORD = (
 
 
 _WORST = 1e300
+_REPORT_PERIOD = 0.2
 
 
 @dataclass(frozen=True)
@@ -85,18 +86,29 @@ class ProgressClock:
         self._total = generations
         self._done = 0
         self._report = report
-        self._began = time.monotonic()
+        self._began = self._last_report = time.monotonic()
         self.stopped = False
 
     def tick(self, stage: str, best_cost: float) -> None:
         """One generation more."""
         self._done += 1
+        self._tell(stage, best_cost)
+
+    def _tell(self, stage: str, best_cost: float) -> None:
         if self._report is None or self.stopped:
             return
-        elapsed = time.monotonic() - self._began
-        left = max(self._total - self._done, 0) * elapsed / self._done
+        self._last_report = time.monotonic()
+        elapsed = self._last_report - self._began
+        left = max(self._total - self._done, 0) * elapsed / max(self._done, 1)
         progress = GlobalProgress(stage, self._done, self._total, best_cost, left)
         self.stopped = not self._report(progress)
+
+    def poll(self, stage: str, best_cost: float) -> bool:
+        """Report between generations, a few times a second; returns whether to stop."""
+        now = time.monotonic()
+        if now - self._last_report >= _REPORT_PERIOD:
+            self._tell(stage, best_cost)
+        return self.stopped
 
     def skip(self, generations: int) -> None:
         """A stage ended so many generations early."""

@@ -16,7 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, force
+from mr_damper_ros.damper.sigmoid import (
+    PARAMETER_NAMES,
+    Array,
+    coefficient_parameter_jacobian,
+    force,
+    operating_point_coefficients,
+)
 from mr_damper_ros.identification.evolution import (
     EvolutionSettings,
     GlobalProgress,
@@ -65,14 +71,27 @@ _RIDGE = 1e-4
 class GlobalFit:
     """Result of a global identification.
 
-    ``nrmse`` (k,): RMSE/std of the force, window by window; ``message`` says how it ended.
+    ``covariance`` (16, 16) of the parameters, zero where a parameter was held; ``nrmse`` (k,):
+    RMSE/std of the force, window by window; ``message`` says how it ended.
     """
 
     parameter_set: ParameterSet
+    covariance: Array
     nrmse: Array
     evaluations: int
     success: bool
     message: str
+
+    def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array]:
+        """Coefficients (7,) and their standard errors at (peak velocity [m/s], current [A])."""
+        values = self.parameter_set.values
+        coefficients = np.concatenate(operating_point_coefficients(values, *operating_point))
+        gradient = coefficient_parameter_jacobian(values, *operating_point)[0]
+        errors = np.sqrt(np.einsum("cp,pq,cq->c", gradient, self.covariance, gradient))
+        if coefficients[0] < 0.0:
+            # Yield force and steepness may change sign together: the positive pair is meant.
+            coefficients[:2] *= -1.0
+        return coefficients, errors
 
     @property
     def median_nrmse(self) -> float:
@@ -232,11 +251,21 @@ class _GlobalSearch:
 
     def _local(self, pooled: PooledMisfit, start: Array, nelder_mead: bool) -> Array:
         problem = _FreeProblem(pooled, start, self.free, self._ranges)
-        search = LocalSearch(problem, problem.start)
-        if nelder_mead:
-            search.nelder_mead()
-        search.least_squares()
-        self.evaluations += search.evaluations
+        stage = "Nelder-Mead" if nelder_mead else "least squares"
+        search = LocalSearch(
+            problem,
+            problem.start,
+            lambda: self._clock.poll(stage, search.best_cost / pooled.sample_count),
+        )
+        try:
+            if nelder_mead:
+                search.nelder_mead()
+            search.least_squares()
+        except StopRequestedError:
+            self.best = problem.parameters(search.best)
+            raise
+        finally:
+            self.evaluations += search.evaluations
         return problem.parameters(search.best)
 
 
@@ -295,13 +324,15 @@ def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
     best = search.best
     names = [name for name in PARAMETER_NAMES if name in search.free]
     places = [PARAMETER_NAMES.index(name) for name in names]
+    covariance = np.zeros((len(PARAMETER_NAMES), len(PARAMETER_NAMES)))
     errors = np.full(len(PARAMETER_NAMES), math.nan)
     if places:
         misfit = PooledMisfit(search.windows, [fit.rmse for fit in search.fits])
-        covariance = least_squares_covariance(
+        block = np.ix_(places, places)
+        covariance[block] = least_squares_covariance(
             misfit.jacobian(best)[:, places], misfit.residual(best)
         )
-        errors[places] = np.sqrt(np.diag(covariance))
+        errors[places] = np.sqrt(np.diag(covariance[block]))
     nrmse = []
     for window in search.windows:
         m = window.motion
@@ -322,6 +353,7 @@ def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
     )
     return GlobalFit(
         parameter_set=parameter_set,
+        covariance=covariance,
         nrmse=np.array(nrmse),
         evaluations=search.evaluations,
         success=message == "converged",

@@ -16,8 +16,8 @@ from scipy.optimize import leastsq, minimize
 
 from mr_damper_ros.damper.sigmoid import Array
 
-_SIMPLEX_TOLERANCE = 1e-2
-"""Nelder-Mead stops where the simplex is this many standard errors wide."""
+_SIMPLEX_TOLERANCE = 0.3
+"""Nelder-Mead stops where the simplex is this many standard errors wide: less has no meaning."""
 
 _FAR = 30.0
 """A search that moved by more standard errors than this starts again with new axes."""
@@ -42,7 +42,7 @@ class StopRequestedError(Exception):
 class LocalSearch:
     """A problem with the best unknowns found so far and the number of evaluations.
 
-    ``should_stop`` is asked at every evaluation; where it says so, :class:`StopRequestedError` is raised.
+    ``should_stop`` is asked at every evaluation; where it says so, StopRequestedError is raised.
     """
 
     def __init__(
@@ -75,10 +75,14 @@ class LocalSearch:
             self.try_out(self.best)
         for _ in range(_MOST_RESTARTS):
             centre = self.best
+            residual = self.problem.residual(centre)
             jacobian = self.problem.jacobian(centre)
-            noise_power = self.best_cost / jacobian.shape[0]
+            noise_power = self.best_cost / residual.size
             axes = _standard_error_axes(jacobian, math.sqrt(noise_power))
-            simplex = np.vstack((np.zeros(centre.size), np.eye(centre.size)))
+            # The simplex spans the way to where the linear problem has its minimum.
+            reach = -(axes.T @ (jacobian.T @ residual)) / noise_power
+            reach = np.where(np.abs(reach) < 1.0, np.copysign(1.0, reach), reach)
+            simplex = np.vstack((np.zeros(centre.size), np.diag(reach)))
 
             def cost(steps: Array, centre: Array = centre, axes: Array = axes) -> float:
                 return self.try_out(centre + axes @ steps)
@@ -90,7 +94,7 @@ class LocalSearch:
                 options={
                     "initial_simplex": simplex,
                     "xatol": _SIMPLEX_TOLERANCE,
-                    "fatol": 1e-3 * noise_power,
+                    "fatol": _SIMPLEX_TOLERANCE * noise_power,
                     "maxfev": 300 * centre.size,
                 },
             )

@@ -1,0 +1,146 @@
+"""``identify``: one parameter set of the sigmoid law for all bags given."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mr_damper_ros.damper.parameters import UNITS, ParameterSet
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, PARAMETER_NAMES
+from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
+from mr_damper_ros.identification.global_fit import METHODS, GlobalFit, identify_global
+from mr_damper_ros.tools.console import run_tool, write_text
+from mr_damper_ros.tools.parameter_file import read_parameters
+from mr_damper_ros.tools.progress import ProgressLine
+from mr_damper_ros.tools.windows import BagWindows, bag_windows, metrics
+
+_DEFAULTS = EvolutionSettings()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code."""
+    return run_tool(_parser(), _identify, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="identify",
+        description="Fit one parameter set of the sigmoid force law to all bags given.",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file")
+    parser.add_argument(
+        "--method",
+        choices=METHODS,
+        default="global",
+        help="global: laws by differential evolution, then least squares on the samples (default); "
+        "nelder_mead, least_squares: local search on the samples; differential_evolution: over "
+        "all free parameters at once, as in the thesis",
+    )
+    parser.add_argument(
+        "--start",
+        default="literature",
+        metavar="FILE",
+        help="parameter file whose values undetermined parameters keep (default: the thesis' "
+        "literature set)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
+    parser.add_argument(
+        "--strategy",
+        choices=STRATEGIES,
+        default=_DEFAULTS.strategy,
+        help="of differential evolution (default %(default)s)",
+    )
+    parser.add_argument(
+        "--generations",
+        type=int,
+        default=_DEFAULTS.generations,
+        help="of differential evolution, at most (default %(default)s)",
+    )
+    parser.add_argument("--output", type=Path, metavar="FILE", help="write the set as YAML")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all results as JSON")
+    return parser
+
+
+def _identify(options: argparse.Namespace) -> int:
+    start = LITERATURE if options.start == "literature" else read_parameters(options.start).values
+    settings = EvolutionSettings(
+        strategy=options.strategy, generations=options.generations, seed=options.seed
+    )
+    bags = [bag_windows(path) for path in options.bags]
+    windows = [window for bag in bags for window in bag.windows]
+    began = time.monotonic()
+    with ProgressLine() as progress:
+        fit = identify_global(windows, start, settings, progress, method=options.method)
+    document = _document(fit, bags, options.method, time.monotonic() - began)
+    print(_table(fit.parameter_set, document))
+    if options.output is not None:
+        write_text(options.output, fit.parameter_set.to_yaml())
+    if options.json is not None:
+        write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    return 0
+
+
+def _document(
+    fit: GlobalFit, bags: Sequence[BagWindows], method: str, duration: float
+) -> dict[str, Any]:
+    found = fit.parameter_set
+    return {
+        "parameters": found.as_dict(),
+        "standard_errors": {
+            name: None if math.isnan(error) else float(error)
+            for name, error in zip(PARAMETER_NAMES, found.standard_errors, strict=True)
+        },
+        "observable": dict(zip(PARAMETER_NAMES, map(bool, found.observable), strict=True)),
+        "metrics": asdict(
+            metrics(found.values, [window for bag in bags for window in bag.windows])
+        ),
+        "evaluations": fit.evaluations,
+        "duration_s": duration,
+        "method": method,
+        "message": fit.message,
+        "bags": [_bag_entry(fit, bag) for bag in bags],
+    }
+
+
+def _bag_entry(fit: GlobalFit, bag: BagWindows) -> dict[str, Any]:
+    longest = max(bag.windows, key=lambda window: window.sample_count)
+    peak_velocity, current = longest.operating_point
+    coefficients, errors = fit.coefficients((peak_velocity, current))
+    return {
+        "bag": str(bag.path),
+        "metrics": asdict(metrics(fit.parameter_set.values, bag.windows)),
+        "operating_point": {"peak_velocity": peak_velocity, "current": current},
+        "coefficients": dict(zip(COEFFICIENT_NAMES, coefficients.tolist(), strict=True)),
+        "coefficient_standard_errors": {
+            name: error if math.isfinite(error) else None
+            for name, error in zip(COEFFICIENT_NAMES, errors.tolist(), strict=True)
+        },
+    }
+
+
+def _table(found: ParameterSet, document: dict[str, Any]) -> str:
+    lines = ["parameter        value  standard error  unit"]
+    for name, value, error, observable in zip(
+        PARAMETER_NAMES, found.values, found.standard_errors, found.observable, strict=True
+    ):
+        shown = f"{error:14.3g}" if observable else "not observable"
+        lines.append(f"{name:>9} {value:12.6g}  {shown}  {UNITS[name]}")
+    lines.append("")
+    for bag in document["bags"]:
+        error = bag["metrics"]
+        lines.append(
+            f"{bag['bag']}: RMSE {error['rmse']:.4g} N, NRMSE {error['nrmse']:.2%} "
+            f"({error['n_samples']} samples)"
+        )
+    lines.append(
+        f"{document['method']}: {document['evaluations']} evaluations in "
+        f"{document['duration_s']:.2f} s, {document['message']}"
+    )
+    return "\n".join(lines)

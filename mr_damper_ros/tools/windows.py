@@ -1,0 +1,67 @@
+"""From recordings to windows to identify from, and the errors of a parameter set on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array, force
+from mr_damper_ros.identification.screening import Screening, fault_of_samples
+from mr_damper_ros.identification.window import Window
+from mr_damper_ros.rig.bags import read_bag
+
+
+@dataclass(frozen=True)
+class BagWindows:
+    """The windows of one bag, one for each stretch without a gap."""
+
+    path: Path
+    windows: tuple[Window, ...]
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Error of a prediction: ``rmse`` [N], ``nrmse`` = RMSE/std of the force, ``r2``."""
+
+    rmse: float
+    nrmse: float
+    r2: float
+    n_samples: int
+
+
+def bag_windows(path: Path) -> BagWindows:
+    """Windows of a bag; raises ValueError with a sentence where it cannot be used."""
+    windows = []
+    for recording in read_bag(path):
+        fault = fault_of_samples(
+            recording.displacement,
+            recording.force,
+            recording.current,
+            Screening(minimum_amplitude=1e-6, current_tolerance=np.inf),
+        )
+        if fault:
+            raise ValueError(f"{path}: {fault}")
+        windows.append(
+            Window.from_samples(
+                recording.displacement, recording.force, recording.current, recording.period
+            )
+        )
+    return BagWindows(path, tuple(windows))
+
+
+def predicted_force(parameters: Array, window: Window) -> Array:
+    """Force [N] of a parameter set (16,) over a window, shape (n,)."""
+    m = window.motion
+    return force(parameters, m.displacement, m.velocity, m.acceleration, window.current)
+
+
+def metrics(parameters: Array, windows: Sequence[Window]) -> Metrics:
+    """Error of a parameter set (16,) on windows taken together."""
+    measured = np.concatenate([window.force for window in windows])
+    residual = np.concatenate([predicted_force(parameters, w) for w in windows]) - measured
+    rmse = float(np.sqrt(np.mean(residual**2)))
+    nrmse = rmse / float(np.std(measured))
+    return Metrics(rmse=rmse, nrmse=nrmse, r2=1.0 - nrmse**2, n_samples=int(measured.size))
