@@ -51,8 +51,11 @@ from mr_damper_ros.streaming.state import StateDirectory, StateError, read_param
 from mr_damper_ros.streaming.tracker import Report, TrackerSettings, WindowTracker
 from mr_damper_ros.streaming.windows import WindowAssembler
 
-_SUPERVISION_PERIOD = 0.1
-"""Seconds between two looks at the worker's time budget; its results wake the node themselves."""
+_ATTENTION_PERIOD = 0.02
+"""Seconds between two looks at the worker; this costs 1 % of a core.
+
+A guard condition would need no looking, but the events executor supports none.
+"""
 
 _LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
 """Peak velocity [m/s] of the test that the literature's set is for: 1 Hz, 2.5 mm, at 0 A."""
@@ -274,8 +277,7 @@ class Identifier(Node):
             qos_overriding_options=quality.overridable(),
         )
         self._publish_parameters()
-        awake = self.create_guard_condition(self._attend)
-        self._worker = Worker(wake=awake.trigger)
+        self._worker = Worker()
         self._pipeline = Pipeline(
             self._tracker,
             self._worker,
@@ -283,7 +285,7 @@ class Identifier(Node):
             budget=Budget(self._options.fit_time_budget, self._options.search_time_budget),
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_SUPERVISION_PERIOD, self._attend, clock=steady)
+        self.create_timer(_ATTENTION_PERIOD, self._attend, clock=steady)
         self._inputs = Inputs(self, quality.lossless, self._take_block, self._take_current)
         self.create_subscription(
             Temperature, "temperature", self._take_temperature, quality.stream()

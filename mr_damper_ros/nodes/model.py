@@ -151,7 +151,7 @@ class Model(Node):
         self._refused_parameters = ""
         self._predictor.set_parameters(parameters)
         self._error.reset()
-        self.get_logger().info(f"predicting with parameters {parameters.set_id}")
+        self.get_logger().debug(f"predicting with parameters {parameters.set_id}")
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()

@@ -69,7 +69,7 @@ def report_message(report: Report, duration: float, frame_id: str) -> FitReport:
         nrmse_before=report.nrmse_before,
         nrmse_after=report.nrmse_after,
         accepted=report.accepted,
-        reason=report.reason,
+        reason=report.reason or "it predicts better than the set before",
         parameter_set=report.set_id,
         force_scale=report.scale.value,
         force_scale_standard_error=report.scale.standard_error,

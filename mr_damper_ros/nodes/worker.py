@@ -97,11 +97,10 @@ class Control:
 class _Process:
     """One worker process with the threads that talk to it: no call here ever blocks."""
 
-    def __init__(self, wake: Callable[[], None]) -> None:
+    def __init__(self) -> None:
         self.started = time.monotonic()
         self.ready = False
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._wake = wake
         ours, theirs = socket.socketpair()
         with theirs:
             self._child = subprocess.Popen(
@@ -131,12 +130,10 @@ class _Process:
         try:
             while True:
                 self._inbox.put(self._connection.recv())
-                self._wake()
         except Exception:  # closed, or half a message of a killed process
             self._inbox.put(("gone",))
         finally:
             self._connection.close()
-            self._wake()
 
     def messages(self) -> list[Any]:
         """What has arrived since the last call; ("gone",) is the last message of all."""
@@ -165,13 +162,12 @@ class _Process:
 class Worker:
     """Runs one function call at a time in another process.
 
-    ``wake`` is called, from another thread, when :meth:`poll` has something to say; call
-    :meth:`poll` a few times a second besides, since that is what enforces time budgets.
+    Call :meth:`poll` often: it brings the results, enforces time budgets and replaces a process
+    that has died.
     """
 
-    def __init__(self, wake: Callable[[], None] = lambda: None) -> None:
+    def __init__(self) -> None:
         self.replaced = 0
-        self._wake = wake
         self._notices: list[str] = []
         self._number = 0
         self._task: bytes | None = None
@@ -180,7 +176,7 @@ class Worker:
         self._started: float | None = None  # the task, in a process that is ready
         self._stop_asked: float | None = None
         self._next_start = 0.0
-        self._process: _Process | None = _Process(wake)
+        self._process: _Process | None = _Process()
 
     @property
     def busy(self) -> bool:
@@ -224,7 +220,7 @@ class Worker:
                 outcomes += self._received(kind, content)
         outcomes += self._overdue()
         if self._process is None and time.monotonic() >= self._next_start:
-            self._process = _Process(self._wake)
+            self._process = _Process()
             self._begin()
         return outcomes
 

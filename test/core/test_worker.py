@@ -251,20 +251,6 @@ def test_an_idle_worker_that_dies_is_replaced(
     assert ending(worker) == Done(number, 2)
 
 
-def test_the_worker_wakes_its_owner(tasks: Any) -> None:
-    calls: list[int] = []
-    worker = Worker(wake=lambda: calls.append(1))
-    try:
-        wait_until(lambda: calls, "the report for work")
-        worker.poll()
-        calls.clear()
-        worker.submit(tasks.call, operator.add, 1, 1)
-        wait_until(lambda: calls, "the result")
-        assert worker.poll() == [Done(1, 2)]
-    finally:
-        worker.close()
-
-
 def test_the_worker_stays_light(make_worker: Callable[[], Worker], tasks: Any) -> None:
     worker = make_worker()
     worker.submit(tasks.modules)
