@@ -63,7 +63,7 @@ class Recording:
             object.__setattr__(self, name, self._checked(name, values))
 
     def _checked(self, name: str, values: Array) -> Array:
-        array: Array = np.array(values, dtype=np.float64)
+        array = np.array(values, dtype=np.float64)
         if array.ndim != 1:
             raise RecordingError(
                 f"the {name} of '{self.name}' has shape {array.shape}: give a list of samples"
@@ -98,7 +98,7 @@ class Recording:
     @property
     def time(self) -> Array:
         """Time of each sample [s] from the first, shape (n,)."""
-        return np.arange(self.sample_count) * self.period
+        return np.arange(self.sample_count, dtype=np.float64) * self.period
 
     def stamp_ns(self, index: int) -> int:
         """Stamp of a sample, nanoseconds since the epoch."""

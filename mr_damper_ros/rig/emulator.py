@@ -1,0 +1,309 @@
+"""An emulated test rig: a damper of known parameters, moved, heated, measured with noise.
+
+It knows no wall clock: samples are asked for, and the stream is the same whatever the size of the
+blocks. With the same settings and seed it gives the same samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, force
+from mr_damper_ros.rig.excitation import Excitation, Kinematics
+from mr_damper_ros.rig.recording import DEFAULT_START_NS, Recording
+from mr_damper_ros.streaming.blocks import NANOSECONDS
+
+THESIS_FORCE_NOISE = 5.53
+"""Standard deviation [N] of the force error after the fit in the thesis (section 4.6)."""
+
+_CHUNK = 100
+"""Samples made at a time. Temperature is constant within; fixed, so that blocks do not matter."""
+
+
+class EmulatorError(ValueError):
+    """Settings of the emulated rig that cannot be used; the message says what to change."""
+
+
+def scaled(parameters: Array, factor: float) -> Array:
+    """Parameters (16,) of a damper whose force is ``factor`` times that of ``parameters``."""
+    values = np.array(parameters, dtype=np.float64)
+    values[PARAMETER_NAMES.index("f0")] *= factor
+    return values
+
+
+class Damper(Protocol):
+    """What is in the machine."""
+
+    def force(self, motion: Kinematics, current: Array, celsius: float) -> Array:
+        """Force [N], shape (n,); the displacement is measured from the centre of the motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConstantDamper:
+    """A damper that does not mind its temperature; ``parameters`` has shape (16,)."""
+
+    parameters: Array
+
+    def force(self, motion: Kinematics, current: Array, celsius: float) -> Array:
+        """Force [N], shape (n,)."""
+        return force(self.parameters, *motion, current)
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureDependentDamper:
+    """A damper known at two temperatures; in between, its *forces* are interpolated linearly.
+
+    ``cold`` and ``hot`` have shape (16,). Parameters of the two may lie in different basins, so
+    they are never interpolated themselves. Outside the two temperatures the nearer one holds. For
+    a uniform loss of force give ``hot=scaled(cold, 0.74)``.
+
+    Raises EmulatorError where the hot temperature is not above the cold one.
+    """
+
+    cold: Array
+    hot: Array
+    cold_celsius: float = 28.0
+    hot_celsius: float = 71.0
+
+    def __post_init__(self) -> None:
+        if not self.hot_celsius > self.cold_celsius:
+            raise EmulatorError(
+                f"the hot temperature, {self.hot_celsius} °C, is not above the cold one, "
+                f"{self.cold_celsius} °C"
+            )
+
+    def force(self, motion: Kinematics, current: Array, celsius: float) -> Array:
+        """Force [N], shape (n,)."""
+        weight = (celsius - self.cold_celsius) / (self.hot_celsius - self.cold_celsius)
+        weight = min(max(weight, 0.0), 1.0)
+        cold = force(self.cold, *motion, current)
+        return cold + weight * (force(self.hot, *motion, current) - cold)
+
+
+@dataclass(frozen=True)
+class ThermalModel:
+    """One heat capacity [J/K] that takes the dissipated power and loses heat to the ambient air.
+
+    ``conductance`` [W/K] is that of the convection, ``ambient`` and ``initial`` are in °C. The
+    defaults are an assumption: about a kilogram of steel that settles some 50 K above the ambient
+    air at 25 W, with a time constant of 14 minutes.
+
+    Raises EmulatorError where a value is out of range.
+    """
+
+    ambient: float = 22.0
+    initial: float = 28.0
+    capacity: float = 430.0
+    conductance: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.capacity) and self.capacity > 0.0):
+            raise EmulatorError(f"the heat capacity is {self.capacity} J/K: it must be positive")
+        if not (math.isfinite(self.conductance) and self.conductance >= 0.0):
+            raise EmulatorError(
+                f"the conductance is {self.conductance} W/K: it must not be negative"
+            )
+
+    def after(self, celsius: float, power: float, duration: float) -> float:
+        """Temperature [°C] after ``power`` [W] for ``duration`` [s], exactly for constant power."""
+        if self.conductance == 0.0:
+            return celsius + power * duration / self.capacity
+        settled = self.ambient + power / self.conductance
+        return settled + (celsius - settled) * math.exp(
+            -self.conductance * duration / self.capacity
+        )
+
+
+@dataclass(frozen=True)
+class CurrentSchedule:
+    """Current [A] in steps: each holds from its time [s] to the next, the first from the start.
+
+    Raises EmulatorError where there are none, times do not rise, or a value is not finite.
+    """
+
+    times: Sequence[float]
+    currents: Sequence[float]
+
+    def __post_init__(self) -> None:
+        if len(self.times) == 0 or len(self.times) != len(self.currents):
+            raise EmulatorError(
+                f"the current's schedule has {len(self.times)} times and {len(self.currents)} "
+                "currents: give at least one, and as many of each"
+            )
+        if not np.isfinite([*self.times, *self.currents]).all():
+            raise EmulatorError("the current's schedule holds a value that is not finite")
+        if not (np.diff(self.times) > 0.0).all():
+            raise EmulatorError("the times of the current's schedule must rise")
+
+    @classmethod
+    def constant(cls, current: float) -> CurrentSchedule:
+        """The same current [A] throughout."""
+        return cls((0.0,), (current,))
+
+    def at(self, time: Array) -> Array:
+        """Current [A] at the times [s], shape (n,)."""
+        # A sample that falls on a step already has the new current, whatever the rounding.
+        index = np.searchsorted(self.times, time + 1e-9, side="right") - 1
+        return np.asarray(self.currents, dtype=np.float64)[np.maximum(index, 0)]
+
+
+@dataclass(frozen=True)
+class ForceStep:
+    """A sudden change: from ``time`` [s] on the force is ``factor`` times what it was (a leak)."""
+
+    time: float
+    factor: float
+
+
+@dataclass(frozen=True, eq=False)
+class RigBlock:
+    """Samples that follow those before: ``displacement`` [m], ``force`` [N], ``current`` [A].
+
+    Arrays have shape (n,), ``period`` [s] apart; ``start_ns`` is the stamp of sample 0,
+    ``sequence`` its index since the start. ``temperature`` [°C] has shape (n,) too.
+    """
+
+    start_ns: int
+    sequence: int
+    period: float
+    displacement: Array
+    force: Array
+    current: Array
+    temperature: Array
+
+
+@dataclass(frozen=True)
+class RigSettings:
+    """How the emulated rig measures: ``sample_rate`` [Hz], noise [N] and [m], seed, start.
+
+    The noises are standard deviations of white Gaussian noise. ``seed`` is a number or several.
+
+    Raises EmulatorError where a value is out of range.
+    """
+
+    sample_rate: float = 1000.0
+    force_noise: float = THESIS_FORCE_NOISE
+    displacement_noise: float = 0.0
+    seed: int | Sequence[int] = 0
+    start_ns: int = DEFAULT_START_NS
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.sample_rate) and self.sample_rate > 0.0):
+            raise EmulatorError(f"the sample rate is {self.sample_rate} Hz: it must be positive")
+        for name, value in (
+            ("force", self.force_noise),
+            ("displacement", self.displacement_noise),
+        ):
+            if not (math.isfinite(value) and value >= 0.0):
+                raise EmulatorError(f"the {name} noise is {value}: it must not be negative")
+
+    @property
+    def period(self) -> float:
+        """Time between two samples [s]."""
+        return 1.0 / self.sample_rate
+
+
+class EmulatedRig:
+    """A damper in a test machine, sample by sample.
+
+    ``current`` is a schedule or one value [A]. Without a ``thermal`` model the temperature stays
+    at 28 °C, that of the thesis' cold damper. ``events`` change the force suddenly.
+    """
+
+    def __init__(
+        self,
+        damper: Damper,
+        excitation: Excitation,
+        current: CurrentSchedule | float,
+        *,
+        settings: RigSettings | None = None,
+        thermal: ThermalModel | None = None,
+        events: Sequence[ForceStep] = (),
+    ) -> None:
+        self._damper = damper
+        self._excitation = excitation
+        self._current = (
+            current
+            if isinstance(current, CurrentSchedule)
+            else CurrentSchedule.constant(float(current))
+        )
+        self._settings = settings or RigSettings()
+        self._thermal = thermal
+        self._events = tuple(events)
+        self._rng = np.random.default_rng(self._settings.seed)
+        self._celsius = thermal.initial if thermal else 28.0
+        self._made = 0
+        self._taken = 0
+        self._ready = np.empty((4, 0))
+
+    @property
+    def settings(self) -> RigSettings:
+        """How the rig measures."""
+        return self._settings
+
+    def next_block(self, count: int) -> RigBlock:
+        """The next ``count`` samples; raises EmulatorError where that is less than one."""
+        if count < 1:
+            raise EmulatorError(f"{count} samples were asked for: ask for at least one")
+        chunks = [self._ready]
+        while self._made < self._taken + count:
+            chunks.append(self._next_chunk())
+        rows = np.concatenate(chunks, axis=1)
+        block, self._ready = rows[:, :count], rows[:, count:]
+        first = self._taken
+        self._taken += count
+        period = self._settings.period
+        return RigBlock(
+            self._settings.start_ns + round(first * period * NANOSECONDS), first, period, *block
+        )
+
+    def record(
+        self, duration: float, *, name: str = "emulated", details: dict[str, str] | None = None
+    ) -> Recording:
+        """The next ``duration`` [s] as a recording; raises EmulatorError where it is too short."""
+        block = self.next_block(round(duration * self._settings.sample_rate))
+        return Recording(
+            name=name,
+            start_ns=block.start_ns,
+            period=block.period,
+            displacement=block.displacement,
+            force=block.force,
+            current=block.current,
+            temperature=block.temperature if self._thermal else None,
+            details=details or {},
+        )
+
+    def _next_chunk(self) -> Array:
+        # A fixed number of samples at a time: sums and random numbers then do not depend on how
+        # the stream is cut into blocks.
+        period = self._settings.period
+        time = np.arange(self._made, self._made + _CHUNK, dtype=np.float64) * period
+        motion = self._excitation.at(time)
+        current = self._current.at(time)
+        centred = motion._replace(displacement=motion.displacement - self._excitation.centre)
+        true_force = self._damper.force(centred, current, self._celsius) * self._factor(time)
+        celsius = np.full(_CHUNK, self._celsius)
+        if self._thermal is not None:
+            power = float(np.mean(true_force * motion.velocity))
+            self._celsius = self._thermal.after(self._celsius, power, _CHUNK * period)
+        noise = self._rng.standard_normal((2, _CHUNK))
+        self._made += _CHUNK
+        return np.stack(
+            [
+                motion.displacement + self._settings.displacement_noise * noise[1],
+                true_force + self._settings.force_noise * noise[0],
+                current,
+                celsius,
+            ]
+        )
+
+    def _factor(self, time: Array) -> Array:
+        factor = np.ones(time.size)
+        for event in self._events:
+            factor[time >= event.time - 1e-9] *= event.factor
+        return factor

@@ -1,0 +1,214 @@
+"""Motions of an emulated test machine, with their exact velocity and acceleration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from mr_damper_ros.damper.sigmoid import Array
+
+
+class ExcitationError(ValueError):
+    """A motion that cannot be made; the message says what to change."""
+
+
+class Kinematics(NamedTuple):
+    """Displacement [m], velocity [m/s] and acceleration [m/s²], each of shape (n,)."""
+
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+
+
+class Excitation(Protocol):
+    """A motion as a function of time; ``centre`` [m] is the displacement it moves about."""
+
+    @property
+    def centre(self) -> float:
+        """Displacement [m] that the motion is about."""
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+
+
+def _require_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise ExcitationError(f"the {name.replace('_', ' ')} is {value}: it must be positive")
+
+
+@dataclass(frozen=True)
+class Sine:
+    """offset + A sin(2 pi f t + phase), or, with ``triangularity`` above 0, a rounded triangle.
+
+    ``amplitude`` [m], ``frequency`` [Hz], ``phase`` [rad], ``offset`` [m]. ``triangularity`` lies
+    in 0 to below 1: a test machine that cannot follow a sine (above about 3 Hz in the thesis)
+    makes a motion of nearly constant speed with short turns.
+
+    Raises ExcitationError where a value is out of range.
+    """
+
+    amplitude: float
+    frequency: float
+    phase: float = 0.0
+    offset: float = 0.0
+    triangularity: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive(amplitude=self.amplitude, frequency=self.frequency)
+        if not 0.0 <= self.triangularity < 1.0:
+            raise ExcitationError(
+                f"the triangularity is {self.triangularity}: it must lie in 0 (sine) to below 1"
+            )
+
+    @property
+    def centre(self) -> float:
+        """Displacement [m] that the motion is about."""
+        return self.offset
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        rate = 2.0 * np.pi * self.frequency
+        angle = rate * time + self.phase
+        sine, cosine = np.sin(angle), np.cos(angle)
+        s = self.triangularity
+        if s == 0.0:
+            scale = self.amplitude
+            return Kinematics(
+                self.offset + scale * sine, scale * rate * cosine, -scale * rate**2 * sine
+            )
+        # asin(s sin x) / asin(s) goes from the sine (s = 0) to the triangle (s = 1).
+        scale = self.amplitude / math.asin(s)
+        root = np.sqrt(1.0 - (s * sine) ** 2)
+        return Kinematics(
+            self.offset + scale * np.arcsin(s * sine),
+            scale * rate * s * cosine / root,
+            -scale * rate**2 * s * (1.0 - s * s) * sine / root**3,
+        )
+
+
+@dataclass(frozen=True)
+class BandLimitedRandom:
+    """Gaussian random motion with a flat spectrum from ``low`` to ``high`` [Hz].
+
+    ``rms`` [m] is its standard deviation over a long time; the sum of ``tones`` sines with random
+    amplitudes, frequencies and phases repeats only after a very long time.
+
+    Raises ExcitationError where a value is out of range.
+    """
+
+    rms: float
+    low: float
+    high: float
+    seed: int = 0
+    tones: int = 200
+    centre: float = 0.0
+    _rates: Array = field(init=False, repr=False, compare=False)
+    _sines: Array = field(init=False, repr=False, compare=False)
+    _cosines: Array = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        _require_positive(rms=self.rms, low=self.low, high=self.high, tones=self.tones)
+        if self.low >= self.high:
+            raise ExcitationError(
+                f"the band is {self.low} to {self.high} Hz: give the lower frequency first"
+            )
+        rng = np.random.default_rng(self.seed)
+        steps = (np.arange(self.tones) + rng.random(self.tones)) / self.tones
+        scale = self.rms / math.sqrt(self.tones)
+        object.__setattr__(
+            self, "_rates", 2.0 * np.pi * (self.low + (self.high - self.low) * steps)
+        )
+        object.__setattr__(self, "_sines", scale * rng.standard_normal(self.tones))
+        object.__setattr__(self, "_cosines", scale * rng.standard_normal(self.tones))
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        angles = np.outer(time, self._rates)
+        sine, cosine = np.sin(angles), np.cos(angles)
+        motion = sine @ self._sines + cosine @ self._cosines
+        velocity = cosine @ (self._rates * self._sines) - sine @ (self._rates * self._cosines)
+        acceleration = -(sine @ (self._rates**2 * self._sines)) - (
+            cosine @ (self._rates**2 * self._cosines)
+        )
+        return Kinematics(self.centre + motion, velocity, acceleration)
+
+
+@dataclass(frozen=True)
+class Chirp:
+    """Sine whose frequency goes linearly from ``first`` to ``last`` [Hz] and back, again and again.
+
+    ``amplitude`` [m], ``sweep`` [s] for one way.
+
+    Raises ExcitationError where a value is not positive.
+    """
+
+    amplitude: float
+    first: float
+    last: float
+    sweep: float
+    centre: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive(
+            amplitude=self.amplitude,
+            first_frequency=self.first,
+            last_frequency=self.last,
+            sweep=self.sweep,
+        )
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        slope = (self.last - self.first) / self.sweep
+        number = np.floor(time / self.sweep)
+        within = time - number * self.sweep
+        upward = number % 2 == 0
+        frequency = np.where(upward, self.first + slope * within, self.last - slope * within)
+        rate_of_change = np.where(upward, slope, -slope)
+        # Every sweep, up or down, adds the same number of cycles.
+        cycles = (
+            number * 0.5 * (self.first + self.last) * self.sweep
+            + np.where(upward, self.first, self.last) * within
+            + 0.5 * rate_of_change * within**2
+        )
+        # Whole cycles are dropped first: the sine of a large angle would lose digits.
+        angle = 2.0 * np.pi * (cycles % 1.0)
+        rate = 2.0 * np.pi * frequency
+        sine, cosine = np.sin(angle), np.cos(angle)
+        return Kinematics(
+            self.centre + self.amplitude * sine,
+            self.amplitude * rate * cosine,
+            self.amplitude * (2.0 * np.pi * rate_of_change * cosine - rate**2 * sine),
+        )
+
+
+class SampledMotion:
+    """Any motion given by samples, such as an earthquake; a cubic spline goes through them.
+
+    After the last sample (and before the first) it stands still at the value there, for which the
+    spline starts and ends at rest.
+    """
+
+    def __init__(self, displacement: Array, period: float) -> None:
+        """Samples [m] of shape (n,), n >= 4, ``period`` [s] apart; raises ExcitationError."""
+        _require_positive(period=period)
+        samples = np.array(displacement, dtype=np.float64)
+        if samples.ndim != 1 or samples.size < 4 or not np.isfinite(samples).all():
+            raise ExcitationError("the motion needs at least four finite samples of displacement")
+        self.centre = float(np.mean(samples))
+        self._end = (samples.size - 1) * period
+        self._spline = CubicSpline(np.arange(samples.size) * period, samples, bc_type="clamped")
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        moving = (time >= 0.0) & (time <= self._end)
+        within = np.clip(time, 0.0, self._end)
+        return Kinematics(
+            np.asarray(self._spline(within)),
+            np.where(moving, self._spline(within, 1), 0.0),
+            np.where(moving, self._spline(within, 2), 0.0),
+        )
