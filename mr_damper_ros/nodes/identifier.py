@@ -15,7 +15,6 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.task import Future
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
@@ -265,7 +264,8 @@ class Identifier(Node):
             self._options.tracker_settings, _initial_set(self._options.initial_parameters)
         )
         self._resume()
-        self._goals: dict[Search, tuple[ServerGoalHandle, Future]] = {}
+        self._goals: dict[Search, ServerGoalHandle] = {}
+        self._results: dict[bytes, IdentifyGlobal.Result] = {}
         self._last_report: Report | None = None
         self._parameters_publisher = self.create_publisher(
             DamperParameters, "damper/parameters", quality.latched()
@@ -297,7 +297,8 @@ class Identifier(Node):
             self,
             IdentifyGlobal,
             "~/identify_global",
-            self._identify_global,
+            self._hand_over,
+            handle_accepted_callback=self._begin_search,
             cancel_callback=self._cancel,
         )
         self._diagnostics = Diagnostics(
@@ -361,7 +362,7 @@ class Identifier(Node):
     def _publish_progress(self, event: SearchProgress) -> None:
         if event.search in self._goals:
             progress = event.progress
-            self._goals[event.search][0].publish_feedback(
+            self._goals[event.search].publish_feedback(
                 IdentifyGlobal.Feedback(
                     generation=progress.generation,
                     generations=progress.generations,
@@ -374,28 +375,39 @@ class Identifier(Node):
         if event.report is not None:
             self._publish_report(event.report, event.duration)
         if event.search in self._goals:
-            self._goals.pop(event.search)[1].set_result(event)
+            self._finish(self._goals.pop(event.search), self._search_result(event))
 
     # Global identification on demand
 
-    async def _identify_global(self, goal: ServerGoalHandle) -> IdentifyGlobal.Result:
-        request = goal.request
+    def _begin_search(self, goal: ServerGoalHandle) -> None:
+        """Start what a goal asks for.
+
+        The goal is "accepted" until the search has ended and "executing" only while its result is
+        handed over: a coroutine that waits for the search would be resumed by the executor again
+        and again, which takes two thirds of a core.
+        """
         configured = self._options.tracker_settings.evolution
         try:
             settings = dataclasses.replace(
                 configured,
-                generations=request.generations or configured.generations,
-                seed=request.seed,
-                strategy=request.strategy or configured.strategy,
+                generations=goal.request.generations or configured.generations,
+                seed=goal.request.seed,
+                strategy=goal.request.strategy or configured.strategy,
             )
         except ValueError as error:
-            goal.abort()
-            return IdentifyGlobal.Result(message=str(error), nrmse=math.nan)
-        search, ended = Search(settings), Future()
-        self._goals[search] = (goal, ended)
+            self._finish(goal, IdentifyGlobal.Result(message=str(error), nrmse=math.nan))
+            return
+        search = Search(settings)
+        self._goals[search] = goal
         self._pipeline.add_search(search)
-        event: SearchEnded = await ended
-        result = self._search_result(event)
+
+    def _finish(self, goal: ServerGoalHandle, result: IdentifyGlobal.Result) -> None:
+        self._results[bytes(goal.goal_id.uuid)] = result
+        goal.execute()
+
+    def _hand_over(self, goal: ServerGoalHandle) -> IdentifyGlobal.Result:
+        """End a goal, called by the action server once its result is there."""
+        result = self._results.pop(bytes(goal.goal_id.uuid))
         if goal.is_cancel_requested:
             goal.canceled()
         elif result.success:
@@ -425,7 +437,7 @@ class Identifier(Node):
         )
 
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
-        for search, (known, _) in self._goals.items():
+        for search, known in self._goals.items():
             if known == goal:
                 self._pipeline.cancel_search(search)
         return CancelResponse.ACCEPT
