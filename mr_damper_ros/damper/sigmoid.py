@@ -121,8 +121,9 @@ def operating_point_coefficients(
     v_m = np.asarray(peak_velocity, dtype=float)
     i = np.asarray(current, dtype=float)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        yield_gain = 1.0 + p["k2"] * (_sigma(p["a2"] * (i + p["I0"])) - _sigma(p["a2"] * p["I0"]))
-        width_gain = 1.0 + p["k3"] * (_sigma(p["a3"] * (i + p["I1"])) - _sigma(p["a3"] * p["I1"]))
+        on0, on1 = _saturated(i + p["I0"]), _saturated(i + p["I1"])
+        yield_gain = 1.0 + p["k2"] * (_sigma(p["a2"] * on0) - _sigma(p["a2"] * p["I0"]))
+        width_gain = 1.0 + p["k3"] * (_sigma(p["a3"] * on1) - _sigma(p["a3"] * p["I1"]))
         f_t = _saturated(_saturated(p["f0"] * (1.0 + _exp(p["a1"] * v_m))) * _saturated(yield_gain))
         decay = _exp(-p["a4"] * v_m)
         # 0/0, the only way to a NaN here, is a sigmoid of no steepness: zero.
