@@ -1,0 +1,207 @@
+"""Dampers whose parameters are known, runs made from them, and helpers of the core tests."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+
+from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.damper.sigmoid import (
+    PARAMETER_NAMES,
+    SHAPE_PARAMETER_NAMES,
+    Array,
+    force,
+    operating_point_coefficients,
+)
+from mr_damper_ros.identification.window import Window
+from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.streaming.windows import RawWindow
+
+NOISE = 5.53
+"""Standard deviation of the force noise of the thesis [N]."""
+
+PERIOD = 1e-3
+THESIS_SAMPLES = 7001
+THESIS_PHASE = 4.481
+T0 = 1_700_000_000 * NANOSECONDS
+"""Some stamp [ns] to start a stream at."""
+
+PLAUSIBLE = np.array(
+    [
+        *(40.0, -0.35, -0.25, 900.0, 2.5, 4.0, 3.0, 2.0),
+        *(9.0, 1.2, 1.6, 18.0, -0.45, -0.11, 0.06, 0.012),
+    ]
+)
+"""Sixteen parameters of a damper whose laws all show within 0.01 to 0.25 m/s and 0 to 1.5 A."""
+
+SHAPE = np.array([PARAMETER_NAMES.index(name) for name in SHAPE_PARAMETER_NAMES])
+
+
+def index(name: str) -> int:
+    """Place of a parameter in the array of sixteen."""
+    return PARAMETER_NAMES.index(name)
+
+
+def fixed(examples: int) -> Any:
+    """Settings of hypothesis: the same examples on every machine, and no time limit."""
+    return settings(
+        max_examples=examples,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A steady sinusoidal run of a known damper; arrays of shape (n,), SI units."""
+
+    parameters: Array
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    clean: Array
+    force: Array
+    current: float
+    period: float
+    top_speed: float
+
+    @property
+    def window(self) -> Window:
+        return Window.from_samples(self.displacement, self.force, self.current, self.period)
+
+    @property
+    def coefficients(self) -> Array:
+        """The seven coefficients (7,) that the run was made with, f_t positive."""
+        return positive(
+            np.concatenate(
+                operating_point_coefficients(self.parameters, self.top_speed, self.current)
+            )
+        )
+
+    @property
+    def noise_rms(self) -> float:
+        """What the truth itself leaves of this run's force [N]."""
+        return rms(self.force - self.clean)
+
+
+def run(
+    parameters: Array = PLAUSIBLE,
+    *,
+    amplitude: float = 5e-3,
+    frequency: float = 1.0,
+    current: float = 1.0,
+    seed: int | None = 0,
+    samples: int = 2000,
+    noise: float = NOISE,
+    period: float = PERIOD,
+    phase: float = THESIS_PHASE,
+    start: float = 0.0,
+) -> Run:
+    """A run with Gaussian force noise [N]; amplitude [m], frequency [Hz], current [A].
+
+    ``start`` [s] is the time of the first sample, ``seed`` None for no noise.
+    """
+    time = start + np.arange(samples) * period
+    omega = 2.0 * math.pi * frequency
+    u = amplitude * np.sin(omega * time + phase)
+    v = amplitude * omega * np.cos(omega * time + phase)
+    a = -(omega**2) * u
+    clean = force(parameters, u, v, a, current)
+    error = np.zeros(samples) if seed is None else _normal(seed, samples, noise)
+    return Run(
+        parameters=np.asarray(parameters, dtype=float),
+        displacement=u,
+        velocity=v,
+        acceleration=a,
+        clean=clean,
+        force=clean + error,
+        current=current,
+        period=period,
+        top_speed=amplitude * omega,
+    )
+
+
+def _normal(seed: int, samples: int, noise: float) -> Array:
+    return np.random.default_rng(seed).normal(0.0, noise, samples)
+
+
+def positive(coefficients: Array) -> Array:
+    """The same loop with positive yield force: f_t and alpha change sign together."""
+    sign = -1.0 if coefficients[0] < 0.0 else 1.0
+    return np.asarray(coefficients * np.array([sign, sign, 1.0, 1.0, 1.0, 1.0, 1.0]))
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def raw_window(run: Run, *, number: int = 0, temperature: float = math.nan) -> RawWindow:
+    """A run as window ``number`` of a stream of windows of equal length."""
+    duration = round(run.force.size * run.period * NANOSECONDS)
+    return RawWindow(
+        start_ns=T0 + number * duration,
+        period=run.period,
+        displacement=run.displacement,
+        force=run.force,
+        current=np.full(run.force.size, run.current),
+        temperature=temperature,
+    )
+
+
+def blocks(
+    displacement: Array,
+    force: Array,
+    sizes: Sequence[int],
+    *,
+    period: float = PERIOD,
+    start_ns: int = T0,
+    sequence: int = 0,
+) -> list[SampleBlock]:
+    """A stream cut into blocks of these sizes, over and over."""
+    result, first, place = [], 0, 0
+    while first < displacement.size:
+        last = first + sizes[place % len(sizes)]
+        result.append(
+            SampleBlock(
+                start_ns=start_ns + round(first * period * NANOSECONDS),
+                sequence=sequence + first,
+                period=period,
+                displacement=displacement[first:last],
+                force=force[first:last],
+            )
+        )
+        first, place = last, place + 1
+    return result
+
+
+def drifting_force(run: Run, warm: float) -> Array:
+    """Force (n,) of the thesis' damper between 28 °C (``warm`` = 0) and 71 °C (1), no noise.
+
+    The two published sets lie in different basins, so it is the forces that are mixed.
+    """
+    cold, hot = (
+        force(p, run.displacement, run.velocity, run.acceleration, run.current)
+        for p in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
+    )
+    return np.asarray((1.0 - warm) * cold + warm * hot)
+
+
+def recordings_folder() -> Path:
+    """Folder of the real recordings; skips the test where there are none."""
+    place = os.environ.get("MR_DAMPER_DATA")
+    if not place:
+        pytest.skip("MR_DAMPER_DATA is not set: no real recordings to test with")
+    folder = Path(place) / "utfsm" / "processed"
+    if not folder.is_dir():
+        pytest.skip(f"MR_DAMPER_DATA={place} holds no utfsm/processed")
+    return folder
