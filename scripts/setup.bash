@@ -48,13 +48,22 @@ fi
 
 mode=$(ros_mode)
 
-# without_own LIST: the entries of a PATH-like list that are not below this folder.
+# without_own LIST: the entries of a PATH-like list that are not below this folder, each once.
 without_own() {
   local IFS=: entry result=""
   for entry in $1; do
-    case $entry in "" | "$root" | "$root"/*) ;; *) result=$result${result:+:}$entry ;; esac
+    case $entry in "" | "$root" | "$root"/*) continue ;; esac
+    case ":$result:" in *":$entry:"*) ;; *) result=$result${result:+:}$entry ;; esac
   done
   echo "$result"
+}
+
+# prefix_of_rclpy LIST: the folder of the list in which ROS is installed.
+prefix_of_rclpy() {
+  local IFS=: entry
+  for entry in $1; do
+    if [ -f "$entry/share/rclpy/package.xml" ]; then echo "$entry"; return; fi
+  done
 }
 
 # What env.bash or another environment set must not leak into what is built.
@@ -71,7 +80,7 @@ else
   PYTHONPATH=$(without_own "${PYTHONPATH:-}")
   LD_LIBRARY_PATH=$(without_own "${LD_LIBRARY_PATH:-}")
   export AMENT_PREFIX_PATH CMAKE_PREFIX_PATH PYTHONPATH LD_LIBRARY_PATH
-  stamp="jazzy $root $AMENT_PREFIX_PATH $(hash_of requirements/core.in requirements/dev.in requirements/noble.txt)"
+  stamp="jazzy $root $(prefix_of_rclpy "$AMENT_PREFIX_PATH") $(hash_of requirements/core.in requirements/dev.in requirements/noble.txt)"
 fi
 
 msgs_stamp="$stamp $(hash_of msg_defs)"
