@@ -10,8 +10,9 @@ prefixed by the group's and a dot::
         staleness: float = option(0.5, "Oldest usable current [s].", minimum=0.0, read_only=True)
 
 A node then says ``self.parameters = NodeParameters(self, ModelParameters, changed=self._changed)``
-and reads ``self.parameters.values.staleness``. Every option that is not read-only must be applied
-when it changes: read it where it is used, or apply it in ``changed``.
+and reads ``self.parameters.values.staleness`` (not ``_parameters``, which is rclpy's own name).
+Every option that is not read-only must be applied when it changes: read it where it is used, or
+apply it in ``changed``.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ class ConfigurationError(ValueError):
 
 @dataclass(frozen=True)
 class Option:
-    """One parameter of a node; ``minimum`` and ``maximum`` belong to the allowed values."""
+    """One parameter of a node; ``minimum`` and ``maximum`` belong to the allowed values.
+
+    Where the default is NaN, NaN means "not given" and is allowed.
+    """
 
     name: str
     default: Value
@@ -69,6 +73,8 @@ class Option:
         if type(value) is not self.kind:
             return f"parameter {self.name} must be {_TYPE_NAMES[self.kind]}, not {value!r}"
         if isinstance(value, float) and not math.isfinite(value):
+            if math.isnan(value) and self.default != self.default:
+                return ""
             return f"parameter {self.name} must be a finite number, not {value}"
         if self.choices and value not in self.choices:
             return f"parameter {self.name} must be one of {', '.join(self.choices)}, not {value!r}"
@@ -118,7 +124,7 @@ def option(
 
 
 def group(table: type) -> Any:
-    """A field of a parameter table: a dataclass of further options, prefixed by the field's name."""
+    """A field of a parameter table: further options, prefixed by its name."""
     return dataclasses.field(default_factory=table, metadata={"group": table})
 
 

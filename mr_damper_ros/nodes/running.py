@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import rclpy
 from rclpy.exceptions import (
@@ -23,22 +24,25 @@ from rclpy.utilities import remove_ros_args
 from mr_damper_ros.nodes.parameters import ConfigurationError, Table, describe
 
 SUCCESS = 0
+FAILURE = 1
 BAD_CONFIGURATION = 2
 
 _WAKE_UP = 0.5
-"""Seconds after which a spinning node looks whether it has been asked to stop."""
+"""Seconds after which a spinning node looks whether it is to stop, or at its end."""
 
-
-class Finished(Exception):  # noqa: N818 - the end of the work, not an error
-    """Raised in a callback of a node that has nothing left to do."""
+N = TypeVar("N", bound=Node)
 
 
 def run(
-    factory: Callable[[], Node], parameters: type[Table], arguments: Sequence[str] | None = None
+    factory: Callable[[], N],
+    parameters: type[Table],
+    arguments: Sequence[str] | None = None,
+    ended: Callable[[N], int | None] = lambda _: None,
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
 
-    A configuration that the node cannot start with is one sentence on stderr and exit code 2.
+    ``ended`` is the exit code once the node's work is over, None as long as it is not. A
+    configuration that the node cannot start with is one sentence on stderr and exit code 2.
     """
     arguments = list(sys.argv if arguments is None else arguments)
     try:
@@ -64,14 +68,17 @@ def run(
         rclpy.init(args=arguments)
     except Exception as error:
         return _reject(_without_source_position(error))
-    node: Node | None = None
+    node: N | None = None
     try:
         node = factory()
         executor = _executor()
         executor.add_node(node)
         while not stop.is_set() and rclpy.ok():
             executor.spin_once(timeout_sec=_WAKE_UP)
-    except (ExternalShutdownException, Finished):
+            code = ended(node)
+            if code is not None:
+                return code
+    except ExternalShutdownException:
         pass
     except _CONFIGURATION_ERRORS as error:
         if node is not None:
@@ -106,8 +113,9 @@ def _reject(sentence: str) -> int:
 
 
 def _without_source_position(error: Exception) -> str:
-    """rcl's message without where in its sources it comes from."""
-    return f"the command line cannot be used: {str(error).split(', at /')[0]}"
+    """Return rcl's message, reduced to what concerns the user."""
+    message = str(error).removeprefix("Failed to parse ROS arguments: ").split(", at /")[0]
+    return f"the command line cannot be used: {message}"
 
 
 def _executor() -> Executor:
