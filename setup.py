@@ -5,8 +5,8 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "mr_damper_ros"
-NODES = ("bridge", "identifier", "model", "replay")
-TOOLS = ("demo", "identify", "import_record", "thesis_bags", "validate")
+NODES = ("bridge", "demo", "identifier", "model", "replay")
+TOOLS = ("identify", "import_record", "thesis_bags", "validate")
 
 
 def data_files(*patterns: str) -> list[tuple[str, list[str]]]:

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from mr_damper_ros.tools.console import run_tool, write_text
-from mr_damper_ros.tools.parameter_file import read_parameters
+from mr_damper_ros.streaming.state import read_parameter_file
 from mr_damper_ros.tools.windows import bag_windows, metrics
 
 
@@ -31,7 +31,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    found = read_parameters(options.parameters)
+    found = read_parameter_file(options.parameters)
     entries = []
     for path in options.bags:
         error = asdict(metrics(found.values, bag_windows(path).windows))
