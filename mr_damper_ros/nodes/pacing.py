@@ -113,6 +113,13 @@ class Pacer:
             self._steps += 1
             self._changed.notify_all()
 
+    def start(self) -> None:
+        """Begin a new sending."""
+        with self._changed:
+            self._stopped = False
+            self._steps = 0
+            self._anchor = None
+
     def stop(self) -> None:
         """End the sending."""
         with self._changed:

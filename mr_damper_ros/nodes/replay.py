@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rclpy.node import Node
@@ -199,10 +197,6 @@ class Replay(Node):  # type: ignore[misc]
         return Finding(OK, self._state, figures)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Run the node."""
-    return run(Replay, ReplayParameters, arguments, ended=Replay.exit_code)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return run(Replay, ReplayParameters, ended=Replay.exit_code)
