@@ -48,7 +48,7 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
     u = np.asarray(displacement, dtype=float)
     n = u.size
     centred = u - u.mean()
-    if n < 8 or not np.any(centred):
+    if n < 8 or np.ptp(u) == 0.0:
         return None
     # Zero padding refines the start to a fraction of a spectral line.
     spectrum = np.abs(np.fft.rfft(centred * np.hanning(n), 8 * n))
