@@ -177,10 +177,10 @@ def write_bag(
 def _check_free(path: Path, overwrite: bool) -> None:
     if not path.exists():
         return
+    if not (path / "metadata.yaml").is_file():
+        raise BagError(f"{path} exists and is not a bag: choose another name")
     if not overwrite:
         raise BagError(f"{path} exists already: choose another name or ask to overwrite it")
-    if not (path / "metadata.yaml").is_file():
-        raise BagError(f"{path} exists and is not a bag: it is not overwritten, remove it yourself")
 
 
 def _write_messages(path: Path, messages: list[BagMessage], details: dict[str, str]) -> None:

@@ -18,6 +18,7 @@ A stamp near zero would be taken for "time unknown" by many ROS programs.
 
 _SMALLEST_MOTION = 1e-6
 _LARGEST_MOTION = 0.5
+_LARGEST_SPEED = 5.0
 _LARGEST_FORCE = 1e6
 _LARGEST_CURRENT = 50.0
 _TEMPERATURES = (-60.0, 250.0)
@@ -114,10 +115,8 @@ class Recording:
             raise RecordingError(f"'{self.name}': {problem}")
 
     def _implausible(self) -> str:
-        if self.period < _PERIODS[0]:
-            return f"the sample period is {self.period:.3g} s: give the unit of the time that fits"
-        if self.period > _PERIODS[1]:
-            return f"the sample period is {self.period:.3g} s: is the time in milliseconds?"
+        if not _PERIODS[0] <= self.period <= _PERIODS[1]:
+            return f"the sample period is {self.period:.3g} s: is the unit of the time right?"
         span = float(np.ptp(self.displacement))
         if span > _LARGEST_MOTION:
             return f"the displacement spans {span:.3g} m: is it in millimetres?"
@@ -126,6 +125,9 @@ class Recording:
                 f"the displacement spans {span * 1e6:.2g} micrometres: the damper did not move, "
                 "or the unit of the displacement is too small"
             )
+        speed = float(np.sqrt(np.mean(np.diff(self.displacement) ** 2))) / self.period
+        if speed > _LARGEST_SPEED:
+            return f"the rod moves at {speed:.3g} m/s on average: is the unit of the time right?"
         force = float(np.max(np.abs(self.force)))
         if force > _LARGEST_FORCE:
             return f"the force reaches {force:.3g} N: give the unit of the force that fits"

@@ -1,0 +1,127 @@
+"""The program that makes the thesis' runs, and the bags that come with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from mr_damper_ros.rig import bags
+from mr_damper_ros.rig.bags import read_bag, summarise_bag, write_bag
+from mr_damper_ros.rig.thesis import CONDITIONS, find, synthesise
+from mr_damper_ros.tools import thesis_bags
+
+COMMITTED = Path(__file__).resolve().parents[2] / "bags"
+NAMES = ["5.0mm_1Hz_0.0A", "5.0mm_1Hz_0.5A", "5.0mm_1Hz_1.5A", "7.5mm_1Hz_1.0A"]
+
+
+def folders(path: Path) -> list[str]:
+    return sorted(entry.name for entry in path.iterdir() if entry.is_dir())
+
+
+def test_the_committed_bags_are_one_per_current() -> None:
+    assert folders(COMMITTED) == NAMES
+    assert sorted(find(name).current for name in NAMES) == [0.0, 0.5, 1.0, 1.5]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_committed_bag_is_what_the_program_makes(name: str, tmp_path: Path) -> None:
+    fresh = synthesise(find(name))
+    write_bag(tmp_path / name, fresh)
+    (committed,) = read_bag(COMMITTED / name)
+    assert committed.name == fresh.name
+    assert committed.start_ns == fresh.start_ns
+    assert committed.period == fresh.period
+    assert committed.details == fresh.details
+    np.testing.assert_array_equal(committed.current, fresh.current)
+    # Processors differ in the last digit of a sine or a hyperbolic tangent.
+    np.testing.assert_allclose(committed.force, fresh.force, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(committed.displacement, fresh.displacement, rtol=0.0, atol=1e-15)
+    a, b = (
+        [(m.topic, m.message_type, m.time_ns, len(m.data)) for m in bags.iterate_messages(folder)]
+        for folder in (COMMITTED / name, tmp_path / name)
+    )
+    assert a == b
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_committed_bag_carries_the_types_that_the_package_builds(name: str) -> None:
+    metadata = yaml.safe_load((COMMITTED / name / "metadata.yaml").read_text(encoding="utf-8"))
+    information = metadata["rosbag2_bagfile_information"]
+    hashes = {
+        topic["topic_metadata"]["type"]: topic["topic_metadata"]["type_description_hash"]
+        for topic in information["topics_with_message_count"]
+    }
+    assert hashes == {
+        message_type: bags.message_hash(message_type)
+        for message_type in (bags.SAMPLES_TYPE, bags.CURRENT_TYPE)
+    }
+    assert information["version"] == 9
+    assert information["storage_identifier"] == "mcap"
+
+
+def test_all_clean_conditions_are_made_by_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(thesis_bags, "write_bag", lambda path, *_, **__: made.append(path.name))
+    assert thesis_bags.main([str(tmp_path)]) == 0
+    assert len(made) == 30
+    assert not any("erratum" in name for name in made)
+    assert thesis_bags.main([str(tmp_path), "--errata"]) == 0
+    assert len(made) == 30 + 34
+    assert sum("erratum" in name for name in made) == 4
+    assert "not the original recordings" in capsys.readouterr().out
+
+
+def test_an_erratum_is_marked_in_name_and_metadata(tmp_path: Path) -> None:
+    assert thesis_bags.main([str(tmp_path), "--conditions", "7.5mm_3Hz_1.5A", "--errata"]) == 0
+    assert folders(tmp_path) == ["7.5mm_3Hz_1.5A_erratum"]
+    assert "k4 is +0.1405" in summarise_bag(tmp_path / "7.5mm_3Hz_1.5A_erratum").details["erratum"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--conditions", "5.0mm_1Hz_1.0A"], "is an erratum"),
+        (["--conditions", "1mm"], "the thesis has no condition '1mm'; it has 2.5mm_1Hz_0.0A"),
+        (["--seed", "-1"], "must not be negative"),
+    ],
+)
+def test_what_cannot_be_made_is_said_in_a_sentence(
+    arguments: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert thesis_bags.main([str(tmp_path), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert error.count("\n") == 1
+    assert folders(tmp_path) == []
+
+
+def test_nothing_is_made_where_one_bag_exists(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [condition.name for condition in CONDITIONS[:2]]
+    assert thesis_bags.main([str(tmp_path), "--conditions", names[1]]) == 0
+    assert thesis_bags.main([str(tmp_path), "--conditions", *names]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert folders(tmp_path) == [names[1]]
+    assert thesis_bags.main([str(tmp_path), "--conditions", *names, "--overwrite"]) == 0
+    assert folders(tmp_path) == names
+
+
+def test_ctrl_c_leaves_whole_bags_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = iter(CONDITIONS)
+
+    def interrupted(condition: object, *, seed: int) -> object:
+        assert condition == next(calls)
+        if condition == CONDITIONS[2]:
+            raise KeyboardInterrupt
+        return synthesise(CONDITIONS[0], seed=seed)
+
+    monkeypatch.setattr(thesis_bags, "synthesise", interrupted)
+    assert thesis_bags.main([str(tmp_path)]) == 130
+    assert folders(tmp_path) == [condition.name for condition in CONDITIONS[:2]]
+    assert all(read_bag(tmp_path / name)[0].sample_count == 7001 for name in folders(tmp_path))
