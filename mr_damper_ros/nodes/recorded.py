@@ -10,13 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, QosDurability
 from rosbags.rosbag2 import Reader
 
 from mr_damper_ros.nodes.parameters import ConfigurationError
-
-_TRANSIENT_LOCAL = 1
-"""The policy's number in recorded qualities of service."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ class RecordedBag:
             package, _, name = connection.msgtype.split("/")
             message_type = getattr(import_module(f"{package}.msg"), name)
             latched = any(
-                int(profile.durability) == _TRANSIENT_LOCAL
+                profile.durability is QosDurability.TRANSIENT_LOCAL
                 for profile in connection.ext.offered_qos_profiles
             )
             self.topics.append(RecordedTopic(connection.topic, message_type, latched))
