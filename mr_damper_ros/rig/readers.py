@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -292,7 +293,8 @@ def _decoded(path: Path) -> str:
 def _separator(lines: Sequence[str]) -> str:
     """What separates fields: ";", tab, "," or "" for white space. Headers do not matter."""
     # The last lines hold numbers, whatever the header looks like.
-    sample = [line for line in lines[-50:] if line.strip()]
+    filled = [line for line in lines if line.strip()]
+    sample = filled[len(filled) // 2 :][-50:]
     for separator in (";", "\t"):
         if any(separator in line.strip() for line in sample):
             return separator
@@ -396,15 +398,14 @@ def _read_mat(path: Path, columns: Sequence[Column], variable: str | None) -> _T
 
 def _mat_variables(path: Path) -> dict[str, Array]:
     """Real matrices of numbers in the file."""
+    stored = BytesIO(path.read_bytes())
     try:
-        content = loadmat(path)
+        content = loadmat(stored)
     except NotImplementedError as error:
         raise RecordError(
             f"{path.name} is a MAT file of version 7.3: save it in MATLAB with "
             "save(..., '-v7') first"
         ) from error
-    except OSError:
-        raise
     except Exception as error:
         # Damaged bytes surface in the library as exceptions of many kinds.
         raise RecordError(f"{path.name} is not a whole MAT file: save it again") from error

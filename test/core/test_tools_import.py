@@ -1,0 +1,472 @@
+"""From a laboratory's file to a bag: every way to write numbers, every way to get them wrong."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from mr_damper_ros.rig.bags import read_bag
+from mr_damper_ros.rig.readers import read_record
+from mr_damper_ros.rig.recording import DEFAULT_START_NS
+from mr_damper_ros.rig.units import UNITS, ColumnError, parse_columns
+from mr_damper_ros.tools import import_record
+from mr_damper_ros.tools.console import run_tool, write_text
+
+COLUMNS = "time:s,displacement:mm,force:N"
+TIME = np.arange(40) * 0.01
+DISPLACEMENT_MM = 5.0 * np.sin(20.0 * TIME)
+FORCE = 900.0 * np.cos(20.0 * TIME) + 3.0
+
+
+def rows(separator: str = " ", decimal: str = ".") -> list[str]:
+    return [
+        separator.join(f"{value:.6f}".replace(".", decimal) for value in row)
+        for row in zip(TIME, DISPLACEMENT_MM, FORCE, strict=True)
+    ]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Any:
+    def write(text: str | bytes | list[str], name: str = "run.txt") -> Path:
+        path = tmp_path / name
+        if isinstance(text, list):
+            text = "\n".join(text) + "\n"
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        return path
+
+    return write
+
+
+def assert_is_the_run(path: Path, columns: str = COLUMNS, **options: Any) -> None:
+    read = read_record(path, columns, **{"current": 0.5, **options})
+    np.testing.assert_allclose(read.displacement, DISPLACEMENT_MM * 1e-3, atol=1e-9)
+    np.testing.assert_allclose(read.force, FORCE, atol=1e-6)
+    np.testing.assert_array_equal(read.current, np.full(40, 0.5))
+    assert read.period == pytest.approx(0.01, rel=1e-9)
+
+
+def refused(call: Any) -> str:
+    with pytest.raises(ValueError, match=r".") as error:
+        call()
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+# ---- how numbers may be written ----
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal"),
+    [(" ", "."), ("   ", ","), ("\t", "."), ("\t", ","), (";", "."), ("; ", ","), (",", ".")],
+)
+@pytest.mark.parametrize(
+    "header",
+    [[], ["time, displacement, force", "s, mm, N", ""], ["Rate:  100", "Name: run; 3 columns"]],
+    ids=["bare", "header", "preamble"],
+)
+def test_separators_decimals_and_headers(
+    write: Any, separator: str, decimal: str, header: list[str]
+) -> None:
+    assert_is_the_run(write(header + rows(separator, decimal)))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1", "utf-16"])
+def test_encodings(write: Any, encoding: str) -> None:
+    text = "\r\n".join(["Zeit;Kolbenweg [µm·10³];Kraft", *rows(";")])
+    assert_is_the_run(write(text.encode(encoding)))
+
+
+def test_columns_are_found_by_their_headers(write: Any) -> None:
+    lines = [f"{k},{row}" for k, row in enumerate(rows(","))]
+    path = write(['No,"Time [s]",Stroke,Load cell', ",s,mm,N", *lines], "run.csv")
+    assert_is_the_run(path, "force=Load cell:N,time=Time [s]:s,displacement=Stroke:mm")
+
+
+def test_columns_after_the_last_one_named_are_not_read(write: Any) -> None:
+    lines = rows(",")
+    lines[0] += ",start,,"
+    lines[7] += ",a remark"
+    assert_is_the_run(write(lines))
+
+
+def test_a_column_may_be_skipped(write: Any) -> None:
+    assert_is_the_run(write(["04/29 " + row for row in rows()]), "-," + COLUMNS)
+
+
+def test_current_and_temperature_columns(write: Any) -> None:
+    lines = [f"{row} {k * 10} {300 + k}" for k, row in enumerate(rows())]
+    read = read_record(write(lines), COLUMNS + ",current:mA,temperature:K")
+    np.testing.assert_allclose(read.current, np.arange(40) * 0.01, atol=1e-12)
+    assert read.temperature is not None
+    np.testing.assert_allclose(read.temperature, 26.85 + np.arange(40), atol=1e-9)
+
+
+def test_a_sample_counter_is_a_time(write: Any) -> None:
+    lines = [f"{k + 1} {row}" for k, row in enumerate(rows())]
+    assert_is_the_run(write(lines), "time:0.01*s,-,displacement:mm,force:N")
+
+
+def test_a_period_stands_for_a_time_column(write: Any) -> None:
+    assert_is_the_run(write(rows()), "-,displacement:mm,force:N", period=0.01)
+
+
+def test_a_part_is_cut_out_by_seconds_from_the_first_sample(write: Any) -> None:
+    path = write([f"{1000 + float(row[:8])}{row[8:]}" for row in rows()])
+    part = read_record(path, COLUMNS, current=0.5, start=0.1, stop=0.2)
+    np.testing.assert_allclose(part.force, FORCE[10:21], atol=1e-6)
+    assert part.start_ns == DEFAULT_START_NS + 1_000_100_000_000
+
+
+def test_times_since_1970_become_the_stamps(write: Any) -> None:
+    path = write([f"{1.7e9 + float(row[:8]):.6f}{row[8:]}" for row in rows()])
+    assert read_record(path, COLUMNS, current=0.5).start_ns == 1_700_000_000 * 10**9
+
+
+def test_rounded_times_are_taken_as_even_and_it_is_said(write: Any) -> None:
+    # 1024 Hz, printed with four decimals.
+    lines = [f"{k / 1024:.4f} {np.sin(k / 10)} {k}" for k in range(2049)]
+    read = read_record(write(lines), COLUMNS, current=0.0)
+    assert read.period == pytest.approx(1.0 / 1024, rel=1e-7)
+    assert "the times waver by" in read.details["note"]
+
+
+@settings(
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    quantity_unit=st.sampled_from(
+        [(q, u) for q in ("displacement", "force", "current") for u in UNITS[q]]
+    ),
+    factor=st.floats(0.01, 100.0),
+)
+def test_units_and_factors_multiply(
+    write: Any, quantity_unit: tuple[str, str], factor: float
+) -> None:
+    quantity, unit = quantity_unit
+    others = [f"{q}:1e-3*{u}" for q, u in (("displacement", "m"), ("force", "N")) if q != quantity]
+    (column,) = (
+        c
+        for c in parse_columns(",".join([*others, f"{quantity}:{factor!r}*{unit}"]))
+        if c.quantity == quantity
+    )
+    scale = UNITS[quantity][unit][0]
+    assert column.to_si(np.array([3.0]))[0] == pytest.approx(3.0 * factor * scale, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "celsius"), [("degC", 20.0, 20.0), ("K", 293.15, 20.0), ("degF", 68.0, 20.0)]
+)
+def test_temperatures(unit: str, value: float, celsius: float) -> None:
+    column = parse_columns(f"displacement:m,force:N,temperature:{unit}")[2]
+    assert column.to_si(np.array([value]))[0] == pytest.approx(celsius, abs=1e-9)
+
+
+# ---- MAT files ----
+
+
+def test_a_matrix_in_a_mat_file(tmp_path: Path) -> None:
+    matrix = np.stack([TIME, DISPLACEMENT_MM, FORCE], axis=1)
+    savemat(tmp_path / "run.mat", {"data": matrix, "rate": 100.0})
+    assert_is_the_run(tmp_path / "run.mat")
+    savemat(tmp_path / "lying.mat", {"data": matrix.T, "other": matrix})
+    assert_is_the_run(tmp_path / "lying.mat", variable="data")
+
+
+def test_vectors_in_a_mat_file(tmp_path: Path) -> None:
+    savemat(tmp_path / "run.mat", {"t": TIME, "x": DISPLACEMENT_MM, "F": FORCE[:, np.newaxis]})
+    assert_is_the_run(tmp_path / "run.mat", "time=t:s,displacement=x:mm,force=F:N")
+
+
+@pytest.mark.parametrize(
+    ("columns", "variable", "sentence"),
+    [
+        (COLUMNS, None, "choose one as the variable; it holds a (40 x 3), b (40 x 3)"),
+        (COLUMNS, "c", "has no variable 'c': it holds a (40 x 3)"),
+        (COLUMNS + ",current:A", "a", "has 3 columns, but column 4 is wanted"),
+        ("time=t:s,displacement=x:mm,force=F:N", None, "no variable 't' that is one row or column"),
+        ("time=t:s,displacement=x:mm,force=F:N", "a", "choose no variable"),
+    ],
+)
+def test_what_a_mat_file_lacks_is_named(
+    tmp_path: Path, columns: str, variable: str | None, sentence: str
+) -> None:
+    savemat(tmp_path / "run.mat", {"a": np.ones((40, 3)), "b": np.ones((40, 3))})
+    current = None if "current" in columns else 0.5
+    assert sentence in refused(
+        lambda: read_record(tmp_path / "run.mat", columns, current=current, variable=variable)
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\0" * 400, "of version 7.3"),
+        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0f\0\0\0\xff", "not a whole MAT"),
+        (b"nothing", "not a whole MAT file"),
+    ],
+)
+def test_mat_files_that_cannot_be_read(write: Any, content: bytes, sentence: str) -> None:
+    path = write(content, "run.mat")
+    assert sentence in refused(lambda: read_record(path, COLUMNS, current=0.5))
+
+
+# ---- wrong descriptions ----
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        ("time,displacement:mm,force:N", "the column 'time' has no unit"),
+        ("tme:s,displacement:mm,force:N", "'tme' is no quantity of a record: use time, displace"),
+        ("time:s,displacement:mm,force:lb", "'lb' is no unit of force that is known: use N, kN"),
+        ("time:s,displacement:mm", "no column holds the force"),
+        ("time:s,force:N,-", "no column holds the displacement"),
+        ("displacement:mm,displacement:mm,force:N", "name displacement twice"),
+        ("displacement:x*mm,force:N", "the factor 'x' in 'displacement:x*mm'"),
+        ("displacement:0*mm,force:N", "is not a number other than zero"),
+        ("displacement:nan*mm,force:N", "is not a number other than zero"),
+        ("time:-1*s,displacement:mm,force:N", "time must rise"),
+        ("displacement=Stroke:mm,force:N", "name all by header"),
+        ("displacement=:mm,force=F:N", "has no header name"),
+    ],
+)
+def test_columns_that_cannot_be_meant(columns: str, sentence: str) -> None:
+    with pytest.raises(ColumnError) as error:
+        parse_columns(columns)
+    assert sentence in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "sentence"),
+    [
+        (COLUMNS, {}, "the coil current is not known"),
+        (COLUMNS, {"current": float("nan")}, "the current is nan A"),
+        (COLUMNS, {"current": 1.0, "period": 0.01}, "the time is given twice"),
+        (COLUMNS + ",current:A", {"current": 1.0}, "the current is given twice"),
+        ("-,displacement:mm,force:N", {"current": 1.0}, "time between samples is not known"),
+        ("-,displacement:mm,force:N", {"current": 1.0, "period": 0.0}, "must be positive"),
+        ("-,displacement:mm,force:N", {"current": 1.0, "period": -0.1}, "must be positive"),
+        (COLUMNS, {"current": 1.0, "start": 2.0}, "0 samples from 2 s to its end: it lasts 0.39 s"),
+        (COLUMNS, {"current": 1.0, "start": 0.2, "stop": 0.1}, "give the earlier time first"),
+        (COLUMNS, {"current": 1.0, "variable": "data"}, "is a text file and has no variables"),
+        (COLUMNS + ",-,temperature:K", {"current": 1.0}, "columns 1, 2, 3, 5: its line"),
+        (COLUMNS.replace("mm", "m"), {"current": 1.0}, "is it in millimetres?"),
+    ],
+)
+def test_options_that_contradict_the_record(
+    write: Any, columns: str, options: dict[str, Any], sentence: str
+) -> None:
+    path = write(rows())
+    assert sentence in refused(lambda: read_record(path, columns, **options))
+
+
+def test_a_header_that_is_not_there_is_named_with_those_that_are(write: Any) -> None:
+    path = write(["t;x;F", *rows(";")])
+    sentence = refused(
+        lambda: read_record(path, "time=t:s,displacement=x:mm,force=Force:N", current=0.0)
+    )
+    assert "missing Force in 't; x; F'" in sentence
+
+
+@pytest.mark.parametrize(
+    ("factor", "wrong"), [(1.0, True), (1e-3, False), (-1e-3, True), (1e-6, True)]
+)
+def test_a_velocity_that_contradicts_the_displacement_is_said(
+    write: Any, factor: float, wrong: bool
+) -> None:
+    velocity = np.gradient(DISPLACEMENT_MM, TIME) * 1e-3
+    lines = [f"{row} {v}" for row, v in zip(rows(), velocity, strict=True)]
+    columns = f"{COLUMNS},velocity:{factor * 1e3:g}*m/s"
+    if wrong:
+        sentence = refused(lambda: read_record(write(lines), columns, current=0.5))
+        assert "times the rate of the displacement" in sentence
+    else:
+        read_record(write(lines), columns, current=0.5)
+
+
+# ---- wrong files ----
+
+
+def with_line(index: int, text: str) -> list[str]:
+    lines = rows()
+    lines[index] = text
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("lines", "sentence"),
+    [
+        (with_line(7, "0.070000 nan 3"), "the displacement in line 8 of run.txt is nan"),
+        (with_line(7, "0.070000 1 inf"), "the force in line 8 of run.txt is inf"),
+        (with_line(7, "nan 1 2"), "the time in line 8 of run.txt is nan"),
+        (with_line(7, "0.070000 oops 3"), "column 2 in line 8 of run.txt is 'oops'"),
+        (with_line(7, "0.070000 1"), "line 8 of run.txt has 2 columns, but column 3 is wanted"),
+        (with_line(7, "0.060000 1 2"), "the time in line 8 of run.txt does not rise"),
+        (rows()[:5] + rows()[9:], "the time in line 6 of run.txt jumps by 0.05 s where 0.01 s"),
+        (rows()[:1], "holds one row of numbers"),
+        (["time displacement force"], "holds no row with numbers in columns 1, 2, 3"),
+        (["", "  "], "holds no row with numbers in columns 1, 2, 3: it is empty"),
+    ],
+)
+def test_rows_that_cannot_be_used_are_named(write: Any, lines: list[str], sentence: str) -> None:
+    assert sentence in refused(lambda: read_record(write(lines), COLUMNS, current=0.5))
+
+
+def test_what_lies_outside_the_part_does_not_matter(write: Any) -> None:
+    path = write(with_line(30, "0.300000 nan 3"))
+    assert read_record(path, COLUMNS, current=0.5, stop=0.25).sample_count == 26
+
+
+def test_an_uneven_pace_is_refused(write: Any) -> None:
+    times = np.cumsum(np.linspace(0.008, 0.011, 40))
+    lines = [f"{t} {row[9:]}" for t, row in zip(times, rows(), strict=True)]
+    sentence = refused(lambda: read_record(write(lines), COLUMNS, current=0.5))
+    assert "are not evenly spaced" in sentence
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"", "is empty"),
+        (b"PK\x03\x04 and so on", "save it as CSV first"),
+        (b"\x7fELF\0\0\0", "is not a text file"),
+    ],
+)
+def test_files_that_are_no_records(write: Any, content: bytes, sentence: str) -> None:
+    assert sentence in refused(lambda: read_record(write(content), COLUMNS, current=0.5))
+
+
+# ---- the program ----
+
+
+def test_a_file_becomes_a_bag_and_its_ranges_are_shown(
+    write: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, bag = write(rows()), tmp_path / "bags" / "run"
+    code = import_record.main(
+        [str(path), "--columns", COLUMNS, "--current", "0.5", "--output", str(bag)]
+    )
+    assert code == 0
+    shown = capsys.readouterr().out
+    assert "40 samples, 10 ms apart (100 Hz), 0.4 s" in shown
+    assert f"displacement  {DISPLACEMENT_MM.min():.6g} to {DISPLACEMENT_MM.max():.6g} mm" in shown
+    (read,) = read_bag(bag)
+    np.testing.assert_allclose(read.force, FORCE, atol=1e-6)
+    assert read.details["provenance"] == "imported from run.txt"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["{path}", "--columns", COLUMNS], "the coil current is not known"),
+        (["{path}.not", "--columns", COLUMNS, "--current", "1"], "No such file or directory"),
+        (["{folder}", "--columns", COLUMNS, "--current", "1"], "is a folder"),
+    ],
+)
+def test_a_failure_is_one_sentence_and_leaves_no_bag(
+    write: Any,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    sentence: str,
+) -> None:
+    path = write(rows())
+    filled = [a.format(path=path, folder=tmp_path) for a in arguments]
+    assert import_record.main([*filled, "--output", str(tmp_path / "bag")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("import_record: ")
+    assert sentence in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(
+    ("raised", "code"),
+    [(ValueError("so it is"), 2), (OSError(28, "No space left"), 2), (KeyboardInterrupt(), 130)],
+)
+def test_expected_failures_have_exit_codes(
+    raised: BaseException, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(options: argparse.Namespace) -> int:
+        raise raised
+
+    assert run_tool(argparse.ArgumentParser("tool"), run, []) == code
+    assert capsys.readouterr().err.strip().startswith("tool: ")
+
+
+def test_a_fault_of_the_program_keeps_its_traceback() -> None:
+    def run(options: argparse.Namespace) -> int:
+        raise KeyError("a fault")
+
+    with pytest.raises(KeyError):
+        run_tool(argparse.ArgumentParser("tool"), run, [])
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    write_text(tmp_path / "new" / "file", "whole")
+    with pytest.raises(UnicodeEncodeError):
+        write_text(tmp_path / "new" / "file", "half\ud800")
+    assert (tmp_path / "new" / "file").read_text() == "whole"
+    assert [entry.name for entry in (tmp_path / "new").iterdir()] == ["file"]
+
+
+# ---- recordings from a laboratory ----
+
+
+@pytest.fixture(scope="module")
+def laboratory() -> Path:
+    folder = os.environ.get("MR_DAMPER_DATA")
+    if not folder:
+        pytest.skip("MR_DAMPER_DATA does not name the folder of the recordings")
+    return Path(folder) / "utfsm"
+
+
+def test_every_processed_record_reads_unchanged(laboratory: Path) -> None:
+    paths = sorted((laboratory / "processed").glob("*.txt"))
+    assert len(paths) == 20
+    for path in paths:
+        amplitude = float(path.stem.partition("mm")[0]) * 1e-3
+        read = read_record(path, "time:s,displacement:mm,velocity:mm/s,force:N", current=0.5)
+        assert read.period == pytest.approx(1e-3 if path.stem.startswith("10mm") else 5e-3)
+        assert 0.75 < np.ptp(read.displacement) / (2.0 * amplitude) < 1.05
+        assert 100.0 < read.force.max() < 2000.0
+
+
+@pytest.mark.parametrize("name", ["ME25mm0x25Hz", "ME2mm5Hz"])
+@pytest.mark.parametrize(
+    "columns",
+    [
+        "time:0.005*s,-,force:980.665*N,displacement:10*mm",
+        "time=Sample Number:0.005*s,force=CHANNEL0:980.665*N,displacement=CHANNEL1:10*mm",
+    ],
+)
+def test_raw_records_read_unchanged(laboratory: Path, name: str, columns: str) -> None:
+    path = laboratory / "raw" / f"{name}.txt"
+    whole = read_record(path, columns, current=0.5)
+    assert whole.period == 0.005
+    assert whole.sample_count == sum(1 for _ in path.open()) - 7
+    assert 1000.0 < whole.force.max() < 2000.0
+    part = read_record(path, columns, current=0.0, start=2.0, stop=9.0)
+    np.testing.assert_array_equal(part.force, whole.force[400:1801])
+
+
+def test_the_earthquake_record_reads_unchanged(laboratory: Path) -> None:
+    peaks = [
+        read_record(
+            laboratory / "earthquake.mat",
+            f"displacement:mm{',-' * k},force:N",
+            current=current,
+            period=1e-3,
+            variable="data",
+        ).force.max()
+        for k, current in enumerate((0.2, 0.6, 1.0))
+    ]
+    assert peaks == pytest.approx([345.566, 907.709, 1211.784], abs=1e-3)
