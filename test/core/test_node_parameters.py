@@ -1,0 +1,129 @@
+"""The parameter tables of the nodes: validation, and agreement with config/*.yaml."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from mr_damper_ros.nodes.parameters import Option, Table, build, describe, group, option, options
+
+CONFIG = Path(__file__).parents[2] / "config"
+NODES = ("bridge", "identifier", "model", "replay")
+
+
+@dataclass(frozen=True)
+class Inner(Table):
+    gain: float = option(2.0, "Gain.", minimum=0.0, maximum=10.0)
+
+
+@dataclass(frozen=True)
+class Example(Table):
+    mode: str = option("slow", "Mode.", choices=("slow", "fast"))
+    count: int = option(3, "Count.", minimum=1)
+    active: bool = option(True, "Active.", read_only=True)
+    maybe: float = option(math.nan, "Not given.")
+    inner: Inner = group(Inner)
+
+
+OPTIONS = {item.name: item for item in options(Example)}
+
+
+def test_groups_prefix_the_names_of_their_options() -> None:
+    assert list(OPTIONS) == ["mode", "count", "active", "maybe", "inner.gain"]
+
+
+def test_a_table_is_built_from_values_by_full_name() -> None:
+    built = build(Example, {"count": 7, "inner.gain": 1.5})
+    assert (built.count, built.inner.gain, built.mode) == (7, 1.5, "slow")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "part"),
+    [
+        ("mode", "medium", "must be one of slow, fast"),
+        ("mode", 3, "must be a text"),
+        ("count", 0, "must be at least 1"),
+        ("count", 2.0, "must be an integer"),
+        ("count", True, "must be an integer"),
+        ("active", 1, "must be true or false"),
+        ("inner.gain", 11.0, "must be from 0 to 10"),
+        ("inner.gain", math.nan, "must be a finite number"),
+        ("inner.gain", math.inf, "must be a finite number"),
+        ("inner.gain", None, "must be a number"),
+        ("maybe", math.inf, "must be a finite number"),
+    ],
+)
+def test_a_bad_value_is_refused_in_a_sentence(name: str, value: Any, part: str) -> None:
+    objection = OPTIONS[name].objection(value)
+    assert part in objection
+    assert name in objection
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("mode", "fast"), ("count", 1), ("inner.gain", 10.0), ("maybe", math.nan)]
+)
+def test_a_good_value_is_accepted(name: str, value: Any) -> None:
+    assert OPTIONS[name].objection(value) == ""
+
+
+def test_an_integer_counts_as_a_number_but_not_the_other_way_round() -> None:
+    assert type(OPTIONS["inner.gain"].normalised(4)) is float
+    assert OPTIONS["count"].normalised(4.0) == 4.0
+    assert OPTIONS["count"].objection(OPTIONS["count"].normalised(4.0))
+
+
+def test_the_description_names_every_option_and_its_limits() -> None:
+    text = describe(Example)
+    assert all(name in text for name in OPTIONS)
+    assert "one of slow, fast" in text
+    assert "from 0 to 10" in text
+
+
+def flat(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def table_of(node: str) -> list[Option]:
+    pytest.importorskip("rclpy", reason="the nodes need ROS")
+    module = import_module(f"mr_damper_ros.nodes.{node}")
+    return list(options(getattr(module, f"{node.capitalize()}Parameters")))
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_the_file_has_the_options_of_the_table_in_its_order_with_its_defaults(node: str) -> None:
+    table = table_of(node)
+    document = yaml.safe_load((CONFIG / f"{node}.yaml").read_text(encoding="utf-8"))
+    values = dict(flat(document["/**"]["ros__parameters"]))
+    assert list(values) == [item.name for item in table]
+    for item in table:
+        value = values[item.name]
+        assert type(value) is item.kind, item.name
+        both_nan = value != value and item.default != item.default
+        assert value == item.default or both_nan, item.name
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_every_entry_of_the_file_is_explained(node: str) -> None:
+    lines = (CONFIG / f"{node}.yaml").read_text(encoding="utf-8").splitlines()
+    start = lines.index("  ros__parameters:")
+    for before, line in zip(lines[start:], lines[start + 1 :], strict=False):
+        if line.strip() and not line.lstrip().startswith("#"):
+            assert before.lstrip().startswith("#"), f"{node}.yaml: {line.strip()}"
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_every_option_is_described_and_its_default_allowed(node: str) -> None:
+    for item in table_of(node):
+        assert item.objection(item.default) == "", item.name
+        assert item.description.endswith("."), item.name
