@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -436,3 +438,18 @@ def test_two_rigs_in_one_bag_must_be_told_apart(tmp_path: Path, typestore: Any) 
 def test_the_messages_written_are_those_of_the_package(typestore: Any) -> None:
     for message_type in (bags.SAMPLES_TYPE, bags.CURRENT_TYPE):
         assert bags.message_hash(message_type) == typestore.hash_rihs01(message_type)
+
+
+@pytest.mark.parametrize("name", ["MtsSamples", "SupplyCurrent"])
+def test_the_built_package_accepts_the_messages_in_bags(name: str) -> None:
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    built = [Path(p) / "share" / "mr_damper_msgs" / "msg" / f"{name}.json" for p in prefixes]
+    described = next((path for path in built if path.is_file()), None)
+    if described is None:
+        pytest.skip("AMENT_PREFIX_PATH names no built mr_damper_msgs")
+    message_type = f"mr_damper_msgs/msg/{name}"
+    hashes = {
+        entry["type_name"]: entry["hash_string"]
+        for entry in json.loads(described.read_text())["type_hashes"]
+    }
+    assert bags.message_hash(message_type) == hashes[message_type]
