@@ -52,6 +52,9 @@ _FOREVER = 1e9
 _JUMP_BACK = 1.0
 """A current stamped earlier than the one before by more than this [s] opens a new round."""
 
+_STAMP_LIMIT = 2**31 * NANOSECONDS
+"""The seconds of a stamp are a signed number of 32 bits."""
+
 _INFINITE = QosTime(9223372036, 854775807)
 
 # A fast replay must not lose blocks: the depth is that of the live publishers.
@@ -156,6 +159,11 @@ def write_bag(
         raise BagError(f"the block size is {block_size}: give at least 1 sample")
     if not (math.isfinite(current_period) and current_period > 0.0):
         raise BagError(f"the current period is {current_period} s: it must be positive")
+    if not 0 <= recording.start_ns <= recording.stamp_ns(recording.sample_count) < _STAMP_LIMIT:
+        raise BagError(
+            f"'{recording.name}' starts {recording.start_ns / NANOSECONDS:.0f} s after 1970, and "
+            "the stamps of messages reach from 1970 to 2038: give it another start"
+        )
     path = Path(os.path.abspath(path))
     _check_free(path, overwrite)
     messages = [

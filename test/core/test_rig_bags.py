@@ -69,7 +69,7 @@ def assert_same(read: Recording, written: Recording) -> None:
     ),
     period=st.sampled_from([1e-3, 5e-3, 1.0 / 3000.0, 1.0 / 4096.0, 1e-5]),
     block_size=st.integers(1, 70),
-    start_ns=st.integers(1, 2**61),
+    start_ns=st.integers(0, (2**31 - 1) * 10**9),
 )
 def test_a_recording_comes_back_bit_for_bit(
     tmp_path: Path,
@@ -187,6 +187,12 @@ def test_settings_out_of_range_are_refused(
     with pytest.raises(BagError, match=sentence):
         write_bag(tmp_path / "bag", recording(), **settings)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("start_ns", [-1, 2**31 * 10**9 - 1000])
+def test_a_time_that_no_stamp_can_hold_is_refused(tmp_path: Path, start_ns: int) -> None:
+    with pytest.raises(BagError, match="from 1970 to 2038"):
+        write_bag(tmp_path / "bag", recording(start_ns=start_ns))
 
 
 # ---- damaged and foreign bags ----
