@@ -172,9 +172,9 @@ class Watcher(Node):  # type: ignore[misc]
     def _keep_report(self, message: FitReport) -> None:
         self.reports.append(message)
         self.last_report = time.monotonic()
-        elapsed = 1e-9 * (to_nanoseconds(message.header.stamp) - to_nanoseconds(
-            self.reports[0].window_start
-        ))
+        elapsed = 1e-9 * (
+            to_nanoseconds(message.header.stamp) - to_nanoseconds(self.reports[0].window_start)
+        )
         verdict = "accepted" if message.accepted else f"kept: {message.reason}"
         print(
             f"{elapsed:6.1f} s  NRMSE {message.nrmse_before:9.2%} -> {message.nrmse_after:6.2%}  "
@@ -200,9 +200,7 @@ def _watch(watcher: Watcher, processes: Processes, replay: subprocess.Popen[byte
         rclpy.spin_once(watcher, timeout_sec=0.1)
 
 
-def _summary(
-    watcher: Watcher, current: Array, period: float, folder: Path, name: str
-) -> int:
+def _summary(watcher: Watcher, current: Array, period: float, folder: Path, name: str) -> int:
     found = watcher.parameters
     assert found is not None
     values = dict(zip(found.names, found.values, strict=True))
@@ -218,14 +216,20 @@ def _summary(
         shown = f"{error:14.3g}" if observable else "not observable"
         print(f"{parameter:>9} {value:12.6g}  {shown}  {unit}")
 
-    displacement = np.concatenate([watcher.displacement[seq] for seq in sorted(watcher.displacement)])
+    displacement = np.concatenate(
+        [watcher.displacement[seq] for seq in sorted(watcher.displacement)]
+    )
     measured = np.concatenate([watcher.measured[seq] for seq in sorted(watcher.measured)])
     motion = window_motion(displacement, period)
     kinematics = (motion.displacement, motion.velocity, motion.acceleration)
     identified = np.array([values[parameter] for parameter in PARAMETER_NAMES])
     amperes = float(np.mean(current))
-    print(f"\n{'NRMSE with the literature set, before:':46}{_nrmse(force(LITERATURE, *kinematics, amperes), measured):10.2%}")
-    print(f"{'NRMSE with the identified set, after:':46}{_nrmse(force(identified, *kinematics, amperes), measured):10.2%}")
+    print(
+        f"\n{'NRMSE with the literature set, before:':46}{_nrmse(force(LITERATURE, *kinematics, amperes), measured):10.2%}"
+    )
+    print(
+        f"{'NRMSE with the identified set, after:':46}{_nrmse(force(identified, *kinematics, amperes), measured):10.2%}"
+    )
     both = [seq for seq in sorted(watcher.predicted) if seq in watcher.measured]
     if not both:
         raise DemoError("the model node predicted nothing valid: see /diagnostics")

@@ -9,12 +9,18 @@ from mr_damper_ros.damper.sigmoid import Array
 
 _STRETCHES = 64
 
+_SMALLEST_RETURN = 1e-4
+"""A reversal counts once the motion has come back by this [m] and by a quarter of its span."""
+
 
 class MotionCentre:
     """Middle of the span of the displacement over the last ``memory`` seconds.
 
     It is exact for any steady motion of which a whole cycle lies within the memory. It is kept by
     the lowest and highest value of short stretches, so that its cost does not grow with the rate.
+
+    ``reversals`` counts the changes of direction; ``half_cycle`` [s] is the time between the last
+    two of them, NaN before.
     """
 
     def __init__(self, memory: float, period: float) -> None:
@@ -23,8 +29,12 @@ class MotionCentre:
         self._highest: deque[float] = deque([-math.inf], maxlen=_STRETCHES)
         self._in_stretch = 0
         self._direction = 0
-        self._turning = math.nan
+        self._bottom, self._top = math.inf, -math.inf
+        self._count = 0
+        self._turned_at = 0
+        self._period = period
         self.reversals = 0
+        self.half_cycle = math.nan
 
     def follow(self, displacement: Array) -> float:
         """Centre [m] after these samples of shape (n,), n >= 1."""
@@ -36,23 +46,24 @@ class MotionCentre:
         self._lowest[-1] = min(self._lowest[-1], low)
         self._highest[-1] = max(self._highest[-1], high)
         self._in_stretch += displacement.size
+        self._count += displacement.size
         bottom, top = min(self._lowest), max(self._highest)
-        self._count_reversals(low, high, 0.25 * (top - bottom))
+        self._bottom, self._top = min(self._bottom, low), max(self._top, high)
+        self._count_reversals(float(displacement[-1]), max(0.25 * (top - bottom), _SMALLEST_RETURN))
         return 0.5 * (bottom + top)
 
-    def _count_reversals(self, low: float, high: float, threshold: float) -> None:
-        # A reversal counts once the motion has come back by a quarter of its span: noise does not.
-        if math.isnan(self._turning):
-            self._turning = low
-            return
-        if self._direction >= 0:
-            self._turning = max(self._turning, high)
-            if self._turning - low > threshold > 0.0:
-                self.reversals += self._direction > 0
-                self._direction, self._turning = -1, low
-                return
-        if self._direction <= 0:
-            self._turning = min(self._turning, low)
-            if high - self._turning > threshold > 0.0:
-                self.reversals += self._direction < 0
-                self._direction, self._turning = 1, high
+    def _count_reversals(self, newest: float, threshold: float) -> None:
+        if self._direction >= 0 and self._top - newest > threshold:
+            self._turn(-1)
+            self._bottom = newest
+        elif self._direction <= 0 and newest - self._bottom > threshold:
+            self._turn(1)
+            self._top = newest
+
+    def _turn(self, direction: int) -> None:
+        if self._direction != 0:
+            self.reversals += 1
+            if self.reversals > 1:
+                self.half_cycle = (self._count - self._turned_at) * self._period
+            self._turned_at = self._count
+        self._direction = direction

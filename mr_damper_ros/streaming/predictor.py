@@ -9,12 +9,13 @@ import numpy as np
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.sigmoid import Array, force, peak_velocity
 from mr_damper_ros.kinematics.causal import CausalDifferentiator
+from mr_damper_ros.kinematics.sine_follower import SineFollower
 from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.streaming.centre import MotionCentre
 from mr_damper_ros.streaming.held_current import HeldCurrent
 
-_REVERSALS_FOR_CENTRE = 2
-"""The centre of the motion is known once both of its ends have been seen."""
+_REVERSALS_FOR_CENTRE = 3
+"""The centre of a motion is known once its ends have been seen, the first of them surely whole."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class ForcePredictor:
         self._sequence = BlockSequence()
         self._differentiator: CausalDifferentiator | None = None
         self._centre: MotionCentre | None = None
+        self._sine: SineFollower | None = None
 
     @property
     def lost_samples(self) -> int:
@@ -83,12 +85,21 @@ class ForcePredictor:
         verdict = self._sequence.follow(block)
         if verdict.kind == "repeat":
             return self._invalid(block, verdict.sentence, verdict.sentence)
-        if self._differentiator is None or self._centre is None or verdict.restarts:
+        if (
+            self._differentiator is None
+            or self._centre is None
+            or self._sine is None
+            or verdict.restarts
+        ):
             bandwidth = min(self._settings.bandwidth, 0.25 / block.period)
             self._differentiator = CausalDifferentiator(block.period, bandwidth)
             self._centre = MotionCentre(self._settings.centre_memory, block.period)
+            self._sine = SineFollower(block.period, self._settings.centre_memory)
         displacement, velocity, acceleration = self._differentiator.follow(block.displacement)
-        centre = self._centre.follow(block.displacement)
+        centred = displacement - self._centre.follow(block.displacement)
+        sine = self._sine.follow(block.displacement, self._centre.half_cycle)
+        if sine is not None:
+            centred, velocity, acceleration = sine
         reason = ""
         if self._parameters is None:
             reason = "no parameters yet: start the identifier or give parameter_file"
@@ -96,10 +107,9 @@ class ForcePredictor:
             reason = "no supply current yet: is it published on supply/current?"
         if reason or self._parameters is None:
             return self._invalid(block, reason, verdict.sentence)
-        centred = displacement - centre
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         predicted = force(self._parameters.values, centred, velocity, acceleration, current)
-        reason = self._doubt(
+        reason = self._doubt_of_motion(steady=sine is not None) or self._doubt(
             block, peak_velocity(centred, velocity, acceleration), current, self._parameters
         )
         return Prediction(
@@ -113,16 +123,24 @@ class ForcePredictor:
             continuity=verdict.sentence,
         )
 
-    def _doubt(
-        self, block: SampleBlock, speed: Array, current: Array, parameters: ParameterSet
-    ) -> str:
-        """Why the force of this block should not be relied on; empty where it may be."""
+    def _doubt_of_motion(self, *, steady: bool) -> str:
+        """Why velocity and peak velocity are not known well yet; empty where they are."""
         assert self._differentiator is not None
         assert self._centre is not None
+        if steady:
+            return ""
         if not self._differentiator.settled:
             return "the velocity estimate is still settling after the start of the stream"
         if self._centre.reversals < _REVERSALS_FOR_CENTRE:
-            return "the centre of the motion is not known before two reversals"
+            return (
+                "the centre of the motion is not known before the motion has reversed three times"
+            )
+        return ""
+
+    def _doubt(
+        self, block: SampleBlock, speed: Array, current: Array, parameters: ParameterSet
+    ) -> str:
+        """Why the parameters should not be relied on for this block; empty where they may be."""
         last = self._current.last_stamp_ns
         assert last is not None
         age = (block.end_ns - last) / NANOSECONDS

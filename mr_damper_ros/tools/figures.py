@@ -14,7 +14,12 @@ _PREDICTED = "#b2182b"
 
 
 def loop_figures(
-    folder: Path, displacement: Array, velocity: Array, measured: Array, predicted: Array, title: str
+    folder: Path,
+    displacement: Array,
+    velocity: Array,
+    measured: Array,
+    predicted: Array,
+    title: str,
 ) -> list[Path]:
     """Draw force over velocity and force over displacement; returns the PNG files written.
 
@@ -22,7 +27,9 @@ def loop_figures(
     """
     folder.mkdir(parents=True, exist_ok=True)
     return [
-        _loop(folder / "force_velocity.png", velocity, "Velocity [m/s]", measured, predicted, title),
+        _loop(
+            folder / "force_velocity.png", velocity, "Velocity [m/s]", measured, predicted, title
+        ),
         _loop(
             folder / "force_displacement.png",
             1e3 * np.asarray(displacement),

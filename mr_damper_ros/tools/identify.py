@@ -16,8 +16,8 @@ from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, PARAMETER_NAMES
 from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
 from mr_damper_ros.identification.global_fit import METHODS, GlobalFit, identify_global
-from mr_damper_ros.tools.console import run_tool, write_text
 from mr_damper_ros.streaming.state import read_parameter_file
+from mr_damper_ros.tools.console import run_tool, write_text
 from mr_damper_ros.tools.progress import ProgressLine
 from mr_damper_ros.tools.windows import BagWindows, bag_windows, metrics
 
@@ -34,7 +34,9 @@ def _parser() -> argparse.ArgumentParser:
         prog="identify",
         description="Fit one parameter set of the sigmoid force law to all bags given.",
     )
-    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file")
+    parser.add_argument(
+        "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
+    )
     parser.add_argument(
         "--method",
         choices=METHODS,
@@ -69,7 +71,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _identify(options: argparse.Namespace) -> int:
-    start = LITERATURE if options.start == "literature" else read_parameter_file(options.start).values
+    start = (
+        LITERATURE if options.start == "literature" else read_parameter_file(options.start).values
+    )
     settings = EvolutionSettings(
         strategy=options.strategy, generations=options.generations, seed=options.seed
     )

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from mr_damper_ros.tools.console import run_tool, write_text
 from mr_damper_ros.streaming.state import read_parameter_file
+from mr_damper_ros.tools.console import run_tool, write_text
 from mr_damper_ros.tools.windows import bag_windows, metrics
 
 
@@ -25,7 +25,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "parameters", type=Path, metavar="PARAMETERS.yaml", help="as written by identify --output"
     )
-    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file")
+    parser.add_argument(
+        "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
     return parser
 

@@ -1,0 +1,110 @@
+"""A sine that is fitted to the latest cycles of a stream, block by block.
+
+While the motion is a steady sinusoid the fit gives velocity and acceleration at the newest sample
+without delay and nearly without noise: that of a whole cycle of samples is averaged, where an
+observer averages some milliseconds. As soon as the newest samples leave the sine by more than
+their noise it says so, and something else must be used.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.kinematics.motion import SINE_TOLERANCE, displacement_noise
+
+_CYCLES = 1.5
+"""Length of the fit in cycles: longer averages more, shorter forgets a change sooner."""
+
+_FEWEST_CYCLES = 1.0
+_POINTS = 256
+"""The fit takes every so-many-th sample, so that its cost does not grow with the rate."""
+
+_NOISE_SAMPLES = 256
+_NOISE_FACTOR = 1.5
+_LEAVING = 5.0
+"""A sample this many times the allowed residual away from the sine ends it."""
+
+_FIRST_STEPS = 8
+"""Corrections of the frequency after a new start; one per block keeps it afterwards."""
+
+_LARGEST_STEP = 0.1
+"""The frequency is corrected by at most this part of itself per block."""
+
+
+class SineFollower:
+    """Fits a sine to the latest samples of a displacement, ``period`` [s] apart.
+
+    ``memory`` [s] is the longest stretch that is kept.
+    """
+
+    def __init__(self, period: float, memory: float) -> None:
+        self._period = period
+        self._samples = np.empty(0)
+        self._most = max(round(memory / period), 2)
+        self._omega = 0.0
+
+    def follow(self, displacement: Array, half_cycle: float) -> tuple[Array, Array, Array] | None:
+        """Displacement about the centre, velocity and acceleration at the samples, shape (n,).
+
+        ``half_cycle`` [s] is the time between the last two reversals, NaN while unknown: the
+        start of the frequency. None where the motion is no steady sine, or not yet.
+        """
+        self._samples = np.concatenate((self._samples, displacement))[-self._most :]
+        steps = 1
+        if self._omega == 0.0:
+            if math.isnan(half_cycle):
+                return None
+            self._omega = math.pi / half_cycle
+            steps = _FIRST_STEPS
+        cycle = 2.0 * math.pi / self._omega / self._period
+        length = round(_CYCLES * cycle)
+        if self._samples.size < round(_FEWEST_CYCLES * cycle):
+            return None
+        recent = self._samples[-length:]
+        stride = max(recent.size // _POINTS, 1)
+        # Time counts back from the newest sample.
+        time = self._period * np.arange(1 - recent.size, 1, stride)
+        points = recent[recent.size - 1 + np.round(time / self._period).astype(int)]
+        for _ in range(steps):
+            weights, residual = self._fit(time, points)
+        amplitude = math.hypot(weights[0], weights[1])
+        allowed = max(
+            SINE_TOLERANCE * amplitude / math.sqrt(2.0),
+            _NOISE_FACTOR * displacement_noise(recent[-_NOISE_SAMPLES:]),
+        )
+        if math.sqrt(float(np.mean(residual**2))) > allowed:
+            # Perhaps the frequency has been lost: start again from the reversals.
+            self._omega = 0.0
+            return None
+        angle = self._omega * self._period * np.arange(1 - displacement.size, 1)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        centred = weights[0] * sine + weights[1] * cosine
+        if float(np.max(np.abs(centred + weights[2] - displacement))) > _LEAVING * allowed:
+            return None
+        velocity = self._omega * (weights[0] * cosine - weights[1] * sine)
+        return centred, velocity, -(self._omega**2) * centred
+
+    def _fit(self, time: Array, points: Array) -> tuple[Array, Array]:
+        """One step of Gauss and Newton: weights of sine, cosine and offset; residual."""
+        angle = self._omega * time
+        sine, cosine = np.sin(angle), np.cos(angle)
+        columns = np.column_stack((sine, cosine, np.ones(time.size)))
+        weights = _solve(columns, points)
+        by_frequency = time * (weights[0] * cosine - weights[1] * sine)
+        step = _solve(np.column_stack((columns, by_frequency)), points - columns @ weights)
+        correction = float(np.clip(step[3] / self._omega, -_LARGEST_STEP, _LARGEST_STEP))
+        self._omega *= 1.0 + correction
+        residual = points - columns @ (weights + step[:3]) - step[3] * by_frequency
+        # The weights belong to the corrected frequency: the basis turns about the newest sample.
+        return weights + step[:3], residual
+
+
+def _solve(columns: Array, values: Array) -> Array:
+    """Least squares by the normal equations: a handful of well-scaled columns."""
+    size = np.linalg.norm(columns, axis=0)
+    scaled = columns / np.where(size > 0.0, size, 1.0)
+    gram = scaled.T @ scaled + 1e-12 * np.eye(columns.shape[1])
+    return np.asarray(np.linalg.solve(gram, scaled.T @ values) / np.where(size > 0.0, size, 1.0))
