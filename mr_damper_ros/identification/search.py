@@ -129,6 +129,6 @@ def _standard_error_axes(jacobian: Array, noise: float) -> Array:
     safe = np.where(lengths > 0.0, lengths, 1.0)
     # The triangular factor has the singular values of the whole Jacobian, and is small.
     triangular = np.asarray(np.linalg.qr(jacobian / safe, mode="r"))
-    _, singular, vt = np.linalg.svd(triangular)
+    _, singular, vt = np.linalg.svd(triangular, full_matrices=False)
     step = noise / np.maximum(singular, 1e-4 * max(float(singular.max()), 1e-300))
-    return np.asarray((vt.T * step) / safe[:, np.newaxis])
+    return np.asarray(vt.T * step) / np.reshape(safe, (-1, 1))

@@ -66,7 +66,7 @@ class SineFollower:
         recent = self._samples[-length:]
         stride = max(recent.size // _POINTS, 1)
         # Time counts back from the newest sample.
-        time = self._period * np.arange(1 - recent.size, 1, stride)
+        time: Array = self._period * np.arange(1.0 - recent.size, 1.0, stride)
         points = recent[recent.size - 1 + np.round(time / self._period).astype(int)]
         for _ in range(steps):
             weights, residual = self._fit(time, points)

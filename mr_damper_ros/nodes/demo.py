@@ -1,4 +1,4 @@
-"""``demo``: a bag through replay, identifier and model as three processes, with what comes of it."""
+"""``demo``: a bag through replay, identifier and model as three processes, with the outcome."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.rig.bags import read_bag
+from mr_damper_ros.rig.recording import Recording
 from mr_damper_ros.tools.console import run_tool
 from mr_damper_ros.tools.figures import loop_figures
 
@@ -91,7 +92,7 @@ def _demo(options: argparse.Namespace) -> int:
             rclpy.try_shutdown()
     if watcher.parameters is None or not watcher.reports:
         raise DemoError("no window was identified: see the messages of the nodes above")
-    return _summary(watcher, recording.current, recording.period, options.output, bag.name)
+    return _summary(watcher, recording, options.output)
 
 
 class Processes:
@@ -122,7 +123,7 @@ class Processes:
         program = self._folder / name
         if not program.exists():
             raise DemoError(f"{program} is not there: build the package with `make setup`")
-        log = tempfile.TemporaryFile()
+        log = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the processes)
         process = subprocess.Popen(
             [str(program), "--ros-args", *parameters],
             stdout=log,
@@ -200,7 +201,7 @@ def _watch(watcher: Watcher, processes: Processes, replay: subprocess.Popen[byte
         rclpy.spin_once(watcher, timeout_sec=0.1)
 
 
-def _summary(watcher: Watcher, current: Array, period: float, folder: Path, name: str) -> int:
+def _summary(watcher: Watcher, recording: Recording, folder: Path) -> int:
     found = watcher.parameters
     assert found is not None
     values = dict(zip(found.names, found.values, strict=True))
@@ -220,23 +221,22 @@ def _summary(watcher: Watcher, current: Array, period: float, folder: Path, name
         [watcher.displacement[seq] for seq in sorted(watcher.displacement)]
     )
     measured = np.concatenate([watcher.measured[seq] for seq in sorted(watcher.measured)])
-    motion = window_motion(displacement, period)
+    motion = window_motion(displacement, recording.period)
     kinematics = (motion.displacement, motion.velocity, motion.acceleration)
     identified = np.array([values[parameter] for parameter in PARAMETER_NAMES])
-    amperes = float(np.mean(current))
-    print(
-        f"\n{'NRMSE with the literature set, before:':46}{_nrmse(force(LITERATURE, *kinematics, amperes), measured):10.2%}"
-    )
-    print(
-        f"{'NRMSE with the identified set, after:':46}{_nrmse(force(identified, *kinematics, amperes), measured):10.2%}"
-    )
+    amperes = float(np.mean(recording.current))
+    before = _nrmse(force(LITERATURE, *kinematics, amperes), measured)
+    after = _nrmse(force(identified, *kinematics, amperes), measured)
+    print(f"\nNRMSE with the literature set, before:     {before:10.2%}")
+    print(f"NRMSE with the identified set, after:      {after:10.2%}")
     both = [seq for seq in sorted(watcher.predicted) if seq in watcher.measured]
     if not both:
         raise DemoError("the model node predicted nothing valid: see /diagnostics")
     predicted = np.concatenate([watcher.predicted[seq] for seq in both])
     seen = np.concatenate([watcher.measured[seq] for seq in both])
-    print(f"{'NRMSE of the force predicted while it ran:':46}{_nrmse(predicted, seen):10.2%}")
-    print(f"{'evaluations of the force law:':46}{sum(r.evaluations for r in watcher.reports):10d}")
+    print(f"NRMSE of the force predicted while it ran: {_nrmse(predicted, seen):10.2%}")
+    evaluations = sum(report.evaluations for report in watcher.reports)
+    print(f"evaluations of the force law:              {evaluations:10d}")
     first = both[0]
     chosen = slice(first, first + predicted.size)
     figures = loop_figures(
@@ -245,10 +245,16 @@ def _summary(watcher: Watcher, current: Array, period: float, folder: Path, name
         motion.velocity[chosen],
         seen,
         predicted,
-        f"{name}: measured, and predicted while it ran",
+        "\n".join((f"{recording.name}, predicted while it ran", *_provenance(recording))),
     )
     print("figures: " + ", ".join(str(path) for path in figures))
     return 0
+
+
+def _provenance(recording: Recording) -> tuple[str, ...]:
+    """What a reader of the figure must know of the data, if the recording says so."""
+    text = recording.details.get("provenance", "")
+    return (text,) if text else ()
 
 
 def _nrmse(predicted: Array, measured: Array) -> float:
