@@ -240,6 +240,11 @@ class BridgeParameters(Table):
                 "source is record, but no file is given: set the parameter record.file to the "
                 "path of one"
             )
+        if self.source == "record" and not self.record.columns:
+            return (
+                "source is record, but record.columns is empty: say what the columns hold, such "
+                "as time:s,displacement:mm,force:N"
+            )
         return ""
 
 
@@ -258,13 +263,15 @@ class Bridge(LifecycleNode):
         self._pacer = Pacer(self.parameters.values.rate)
         self._sending: SendingThread | None = None
         self._problem = ""
+        self._starting = self.parameters.values.autostart
         self._state = ""
         self._sent = 0
         self._diagnostics = Diagnostics(self, {"source": self._find})
-        if self.parameters.values.autostart:
+        if self._starting:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != TransitionCallbackReturn.SUCCESS:
                     raise ConfigurationError(self._problem)
+            self._starting = False
 
     def destroy_node(self) -> None:
         """End the sending before its publishers go."""
@@ -281,7 +288,8 @@ class Bridge(LifecycleNode):
             self._announce()
         except (ValueError, OSError) as error:
             self._problem = _in_words(error)
-            self.get_logger().error(f"the source cannot be opened: {self._problem}")
+            if not self._starting:
+                self.get_logger().error(f"the source cannot be opened: {self._problem}")
             self._close()
             return TransitionCallbackReturn.FAILURE
         self._problem = ""

@@ -1,0 +1,50 @@
+"""Fixtures of the tests over real DDS."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+# The test modules are no package: this is where they find `support`.
+sys.path.insert(0, str(Path(__file__).parent))
+
+pytest.importorskip("rclpy", reason="these tests need ROS")
+
+from support import DomainLock, Listener, Program, installed_programs
+
+_DOMAIN = DomainLock()
+"""Held while this process lives: tests that run at the same time must not hear each other."""
+
+# Before any context exists, and for all programs that the tests start.
+os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN.number)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+
+Start = Callable[..., Program]
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Start installed programs: ``start("bridge", rate=0.0, remap={"a": "b"})``."""
+    folder = installed_programs()
+    running: list[Program] = []
+
+    def starter(name: str, *arguments: str, **parameters: object) -> Program:
+        program = Program(folder / name, *arguments, **parameters)
+        running.append(program)
+        return program
+
+    yield starter
+    for program in reversed(running):
+        program.end()
+
+
+@pytest.fixture
+def listener() -> Iterator[Listener]:
+    """A node of the test's own, in a context of its own."""
+    with Listener() as node:
+        yield node

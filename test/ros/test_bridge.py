@@ -1,0 +1,286 @@
+"""The bridge as a process: what it publishes, and how it behaves."""
+
+from __future__ import annotations
+
+import math
+import signal
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
+from sensor_msgs.msg import JointState, Temperature
+from support import Listener, assert_one_sentence
+
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
+from mr_damper_ros.rig.bags import read_bag
+
+COLUMNS = "time:s,displacement:mm,force:kN"
+BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
+
+
+def stamps(messages: list[Any]) -> np.ndarray:
+    return np.array([to_nanoseconds(message.header.stamp) for message in messages])
+
+
+def joined(messages: list[MtsSamples], field: str) -> np.ndarray:
+    return np.concatenate([from_field(getattr(message, field)) for message in messages])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_emulated_rig_streams_until_it_is_told_to_stop(
+    start: Any, listener: Listener, number: signal.Signals
+) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    current = listener.listen(SupplyCurrent, "supply/current")
+    temperature = listener.listen(Temperature, "temperature")
+    mirror = listener.listen(JointState, "joint_states")
+    bridge = start("bridge", block_size=20, rate=4.0, wait_for_subscribers=1)
+    listener.until(lambda: len(samples) >= 100 and len(temperature) >= 2, "two seconds of data")
+    bridge.stop(number)
+
+    assert [message.seq for message in samples] == list(range(0, 20 * len(samples), 20))
+    assert {len(message.force) for message in samples} == {20}
+    assert {message.header.frame_id for message in [*samples, *current, *mirror]} == {"damper"}
+    offsets = stamps(samples) - to_nanoseconds(samples[0].header.stamp)
+    assert (offsets == np.arange(len(samples)) * 20_000_000).all()
+    assert stamps(current)[0] == stamps(samples)[0]
+    assert {message.current for message in current} == {1.5}
+    assert (np.diff(stamps(current)) == 100_000_000).all()
+    assert 27.0 < temperature[0].temperature < temperature[-1].temperature < 40.0
+    displacement, force = joined(samples, "displacement"), joined(samples, "force")
+    assert np.ptp(displacement) == pytest.approx(0.010, rel=0.01)
+    assert 800.0 < np.abs(force).max() < 2000.0
+    # The mirror shows samples, not something of its own.
+    index = (stamps(mirror)[0] - stamps(samples)[0]) // 1_000_000
+    assert mirror[0].position[0] == displacement[index]
+    assert mirror[0].effort[0] == force[index]
+    assert mirror[0].velocity[0] == pytest.approx(
+        (displacement[index] - displacement[index - 20]) / 0.020
+    )
+
+
+def test_a_bag_as_fast_as_possible_loses_nothing_and_the_node_stays(
+    start: Any, listener: Listener
+) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples", quality.lossless())
+    current = listener.listen(SupplyCurrent, "supply/current", quality.lossless())
+    bridge = start("bridge", source="bag", bag=BAG, rate=0.0, block_size=1, wait_for_subscribers=1)
+    recording = read_bag(BAG)[0]
+    listener.until(lambda: len(samples) >= recording.sample_count, "all samples")
+    bridge.wait_for_log(f"end of the recording: {recording.sample_count} samples")
+    assert "provenance: re-synthesised" in bridge.errors
+    listener.wait_for_finding("bridge: source", "at its end")
+
+    assert [message.seq for message in samples] == list(range(recording.sample_count))
+    assert (joined(samples, "displacement") == recording.displacement).all()
+    assert (joined(samples, "force") == recording.force).all()
+    assert {message.current for message in current} == {1.5}
+    assert stamps(current)[-1] == stamps(samples)[-1], "the current is known to the last sample"
+
+
+def test_a_record_file_is_published_in_si_units(
+    start: Any, listener: Listener, tmp_path: Path
+) -> None:
+    time = np.arange(500) * 0.002
+    displacement = 4.0 * np.sin(2.0 * math.pi * time)
+    force = 0.9 * np.cos(2.0 * math.pi * time)
+    rows = zip(time, displacement, force, strict=True)
+    text = "time;displacement;force\n" + "".join(f"{t};{u};{f}\n" for t, u, f in rows)
+    record = tmp_path / "run.csv"
+    record.write_text(text, encoding="utf-8")
+    samples = listener.listen(MtsSamples, "mts/samples")
+    current = listener.listen(SupplyCurrent, "supply/current")
+    start(
+        "bridge",
+        source="record",
+        record__file=record,
+        record__columns=COLUMNS,
+        record__current=0.5,
+        rate=10.0,
+        wait_for_subscribers=1,
+    )
+    listener.until(lambda: len(samples) == 50, "all samples")
+    assert joined(samples, "displacement") == pytest.approx(1e-3 * displacement, abs=1e-12)
+    assert joined(samples, "force") == pytest.approx(1e3 * force, abs=1e-9)
+    assert samples[0].period == pytest.approx(0.002)
+    assert current[0].current == 0.5
+
+
+def test_a_loop_goes_on_in_count_and_stamps_and_leaves_a_second_out(
+    start: Any, listener: Listener
+) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    start(
+        "bridge",
+        source="bag",
+        bag=BAG,
+        rate=50.0,
+        loop=True,
+        block_size=100,
+        wait_for_subscribers=1,
+    )
+    listener.until(lambda: samples and samples[-1].seq >= 14_100, "three rounds")
+    seams = 0
+    for before, after in pairwise(samples):
+        assert after.seq == before.seq + len(before.force)
+        gap = to_nanoseconds(after.header.stamp) - to_nanoseconds(before.header.stamp)
+        length = 1_000_000 * len(before.force)
+        seams += gap != length
+        assert gap in (length, length + 1_000_000_000)
+    assert seams == 2
+
+
+def test_the_supply_is_turned_while_the_rig_runs(start: Any, listener: Listener) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    current = listener.listen(SupplyCurrent, "supply/current")
+    start("bridge", emulated__damper="5.0mm_1Hz_0.5A", emulated__current=0.5)
+    listener.until(lambda: current, "the current")
+    assert listener.set_parameter("bridge", "emulated.current", 1.0).successful
+    listener.until(lambda: current[-1].current == 1.0, "the new current")
+    step = next(to_nanoseconds(m.header.stamp) for m in current if m.current == 1.0)
+    listener.until(lambda: stamps(samples)[-1] > step + 600_000_000, "samples with it")
+    after = [m for m in samples if to_nanoseconds(m.header.stamp) >= step]
+    assert np.abs(joined(after, "force")).max() > 0.0
+
+    refused = listener.set_parameter("bridge", "emulated.current", 11.0)
+    assert not refused.successful
+    assert "emulated.current" in refused.reason
+    refused = listener.set_parameter("bridge", "block_size", 20)
+    assert not refused.successful
+    assert "read-only" in refused.reason
+    refused = listener.set_parameter("bridge", "emulated.current", "much")
+    assert not refused.successful
+
+
+def transition(listener: Listener, number: int) -> bool:
+    request = ChangeState.Request(transition=Transition(id=number))
+    return bool(listener.call(ChangeState, "bridge/change_state", request).success)
+
+
+def state(listener: Listener) -> int:
+    return int(listener.call(GetState, "bridge/get_state").current_state.id)
+
+
+def test_a_lifecycle_manager_configures_activates_and_cleans_up(
+    start: Any, listener: Listener
+) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    start("bridge", autostart=False)
+    listener.wait_for_finding("bridge: source", "not configured")
+    assert state(listener) == State.PRIMARY_STATE_UNCONFIGURED
+    assert transition(listener, Transition.TRANSITION_CONFIGURE)
+    listener.wait_for_finding("bridge: source", "not active")
+    assert not samples
+    for _ in range(2):
+        assert transition(listener, Transition.TRANSITION_ACTIVATE)
+        listener.until(lambda: len(samples) >= 5, "samples")
+        assert transition(listener, Transition.TRANSITION_DEACTIVATE)
+        assert samples[0].seq in (0, 10), "each activation starts at the beginning"
+        listener.wait_for_finding("bridge: source", "not active")
+        samples.clear()
+    assert transition(listener, Transition.TRANSITION_CLEANUP)
+    listener.until(
+        lambda: not listener.node.get_publishers_info_by_topic("/mts/samples"), "no publisher"
+    )
+    assert state(listener) == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_a_source_that_cannot_be_opened_leaves_a_managed_node_alive(
+    start: Any, listener: Listener, tmp_path: Path
+) -> None:
+    bridge = start("bridge", autostart=False, source="bag", bag=tmp_path / "nowhere")
+    assert not transition(listener, Transition.TRANSITION_CONFIGURE)
+    assert state(listener) == State.PRIMARY_STATE_UNCONFIGURED
+    listener.wait_for_finding("bridge: source", "there is no bag")
+    bridge.stop()
+
+
+def test_two_dampers_are_two_namespaces(start: Any, listener: Listener) -> None:
+    left = listener.listen(MtsSamples, "/left/mts/samples")
+    right = listener.listen(MtsSamples, "/right/mts/samples")
+    start("bridge", remap={"__ns": "/left"}, emulated__seed=1)
+    start("bridge", remap={"__ns": "/right"}, emulated__seed=2)
+    listener.until(lambda: len(left) >= 5 and len(right) >= 5, "samples of both")
+    assert (joined(left[:5], "force") != joined(right[:5], "force")).any()
+
+
+def test_a_sample_rate_that_gives_no_even_stamps_does_not_drift(
+    start: Any, listener: Listener
+) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    start("bridge", emulated__sample_rate=1024.0 / 3.0, block_size=7, rate=20.0)
+    listener.until(lambda: len(samples) >= 300, "samples")
+    count = samples[-1].seq - samples[0].seq
+    elapsed = stamps(samples)[-1] - stamps(samples)[0]
+    assert abs(elapsed - count * 3.0 / 1024.0 * 1e9) <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "part"),
+    [
+        ({"source": "tape"}, "source must be one of emulated, bag, record"),
+        ({"sorce": "bag"}, "there is no parameter sorce: did you mean source?"),
+        ({"block_size": 0}, "block_size must be"),
+        ({"block_size": "many"}, "block_size must be an integer"),
+        ({"rate": -1.0}, "rate must be"),
+        ({"rate": ".nan"}, "rate must be a finite number"),
+        ({"rate": ".inf"}, "rate must be a finite number"),
+        ({"source": "bag"}, "no bag is given"),
+        ({"source": "record"}, "no file is given"),
+        ({"source": "bag", "bag": "/nowhere/at/all"}, "there is no bag"),
+        ({"source": "record", "record__file": "/nowhere.csv"}, "record.columns is empty"),
+        (
+            {"source": "record", "record__file": "/nowhere.csv", "record__columns": COLUMNS},
+            "/nowhere.csv",
+        ),
+        ({"emulated__damper": "5mm"}, "the thesis has no condition '5mm'"),
+        ({"emulated__damper": "/nowhere.yaml"}, "/nowhere.yaml"),
+        ({"use_sim_time": 3}, "use_sim_time"),
+    ],
+)
+def test_a_bad_configuration_is_one_sentence_and_an_exit_code(
+    start: Any, parameters: dict[str, object], part: str
+) -> None:
+    bridge = start("bridge", **parameters)
+    assert bridge.wait() == 2
+    assert part in bridge.errors
+    assert_one_sentence(bridge.errors)
+
+
+def test_a_bad_parameter_file_is_one_sentence(start: Any, tmp_path: Path) -> None:
+    file = tmp_path / "bridge.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    rate: [1, fast]\n", encoding="utf-8")
+    bridge = start("bridge", "--ros-args", "--params-file", str(file), "--")
+    assert bridge.wait() == 2
+    assert "the command line cannot be used" in bridge.errors
+    assert_one_sentence(bridge.errors)
+
+
+def test_an_unknown_argument_is_refused_and_help_lists_the_parameters(start: Any) -> None:
+    bridge = start("bridge", "--rate=2")
+    assert bridge.wait() == 2
+    assert_one_sentence(bridge.errors)
+    bridge = start("bridge", "--help")
+    assert bridge.wait() == 0
+    assert "emulated.hot_force" in bridge.output
+
+
+def test_a_block_with_bad_units_is_named_before_it_is_streamed(start: Any, tmp_path: Path) -> None:
+    record = tmp_path / "run.csv"
+    rows = (f"{k * 1e-3},{5.0 * math.sin(k * 0.01)},{k % 7}" for k in range(1000))
+    record.write_text("\n".join(rows), encoding="utf-8")
+    bridge = start(
+        "bridge",
+        source="record",
+        record__file=record,
+        record__columns="time:s,displacement:m,force:N",
+        record__current=0.0,
+    )
+    assert bridge.wait() == 2
+    assert "millimetres" in bridge.errors.strip().splitlines()[-1]

@@ -1,0 +1,250 @@
+"""The replay node as a process: what it publishes, and how it behaves."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
+from rclpy.serialization import deserialize_message
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from support import Listener, assert_one_sentence
+
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.messages import to_nanoseconds
+from mr_damper_ros.rig import thesis
+from mr_damper_ros.rig.bags import iterate_messages, write_bag
+
+BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
+SAMPLES = "/mts/samples"
+CURRENT = "/supply/current"
+
+
+def recorded(bag: Path, topic: str) -> list[bytes]:
+    return [message.data for message in iterate_messages(bag) if message.topic == topic]
+
+
+def write_texts(
+    bag: Path, texts: Sequence[str], *, latched: bool = False, foreign: bool = False
+) -> None:
+    """Write a bag of strings; ``foreign``: with a type that is installed nowhere, too."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("int32 x\n", "somewhere_msgs/msg/Thing"))
+    # The same name as an installed type, but another content.
+    other = get_typestore(Stores.ROS2_JAZZY)
+    other.register(get_types_from_msg("float64 current\n", "mr_damper_msgs/msg/SupplyCurrent"))
+    never = QosTime(2147483647, 4294967295)
+    profile = Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=never,
+        lifespan=never,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=never,
+        avoid_ros_namespace_conventions=False,
+    )
+    with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection(
+            "/words", "std_msgs/msg/String", typestore=store, offered_qos_profiles=[profile]
+        )
+        text_type = store.types["std_msgs/msg/String"]
+        for number, text in enumerate(texts):
+            data = store.serialize_cdr(text_type(data=text), "std_msgs/msg/String")
+            writer.write(topic, 1_000_000_000 * (number + 1), data)
+        if foreign:
+            thing = "somewhere_msgs/msg/Thing"
+            topic = writer.add_connection("/thing", thing, typestore=store)
+            writer.write(topic, 1_500_000_000, store.serialize_cdr(store.types[thing](1), thing))
+            current = "mr_damper_msgs/msg/SupplyCurrent"
+            topic = writer.add_connection("/supply/current", current, typestore=other)
+            data = other.serialize_cdr(other.types[current](1.0), current)
+            writer.write(topic, 1_600_000_000, data)
+
+
+def test_as_fast_as_possible_a_slow_subscriber_loses_nothing(
+    start: Any, listener: Listener, tmp_path: Path
+) -> None:
+    bag = tmp_path / "bag"
+    # More messages than the queues of the middleware hold.
+    recording = thesis.synthesise(thesis.find("5.0mm_1Hz_1.5A"), seed=1)
+    write_bag(bag, recording, block_size=1)
+    heard: list[bytes] = []
+
+    def work(message: bytes) -> None:
+        heard.append(message)
+        busy_until = time.perf_counter() + 2e-4
+        while time.perf_counter() < busy_until:
+            pass
+
+    listener.node.create_subscription(MtsSamples, SAMPLES, work, quality.lossless(), raw=True)
+    current = listener.listen(SupplyCurrent, CURRENT, quality.lossless(), raw=True)
+    replay = start("replay", bag=bag, rate=0.0)
+    listener.until(lambda: not replay.running, "the end of the bag")
+    expected = recorded(bag, SAMPLES)
+    listener.until(lambda: len(heard) >= len(expected), "the last message")
+    assert replay.wait() == 0
+    assert heard == expected
+    assert current == recorded(bag, CURRENT)
+    assert f"end of the bag: {len(expected) + len(current)} messages were sent" in replay.errors
+    assert "provenance: re-synthesised" in replay.errors
+    assert "Traceback" not in replay.errors
+
+
+def test_the_clock_follows_the_bag(start: Any, listener: Listener) -> None:
+    clock = listener.listen(Clock, "/clock")
+    samples = listener.listen(MtsSamples, SAMPLES)
+    replay = start("replay", bag=BAG, rate=20.0)
+    listener.until(lambda: not replay.running, "the end of the bag")
+    ticks = np.array([to_nanoseconds(message.clock) for message in clock])
+    times = [m.time_ns for m in iterate_messages(BAG)]
+    assert ticks[0] <= times[0] + 1_000_000_000
+    assert ticks[-1] <= times[-1]
+    assert times[-1] - ticks[-1] <= 300_000_000
+    assert set(np.diff(ticks)) == {200_000_000}
+    assert len(samples) == len(recorded(BAG, SAMPLES))
+
+
+def test_a_paused_bag_goes_step_by_step_and_resumes(start: Any, listener: Listener) -> None:
+    samples = listener.listen(MtsSamples, SAMPLES)
+    current = listener.listen(SupplyCurrent, CURRENT)
+    replay = start("replay", bag=BAG, rate=50.0, start_paused=True)
+    listener.wait_for_finding("replay: replay", "paused")
+    for count in range(1, 4):
+        assert listener.call(Trigger, "replay/step").success
+        listener.until(lambda n=count: len(samples) + len(current) == n, "one message")
+    assert listener.call(Trigger, "replay/resume").success
+    refused = listener.call(Trigger, "replay/step")
+    assert not refused.success
+    assert "pause" in refused.message
+    listener.until(lambda: not replay.running, "the end of the bag")
+    assert len(samples) == len(recorded(BAG, SAMPLES))
+    assert len(current) == len(recorded(BAG, CURRENT))
+
+
+def test_a_loop_starts_again_and_says_so(start: Any, listener: Listener) -> None:
+    samples = listener.listen(MtsSamples, SAMPLES)
+    replay = start("replay", bag=BAG, rate=50.0, loop=True)
+    listener.until(lambda: sum(message.seq == 0 for message in samples) >= 3, "three rounds")
+    starts = [index for index, message in enumerate(samples) if message.seq == 0]
+    assert samples[starts[0]] == samples[starts[1]]
+    assert "starts again" in replay.errors
+    replay.stop()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("subscribed", [True, False])
+def test_it_can_be_stopped_at_any_time(
+    start: Any, listener: Listener, number: signal.Signals, subscribed: bool
+) -> None:
+    samples = listener.listen(MtsSamples, SAMPLES) if subscribed else []
+    replay = start("replay", bag=BAG, rate=0.1, wait_timeout=1000.0)
+    if subscribed:
+        listener.until(lambda: samples, "samples")
+    else:
+        replay.wait_for_log("playing")
+    replay.stop(number)
+
+
+def test_topics_are_remapped_as_usual(start: Any, listener: Listener) -> None:
+    samples = listener.listen(MtsSamples, "/left/mts/samples", quality.lossless())
+    start("replay", bag=BAG, rate=0.0, remap={SAMPLES: "/left/mts/samples"})
+    listener.until(lambda: len(samples) == len(recorded(BAG, SAMPLES)), "all samples")
+
+
+def test_only_the_chosen_topics_are_played(start: Any, listener: Listener) -> None:
+    current = listener.listen(SupplyCurrent, CURRENT)
+    replay = start("replay", bag=BAG, rate=0.0, topics=CURRENT)
+    listener.until(lambda: not replay.running, "the end of the bag")
+    assert len(current) == len(recorded(BAG, CURRENT))
+    assert not listener.node.get_publishers_info_by_topic(SAMPLES)
+
+
+def test_it_plays_to_nobody_after_the_timeout_and_says_so(start: Any) -> None:
+    replay = start("replay", bag=BAG, rate=0.0, wait_timeout=0.2)
+    assert replay.wait() == 0
+    assert "fewer than 1 nodes subscribed within 0.2 s" in replay.errors
+
+
+def test_a_latched_topic_is_latched_again(start: Any, listener: Listener, tmp_path: Path) -> None:
+    write_texts(tmp_path / "bag", ["first", "second"], latched=True)
+    replay = start("replay", bag=tmp_path / "bag", rate=50.0, loop=True, wait_for_subscribers=0)
+    replay.wait_for_log("starts again")
+    words = listener.listen(String, "/words", quality.latched())
+    listener.until(lambda: words, "the latched word")
+
+
+def test_what_cannot_be_played_is_named_and_the_rest_is_played(
+    start: Any, listener: Listener, tmp_path: Path
+) -> None:
+    write_texts(tmp_path / "bag", ["one", "two"], foreign=True)
+    words = listener.listen(String, "/words")
+    replay = start("replay", bag=tmp_path / "bag", rate=0.0)
+    listener.until(lambda: not replay.running, "the end of the bag")
+    assert replay.wait() == 0
+    assert [message.data for message in words] == ["one", "two"]
+    assert "/thing is left out: the package somewhere_msgs" in replay.errors
+    assert "/supply/current is left out: it was recorded with another def" in replay.errors
+
+
+@pytest.mark.parametrize(
+    ("parameters", "part"),
+    [
+        ({}, "no bag is given"),
+        ({"bag": "/nowhere/at/all"}, "there is no bag"),
+        ({"bag": BAG, "topics": "/mts/samples /nothing"}, "has no topic /nothing"),
+        ({"bag": BAG, "rate": "fast"}, "rate must be a number"),
+        ({"bag": BAG, "speed": 2.0}, "there is no parameter speed"),
+    ],
+)
+def test_a_bad_configuration_is_one_sentence_and_an_exit_code(
+    start: Any, parameters: dict[str, object], part: str
+) -> None:
+    replay = start("replay", **parameters)
+    assert replay.wait() == 2
+    assert part in replay.errors
+    assert_one_sentence(replay.errors)
+
+
+def test_a_folder_that_is_no_bag_is_refused(start: Any, tmp_path: Path) -> None:
+    replay = start("replay", bag=tmp_path)
+    assert replay.wait() == 2
+    assert_one_sentence(replay.errors)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
+def test_a_truncated_bag_ends_in_words(start: Any, tmp_path: Path, kept: float) -> None:
+    bag = tmp_path / "bag"
+    shutil.copytree(BAG, bag)
+    file = next(bag.glob("*.mcap"))
+    content = file.read_bytes()
+    file.write_bytes(content[: int(kept * len(content))])
+    replay = start("replay", bag=bag, rate=0.0, wait_for_subscribers=0)
+    assert replay.wait() in (1, 2)
+    assert "Traceback" not in replay.errors
+    assert str(bag) in replay.errors
+
+
+def test_messages_of_the_bag_are_those_of_the_installed_definitions() -> None:
+    message = deserialize_message(recorded(BAG, SAMPLES)[0], MtsSamples)
+    assert message.period == pytest.approx(0.001)
+    assert len(message.displacement) == len(message.force) > 0
