@@ -35,6 +35,7 @@ from mr_damper_ros.nodes.parameters import (
     option,
 )
 from mr_damper_ros.nodes.pipeline import (
+    WORK_MODULE,
     Budget,
     Pipeline,
     Search,
@@ -277,7 +278,7 @@ class Identifier(Node):
             qos_overriding_options=quality.overridable(),
         )
         self._publish_parameters()
-        self._worker = Worker()
+        self._worker = Worker(WORK_MODULE)
         self._pipeline = Pipeline(
             self._tracker,
             self._worker,

@@ -27,6 +27,9 @@ from mr_damper_ros.streaming.tracker import (
 )
 from mr_damper_ros.streaming.windows import RawWindow
 
+WORK_MODULE = __name__
+"""What the worker must load for the tasks of a pipeline."""
+
 
 @dataclass(frozen=True)
 class Budget:

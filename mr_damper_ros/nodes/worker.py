@@ -32,7 +32,7 @@ from typing import Any
 _GRACE = 1.0
 """Seconds that a task has for stopping by itself after it was asked to."""
 
-_START_LIMIT = 20.0
+_START_LIMIT = 60.0
 """Seconds after which a process that has not reported for work counts as dead."""
 
 _RESTART_PAUSE = 1.0
@@ -97,7 +97,7 @@ class Control:
 class _Process:
     """One worker process with the threads that talk to it: no call here ever blocks."""
 
-    def __init__(self) -> None:
+    def __init__(self, module: str) -> None:
         self.started = time.monotonic()
         self.ready = False
         self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -106,7 +106,7 @@ class _Process:
             self._child = subprocess.Popen(
                 [
                     *(sys.executable, "-c"),
-                    f"from {__name__} import serve; serve({theirs.fileno()})",
+                    f"import {module}; from {__name__} import serve; serve({theirs.fileno()})",
                 ],
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
@@ -162,12 +162,15 @@ class _Process:
 class Worker:
     """Runs one function call at a time in another process.
 
+    ``module`` is the one that the tasks come from: a process loads it before it takes a task, so
+    that loading it, which takes seconds on a busy computer, does not count as the task's time.
     Call :meth:`poll` often: it brings the results, enforces time budgets and replaces a process
     that has died.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, module: str) -> None:
         self.replaced = 0
+        self._module = module
         self._notices: list[str] = []
         self._number = 0
         self._task: bytes | None = None
@@ -176,7 +179,7 @@ class Worker:
         self._started: float | None = None  # the task, in a process that is ready
         self._stop_asked: float | None = None
         self._next_start = 0.0
-        self._process: _Process | None = _Process()
+        self._process: _Process | None = _Process(self._module)
 
     @property
     def busy(self) -> bool:
@@ -220,7 +223,7 @@ class Worker:
                 outcomes += self._received(kind, content)
         outcomes += self._overdue()
         if self._process is None and time.monotonic() >= self._next_start:
-            self._process = _Process()
+            self._process = _Process(self._module)
             self._begin()
         return outcomes
 

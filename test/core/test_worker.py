@@ -73,7 +73,7 @@ def make_worker(tasks: Any) -> Iterator[Callable[[], Worker]]:
     workers = []
 
     def make() -> Worker:
-        workers.append(Worker())
+        workers.append(Worker("worker_tasks"))
         return workers[-1]
 
     yield make
@@ -261,7 +261,7 @@ def test_the_worker_stays_light(make_worker: Callable[[], Worker], tasks: Any) -
 
 
 def test_a_closed_worker_leaves_no_process(tasks: Any) -> None:
-    worker = Worker()
+    worker = Worker("worker_tasks")
     pid = worker.pid or 0
     worker.submit(tasks.call, time.sleep, 3600.0)
     worker.close()
@@ -276,7 +276,7 @@ def test_the_worker_dies_with_a_killed_parent(tasks: Any, task: str) -> None:
     script = (
         "import time, worker_tasks\n"
         "from mr_damper_ros.nodes.worker import Worker\n"
-        "worker = Worker()\n"
+        "worker = Worker('worker_tasks')\n"
         f"worker.submit(worker_tasks.call, {task})\n"
         "deadline = time.monotonic() + 1.0\n"
         "while time.monotonic() < deadline: worker.poll(); time.sleep(0.01)\n"
