@@ -103,14 +103,15 @@ class LocalSearch:
 
     def least_squares(self, weights: Array | None = None) -> None:
         """Levenberg-Marquardt (MINPACK) from the best so far; ``weights`` (n,) on the squares."""
-        root = 1.0 if weights is None else np.sqrt(weights)
+        root = None if weights is None else np.sqrt(weights)
 
         def residual(unknowns: Array) -> Array:
-            return self.residual(unknowns) * root
+            plain = self.residual(unknowns)
+            return plain if root is None else plain * root
 
         def jacobian(unknowns: Array) -> Array:
-            derivatives = self.problem.jacobian(unknowns)
-            return derivatives if weights is None else derivatives * root[:, np.newaxis]
+            plain = self.problem.jacobian(unknowns)
+            return plain if root is None else plain * root[:, np.newaxis]
 
         found, *_ = leastsq(residual, self.best, Dfun=jacobian, full_output=True, maxfev=300)
         if weights is not None:
@@ -126,9 +127,9 @@ def _standard_error_axes(jacobian: Array, noise: float) -> Array:
     off along them.
     """
     lengths = np.linalg.norm(jacobian, axis=0)
-    safe = np.where(lengths > 0.0, lengths, 1.0)
+    safe = np.where(lengths > 0.0, lengths, 1.0)[:, np.newaxis]
     # The triangular factor has the singular values of the whole Jacobian, and is small.
-    triangular = np.asarray(np.linalg.qr(jacobian / safe, mode="r"))
+    triangular = np.asarray(np.linalg.qr(jacobian / safe.T, mode="r"))
     _, singular, vt = np.linalg.svd(triangular, full_matrices=False)
     step = noise / np.maximum(singular, 1e-4 * max(float(singular.max()), 1e-300))
-    return np.asarray(vt.T * step) / np.reshape(safe, (-1, 1))
+    return np.asarray(vt.T * step / safe)
