@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import socket
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -61,7 +59,7 @@ def assert_one_sentence(text: str) -> None:
 
 
 class Program:
-    """A running program; its output is kept in files, so that it never blocks."""
+    """A running program; its output is kept in memory, so that it never blocks."""
 
     def __init__(
         self,
@@ -77,9 +75,8 @@ class Program:
             written = str(value).lower() if isinstance(value, bool) else value
             command += ["-p", f"{name.replace('__', '.')}:={written}"]
         self._name = path.name
-        self._files = contextlib.ExitStack()
-        self._stdout = self._files.enter_context(tempfile.TemporaryFile())
-        self._stderr = self._files.enter_context(tempfile.TemporaryFile())
+        self._stdout = os.memfd_create("stdout")
+        self._stderr = os.memfd_create("stderr")
         # A group of its own: a shell's background jobs have SIGINT ignored, and what it starts
         # itself shall be found when it has ended.
         self._process = subprocess.Popen(
@@ -100,9 +97,8 @@ class Program:
         return self._read(self._stdout)
 
     @staticmethod
-    def _read(file: Any) -> str:
-        size = os.fstat(file.fileno()).st_size
-        return os.pread(file.fileno(), size, 0).decode(errors="replace")
+    def _read(file: int) -> str:
+        return os.pread(file, os.fstat(file).st_size, 0).decode(errors="replace")
 
     def wait_for_log(self, part: str) -> None:
         """Wait until the log has this text."""
@@ -137,7 +133,8 @@ class Program:
             if self.running:
                 os.killpg(self._process.pid, signal.SIGKILL)
                 self._process.wait()
-            self._files.close()
+            os.close(self._stdout)
+            os.close(self._stderr)
 
 
 class Listener:

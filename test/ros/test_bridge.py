@@ -236,7 +236,12 @@ def test_a_sample_rate_that_gives_no_even_stamps_does_not_drift(
         ({"source": "bag", "bag": "/nowhere/at/all"}, "there is no bag"),
         ({"source": "record", "record__file": "/nowhere.csv"}, "record.columns is empty"),
         (
-            {"source": "record", "record__file": "/nowhere.csv", "record__columns": COLUMNS},
+            {
+                "source": "record",
+                "record__file": "/nowhere.csv",
+                "record__columns": COLUMNS,
+                "record__current": 1.0,
+            },
             "/nowhere.csv",
         ),
         ({"emulated__damper": "5mm"}, "the thesis has no condition '5mm'"),
