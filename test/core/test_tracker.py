@@ -1,0 +1,526 @@
+"""The tracker follows a damper that drifts, and nothing else moves it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS
+from mr_damper_ros.damper.sigmoid import SCALE_INDICES, force
+from mr_damper_ros.identification.acceptance import AcceptanceSettings
+from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.streaming.tracker import (
+    GlobalResult,
+    Report,
+    TrackerSettings,
+    WindowTracker,
+    held_back_samples,
+    run_fit,
+    run_global,
+)
+from mr_damper_ros.streaming.windows import RawWindow
+
+SAMPLES = 1000
+WINDOWS = 30
+
+SCALE_ERROR = 0.01
+"""Largest error of the reported force scale."""
+
+WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
+"""The known damper with four fifths of its yield force: a start that is wrong, but not much."""
+
+
+def tracker(**settings: object) -> WindowTracker:
+    entries: dict[str, object] = {"method": "least_squares", "global_period": 0, **settings}
+    return WindowTracker(
+        TrackerSettings(**entries),  # type: ignore[arg-type]
+        ParameterSet(WEAK, set_id="start"),
+    )
+
+
+def window(number: int = 0, strength: float = 1.0, **changes: object) -> RawWindow:
+    """Window ``number`` of the known damper, of a yield force that is this times as large."""
+    parameters = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), strength, 1.0)
+    entries: dict[str, object] = {"samples": SAMPLES, "seed": number, **changes}
+    return known.raw_window(known.run(parameters, **entries), number=number)  # type: ignore[arg-type]
+
+
+def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
+    return [tracked.complete(run_fit(tracked.window_task(w))) for w in windows]
+
+
+def experienced(**settings: object) -> WindowTracker:
+    """A tracker that has seen five usual windows."""
+    tracked = tracker(**settings)
+    fed(tracked, *(window(number) for number in range(5)))
+    assert tracked.accepted_windows > 0
+    return tracked
+
+
+def error_of(parameters: ParameterSet, run: known.Run | None = None) -> float:
+    """RMSE [N] of a set against the truth of a run."""
+    run = run or known.run(seed=None)
+    predicted = force(
+        parameters.values, run.displacement, run.velocity, run.acceleration, run.current
+    )
+    return known.rms(predicted - run.clean)
+
+
+# -- drift -----------------------------------------------------------------------------------
+
+
+def drifting(number: int, noise: float = known.NOISE) -> tuple[RawWindow, float]:
+    """Window of the thesis' damper on its way from 28 to 71 °C, and its true force scale."""
+    run = known.run(
+        THESIS_28_CELSIUS, current=1.5, samples=SAMPLES, start=number * SAMPLES * 1e-3, seed=None
+    )
+    clean = known.drifting_force(run, number / (WINDOWS - 1))
+    error = np.random.default_rng(number).normal(0.0, noise, SAMPLES) if noise else 0.0
+    changed = known.Run(**{**vars(run), "force": clean + error})
+    scale = float(clean @ run.clean) / float(run.clean @ run.clean)
+    return known.raw_window(changed, number=number, temperature=28.0 + number), scale
+
+
+@pytest.fixture(scope="module", params=["nelder_mead", "least_squares"])
+def drift(request: pytest.FixtureRequest) -> tuple[WindowTracker, list[Report], list[float]]:
+    """A tracker that has followed the drift, its reports, and the true force scales."""
+    tracked = WindowTracker(
+        TrackerSettings(method=request.param, global_period=0), ParameterSet(LITERATURE)
+    )
+    pairs = [drifting(number) for number in range(WINDOWS)]
+    return tracked, fed(tracked, *(w for w, _ in pairs)), [scale for _, scale in pairs]
+
+
+Drift = tuple[WindowTracker, list[Report], list[float]]
+
+
+def test_every_window_of_the_drift_is_accepted(drift: Drift) -> None:
+    assert [report.reason for report in drift[1]] == [""] * WINDOWS
+
+
+def test_the_force_scale_follows_the_drift(drift: Drift) -> None:
+    _, reports, truth = drift
+    assert truth[-1] < 0.8, "the drift itself is missing"
+    found = [report.scale.value for report in reports[1:]]
+    np.testing.assert_allclose(found, truth[1:], rtol=SCALE_ERROR)
+
+
+def test_the_force_scale_is_as_certain_as_it_says(drift: Drift) -> None:
+    _, reports, truth = drift
+    errors = [
+        (report.scale.value - true) / report.scale.standard_error
+        for report, true in zip(reports[1:], truth[1:], strict=True)
+    ]
+    # The baseline's own error is common to all and left out of the standard error.
+    assert np.std(errors) == pytest.approx(1.0, abs=0.5)
+
+
+def test_the_first_window_has_no_baseline_yet(drift: Drift) -> None:
+    assert math.isnan(drift[1][0].scale.value)
+
+
+def test_the_running_set_is_that_of_the_last_window(drift: Drift) -> None:
+    tracked, reports, _ = drift
+    last, _ = drifting(WINDOWS - 1)
+    run = known.run(
+        THESIS_28_CELSIUS, current=1.5, samples=SAMPLES, start=(WINDOWS - 1) * 1.0, seed=None
+    )
+    hot = known.Run(**{**vars(run), "clean": known.drifting_force(run, 1.0)})
+    assert error_of(tracked.parameters, hot) < 2.0
+    assert tracked.parameters.set_id == reports[-1].set_id == f"window-{WINDOWS}"
+    assert tracked.parameters.stamp_ns == last.end_ns
+
+
+def test_the_report_says_where_the_window_was(drift: Drift) -> None:
+    report = drift[1][7]
+    assert report.window_start_ns == known.T0 + 7 * known.NANOSECONDS
+    assert report.stamp_ns == report.window_start_ns + 999_000_000
+    assert report.window_duration == pytest.approx(1.0)
+    assert report.sample_count == SAMPLES
+    assert report.amplitude == pytest.approx(5e-3, rel=1e-3)
+    assert report.frequency == pytest.approx(1.0, rel=1e-3)
+    assert report.peak_velocity == pytest.approx(0.0314, rel=1e-2)
+    assert report.current == 1.5
+    assert report.temperature == 35.0
+    assert report.nrmse_after < report.nrmse_before
+    assert report.evaluations > 7
+
+
+@pytest.mark.xfail(reason="the residual of rounding is taken for a disturbance", strict=True)
+def test_a_drift_without_noise_is_followed_too() -> None:
+    tracked = WindowTracker(
+        TrackerSettings(method="least_squares", global_period=0), ParameterSet(LITERATURE)
+    )
+    reports = fed(tracked, *(drifting(number, noise=0.0)[0] for number in range(5)))
+    assert [report.reason for report in reports] == [""] * 5
+
+
+def test_a_sudden_loss_of_a_tenth_is_followed_at_once() -> None:
+    tracked = experienced()
+    report = fed(tracked, window(5, strength=0.9))[0]
+    assert report.accepted
+    assert report.scale.value == pytest.approx(0.9, rel=SCALE_ERROR)
+
+
+# -- what must not move it -------------------------------------------------------------------
+
+
+def burst(w: RawWindow) -> RawWindow:
+    noise = np.zeros(SAMPLES)
+    noise[300:400] = np.random.default_rng(0).normal(0.0, 150.0, 100)
+    return dataclasses.replace(w, force=w.force + noise)
+
+
+def spike(w: RawWindow) -> RawWindow:
+    return dataclasses.replace(w, force=w.force + np.where(np.arange(SAMPLES) % 500 == 40, 5e3, 0))
+
+
+def current_step(w: RawWindow) -> RawWindow:
+    return dataclasses.replace(w, current=np.where(np.arange(SAMPLES) < 500, 1.0, 1.5))
+
+
+def clipped(w: RawWindow) -> RawWindow:
+    limit = 0.8 * w.force.max()
+    return dataclasses.replace(w, force=np.clip(w.force, -limit, limit))
+
+
+def clipped_before_the_noise(w: RawWindow) -> RawWindow:
+    noise = np.random.default_rng(0).normal(0.0, 1.0, SAMPLES)
+    return dataclasses.replace(w, force=clipped(w).force + noise)
+
+
+def stopped(w: RawWindow) -> RawWindow:
+    return dataclasses.replace(w, displacement=np.full(SAMPLES, w.displacement[0]))
+
+
+def stopped_half_way(w: RawWindow) -> RawWindow:
+    rng = np.random.default_rng(0)
+    moving = np.arange(SAMPLES) < 500
+    return dataclasses.replace(
+        w,
+        displacement=np.where(moving, w.displacement, w.displacement[500])
+        + rng.normal(0.0, 1e-6, SAMPLES),
+        force=np.where(moving, w.force, w.force[500] + rng.normal(0.0, 5.0, SAMPLES)),
+    )
+
+
+def millimetres(w: RawWindow) -> RawWindow:
+    return dataclasses.replace(w, displacement=1e3 * w.displacement)
+
+
+def kilonewtons(w: RawWindow) -> RawWindow:
+    return dataclasses.replace(w, force=1e-3 * w.force)
+
+
+def reversed_force(w: RawWindow) -> RawWindow:
+    return dataclasses.replace(w, force=-w.force)
+
+
+def not_a_number(w: RawWindow) -> RawWindow:
+    return dataclasses.replace(w, force=np.where(np.arange(SAMPLES) == 40, np.nan, w.force))
+
+
+def samples_dropped_unseen(w: RawWindow) -> RawWindow:
+    later = window(6)
+    joined = [
+        np.concatenate((a[:500], b[100:600]))
+        for a, b in ((w.displacement, later.displacement), (w.force, later.force))
+    ]
+    return dataclasses.replace(w, displacement=joined[0], force=joined[1])
+
+
+def broken_sensor(w: RawWindow) -> RawWindow:
+    return dataclasses.replace(w, force=np.random.default_rng(0).normal(0.0, 5.0, SAMPLES))
+
+
+BAD_WINDOWS = {
+    burst: "times the usual one: a disturbance or a sensor fault",
+    spike: "",
+    current_step: "the current changes by 0.5 A within the window",
+    clipped: "the force is clipped",
+    stopped: "move the damper",
+    stopped_half_way: "a disturbance or a sensor fault",
+    millimetres: "is it in millimetres",
+    kilonewtons: "changed by -100% at once",
+    reversed_force: "",
+    not_a_number: "the force holds NaN",
+    samples_dropped_unseen: "",
+    broken_sensor: "of the force unexplained",
+}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"), BAD_WINDOWS.items(), ids=[f.__name__ for f in BAD_WINDOWS]
+)
+def test_a_bad_window_never_replaces_a_good_set(spoil: object, sentence: str) -> None:
+    tracked = experienced()
+    good = tracked.parameters
+    report = fed(tracked, spoil(window(5)))[0]  # type: ignore[operator]
+    assert tracked.parameters is good
+    assert not report.accepted
+    assert report.reason != ""
+    assert sentence in report.reason
+    assert report.set_id == good.set_id
+
+
+@pytest.mark.parametrize("spoil", BAD_WINDOWS, ids=[f.__name__ for f in BAD_WINDOWS])
+def test_after_a_bad_window_the_next_good_change_is_followed(spoil: object) -> None:
+    tracked = experienced()
+    fed(tracked, spoil(window(5)))  # type: ignore[operator]
+    assert fed(tracked, window(6, strength=0.9))[0].accepted
+    weaker = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
+    assert error_of(tracked.parameters, known.run(weaker, seed=None)) < 2.0
+
+
+@pytest.mark.xfail(reason="a force clipped before noise is added looks like a loop", strict=True)
+def test_a_force_clipped_before_the_noise_is_refused() -> None:
+    tracked = experienced()
+    assert not fed(tracked, clipped_before_the_noise(window(5)))[0].accepted
+
+
+@pytest.mark.xfail(reason="the sign of the work is not looked at", strict=True)
+def test_a_first_window_whose_force_drives_the_motion_is_refused() -> None:
+    # A passive damper takes power out: force and velocity of opposite signs mean a wrong sign.
+    assert not fed(tracker(), reversed_force(window(0)))[0].accepted
+
+
+@pytest.mark.xfail(reason="without experience half of the force may stay unexplained", strict=True)
+def test_a_first_window_in_which_the_machine_stops_is_refused() -> None:
+    tracked = tracker()
+    fed(tracked, stopped_half_way(window(0)))
+    assert error_of(tracked.parameters) <= error_of(ParameterSet(WEAK))
+
+
+def test_a_refused_window_leaves_no_trace_in_reservoir_and_baseline() -> None:
+    tracked = tracker()
+    fed(tracked, clipped(window(0)))
+    assert tracked.reservoir.operating_points == 0
+    assert tracked.accepted_windows == 0
+    assert math.isnan(fed(tracked, window(1))[0].scale.value)
+
+
+def test_a_large_step_is_followed_once_it_is_confirmed() -> None:
+    tracked = experienced()
+    first, second = fed(tracked, window(5, strength=0.3), window(6, strength=0.3))
+    assert (first.accepted, second.accepted) == (False, True)
+    assert "waiting for the next window to confirm" in first.reason
+    assert second.scale.value == pytest.approx(0.3, rel=SCALE_ERROR)
+
+
+def test_a_single_wrong_window_is_never_confirmed() -> None:
+    tracked = experienced()
+    good = error_of(tracked.parameters)
+    fed(tracked, window(5, strength=0.3), window(6), window(7, strength=2.5), window(8))
+    assert error_of(tracked.parameters) < good + 2.0
+
+
+def test_the_limits_of_acceptance_come_from_the_settings() -> None:
+    tracked = experienced(acceptance=AcceptanceSettings(step_limit=0.05))
+    assert "at once" in fed(tracked, window(5, strength=0.9))[0].reason
+
+
+def test_a_steady_damper_keeps_its_set() -> None:
+    tracked = tracker()
+    reports = fed(tracked, *(window(number) for number in range(20)))
+    assert error_of(tracked.parameters) < 1.0
+    refused = [r for r in reports if not r.accepted]
+    assert all("predicts the held-back samples as well" in r.reason for r in refused)
+
+
+# -- held-back samples -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [40, 1000, 1037])
+def test_a_quarter_is_held_back_all_over_the_window(count: int) -> None:
+    mask = held_back_samples(count)
+    assert mask.sum() == pytest.approx(count / 4, abs=10)
+    for part in np.array_split(mask, 5):
+        assert 0.1 < part.mean() < 0.45
+
+
+def test_the_held_back_samples_take_no_part_in_the_judged_fit() -> None:
+    # Only held-back samples are spoilt: the fit to the others cannot explain them.
+    tracked = experienced()
+    good = window(5)
+    spoilt = np.where(held_back_samples(SAMPLES), good.force + 100.0, good.force)
+    report = fed(tracked, dataclasses.replace(good, force=spoilt))[0]
+    assert not report.accepted
+    assert report.nrmse_after * np.std(spoilt) > 80.0
+
+
+# -- parameter sets --------------------------------------------------------------------------
+
+
+def test_after_a_window_the_scales_are_known_and_the_shape_is_not() -> None:
+    tracked = experienced()
+    shape = known.SHAPE
+    assert np.isfinite(tracked.parameters.standard_errors[SCALE_INDICES]).all()
+    assert tracked.parameters.observable[SCALE_INDICES].all()
+    assert np.isnan(tracked.parameters.standard_errors[shape]).all()
+    assert not tracked.parameters.observable[shape].any()
+    np.testing.assert_array_equal(tracked.parameters.values[shape], WEAK[shape])
+
+
+def test_the_scales_are_right_within_their_errors() -> None:
+    found = experienced().parameters
+    error = (found.values - known.PLAUSIBLE) / found.standard_errors
+    assert np.nanmax(np.abs(error)) < 4.0
+
+
+def test_a_set_is_valid_where_its_window_was() -> None:
+    found = experienced().parameters
+    speed = known.run().top_speed
+    assert found.peak_velocity_range == pytest.approx((speed, speed), rel=1e-3)
+    assert found.current_range == (1.0, 1.0)
+
+
+def test_the_same_windows_give_the_same_sets() -> None:
+    windows = [window(n, strength=1.0 - 0.02 * n, current=0.5 * (1 + n % 2)) for n in range(6)]
+    first, second = (tracker(method="nelder_mead") for _ in range(2))
+    for a, b in zip(fed(first, *windows), fed(second, *windows), strict=True):
+        assert (a.accepted, a.reason, a.set_id) == (b.accepted, b.reason, b.set_id)
+        np.testing.assert_array_equal(a.coefficients, b.coefficients)
+    np.testing.assert_array_equal(first.parameters.values, second.parameters.values)
+
+
+def test_an_initial_set_is_untouched_until_a_window_is_accepted() -> None:
+    tracked = tracker()
+    fed(tracked, stopped(window(0)))
+    assert tracked.parameters.set_id == "start"
+    np.testing.assert_array_equal(tracked.parameters.values, WEAK)
+
+
+def test_a_reset_goes_back_to_the_initial_set_and_forgets() -> None:
+    tracked = experienced()
+    tracked.reset()
+    assert tracked.parameters.set_id == "start"
+    assert tracked.accepted_windows == 0
+    assert tracked.reservoir.operating_points == 0
+    assert math.isnan(fed(tracked, window(6))[0].scale.value)
+
+
+def test_a_replaced_set_runs_and_starts_a_new_baseline() -> None:
+    tracked = experienced()
+    loaded = ParameterSet(known.PLAUSIBLE, set_id="loaded")
+    tracked.replace(loaded)
+    assert tracked.parameters is loaded
+    report = fed(tracked, window(6, strength=0.9))[0]
+    assert report.accepted
+    assert math.isnan(report.scale.value)
+
+
+def test_a_reset_after_a_replacement_goes_back_to_the_initial_set() -> None:
+    tracked = tracker()
+    tracked.replace(ParameterSet(known.PLAUSIBLE, set_id="loaded"))
+    tracked.reset()
+    assert tracked.parameters.set_id == "start"
+
+
+@pytest.mark.xfail(reason="the count of windows starts again", strict=True)
+def test_two_different_sets_never_have_the_same_name() -> None:
+    tracked = tracker()
+    fed(tracked, window(0))
+    before = tracked.parameters
+    tracked.reset()
+    fed(tracked, window(1, strength=0.9))
+    assert tracked.parameters.set_id != before.set_id
+
+
+def test_a_fit_that_is_stopped_still_gives_a_result() -> None:
+    tracked = experienced()
+    task = tracked.window_task(window(5, strength=0.9))
+    calls = iter(range(10**6))
+    result = run_fit(task, lambda: next(calls) > 3)
+    assert result.fit is not None
+    assert not result.fit.success
+    assert np.isfinite(result.fit.parameters).all()
+
+
+@pytest.mark.xfail(reason="time_budget is declared but nothing reads it", strict=True)
+def test_a_fit_is_cut_at_its_time_budget() -> None:
+    result = run_fit(tracker(time_budget=0.0).window_task(window(0)))
+    assert result.fit is not None
+    assert not result.fit.success
+
+
+# -- global identification -------------------------------------------------------------------
+
+QUICK = EvolutionSettings(generations=25, population=8)
+
+
+def toured(**settings: object) -> WindowTracker:
+    """A tracker that has seen six operating points."""
+    tracked = tracker(evolution=QUICK, **settings)
+    number = 0
+    for current in (0.3, 0.9, 1.4):
+        for frequency in (1.0, 3.0):
+            fed(tracked, window(number, current=current, frequency=frequency))
+            number += 1
+    return tracked
+
+
+def test_a_search_falls_due_after_so_many_windows_at_several_points() -> None:
+    tracked = tracker(global_period=3)
+    reports = fed(
+        tracked,
+        *(window(n, strength=1.0 - 0.1 * n, current=0.5 + 0.5 * (n % 2)) for n in range(4)),
+    )
+    assert all(report.accepted for report in reports)
+    assert [report.global_due for report in reports] == [False, False, True, True]
+    tracked.global_task()
+    assert not fed(tracked, window(5, strength=0.5, current=0.5))[0].global_due
+
+
+def test_one_operating_point_is_not_searched() -> None:
+    tracked = tracker(global_period=1)
+    reports = fed(tracked, *(window(n, strength=1.0 - 0.1 * n) for n in range(4)))
+    assert not any(report.global_due for report in reports)
+
+
+def test_a_search_improves_the_set_on_the_reservoir() -> None:
+    tracked = toured()
+    report = tracked.complete_global(run_global(tracked.global_task()))
+    assert report.accepted, report.reason
+    assert report.nrmse_after < report.nrmse_before
+    assert tracked.parameters.set_id == report.set_id
+    assert tracked.parameters.observable[known.index("k2")]
+    for current in (0.3, 0.9, 1.4):
+        assert error_of(tracked.parameters, known.run(current=current, seed=None)) < 10.0
+
+
+def test_a_search_over_nothing_is_a_sentence() -> None:
+    tracked = tracker()
+    result = run_global(tracked.global_task())
+    report = tracked.complete_global(result)
+    assert "no windows" in report.reason
+    assert tracked.parameters.set_id == "start"
+
+
+def test_a_search_is_judged_against_the_running_set() -> None:
+    tracked = toured()
+    result = run_global(tracked.global_task())
+    assert result.fit is not None
+    no_better = GlobalResult(result.task, "", result.fit, result.fit.median_nrmse)
+    good = tracked.parameters
+    report = tracked.complete_global(no_better)
+    assert "running set predicts the reservoir as well" in report.reason
+    assert tracked.parameters is good
+
+
+def test_windows_after_a_search_keep_the_shape_and_its_errors() -> None:
+    tracked = toured()
+    tracked.complete_global(run_global(tracked.global_task()))
+    found = tracked.parameters
+    assert fed(tracked, window(9, strength=0.8))[0].accepted
+    shape = known.SHAPE
+    np.testing.assert_array_equal(tracked.parameters.values[shape], found.values[shape])
+    np.testing.assert_array_equal(
+        tracked.parameters.standard_errors[shape], found.standard_errors[shape]
+    )
+    low, high = tracked.parameters.current_range
+    assert (low, high) == (0.3, 1.4), "what was identified over several currents stays valid there"
