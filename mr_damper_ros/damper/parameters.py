@@ -67,9 +67,13 @@ class ParameterSet:
                 )
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        for name, value in zip(PARAMETER_NAMES, self.values, strict=True):
+        for name, value, error in zip(
+            PARAMETER_NAMES, self.values, self.standard_errors, strict=True
+        ):
             if not math.isfinite(value):
                 raise ParameterError(f"parameter {name} is {value}: give a finite number")
+            if error < 0.0:
+                raise ParameterError(f"the standard error of {name} is {error}: it is negative")
         for name, low_high in (
             ("peak_velocity_range", self.peak_velocity_range),
             ("current_range", self.current_range),
@@ -118,11 +122,13 @@ class ParameterSet:
         with ``value``. Raises ParameterError with one sentence that says what to change.
         """
         try:
-            document = yaml.safe_load(text)
+            document = yaml.load(text, _UniqueKeyLoader)
         except yaml.YAMLError as error:
             line = getattr(getattr(error, "problem_mark", None), "line", None)
             where = "" if line is None else f" at line {line + 1}"
-            raise ParameterError(f"the parameter file is not valid YAML{where}") from error
+            problem = getattr(error, "problem", None)
+            detail = f": {problem}" if problem else ""
+            raise ParameterError(f"the parameter file is not valid YAML{where}{detail}") from error
         return cls._from_document(document)
 
     @classmethod
@@ -179,7 +185,10 @@ class ParameterSet:
             errors.append(
                 math.nan if error is None else _number(error, f"standard error of {name}")
             )
-            observable.append(bool(entry.get("observable", False)))
+            flag = entry.get("observable", False)
+            if not isinstance(flag, bool):
+                raise ParameterError(f"observable of {name} is {flag!r}: give true or false")
+            observable.append(flag)
         nrmse = document.get("nrmse")
         stamp = document.get("stamp_ns", 0)
         if isinstance(stamp, bool) or not isinstance(stamp, int):
@@ -201,6 +210,19 @@ class ParameterSet:
         )
 
 
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """A loader that refuses a key given twice, of which YAML would silently take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for index, key in enumerate(keys):
+            if key in keys[:index]:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"'{key}' is given twice", node.value[index][0].start_mark
+                )
+        return super().construct_mapping(node, deep)
+
+
 def _number(value: Any, what: str) -> float:
     if isinstance(value, str):
         # YAML 1.1 reads 1e5 as text: be kind to what every other program writes.
@@ -210,7 +232,10 @@ def _number(value: Any, what: str) -> float:
             pass
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ParameterError(f"{what} is {value!r}: give a number")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ParameterError(f"{what} is beyond what a number can hold") from error
 
 
 def _range(value: Any, what: str) -> tuple[float, float]:

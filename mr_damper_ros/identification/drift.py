@@ -14,7 +14,7 @@ from mr_damper_ros.damper.sigmoid import (
     force_from_coefficients,
 )
 from mr_damper_ros.identification.fit import WindowFit
-from mr_damper_ros.identification.reservoir import cell_of
+from mr_damper_ros.identification.reservoir import OperatingPoint, nearest_same
 
 _POINTS = 256
 
@@ -31,15 +31,17 @@ class Baselines:
     """The first accepted fit at each operating point."""
 
     def __init__(self) -> None:
-        self._fits: dict[tuple[int, int], WindowFit] = {}
+        self._fits: list[WindowFit] = []
 
     def add(self, fit: WindowFit) -> None:
         """Keep a fit unless its operating point has a baseline already."""
-        self._fits.setdefault(cell_of(fit.operating_point), fit)
+        if self.get(fit.operating_point) is None:
+            self._fits.append(fit)
 
-    def get(self, operating_point: tuple[float, float]) -> WindowFit | None:
+    def get(self, operating_point: OperatingPoint) -> WindowFit | None:
         """The baseline of an operating point (peak velocity [m/s], current [A]), if any."""
-        return self._fits.get(cell_of(operating_point))
+        index = nearest_same([fit.operating_point for fit in self._fits], operating_point)
+        return None if index is None else self._fits[index]
 
 
 def force_scale(baselines: Baselines, fit: WindowFit) -> ForceScale:

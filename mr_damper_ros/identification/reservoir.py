@@ -3,36 +3,46 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from mr_damper_ros.identification.fit import WindowFit
 from mr_damper_ros.identification.window import Window
 
-_VELOCITY_CELL = math.log(1.1)
-"""Peak velocities within about 10 % of each other share a cell."""
+_SAME_VELOCITY = math.log(1.1)
+"""Peak velocities within 10 % of each other are one operating point."""
 
-_CURRENT_CELL = 0.05
-"""Currents [A] within this of each other share a cell."""
+_SAME_CURRENT = 0.05
+"""Currents [A] within this of each other are one operating point."""
 
 _MOST_SAMPLES = 500
 _MOST_WINDOWS = 100
 
+OperatingPoint = tuple[float, float]
+"""Peak velocity [m/s] and current [A]."""
 
-def cell_of(operating_point: tuple[float, float]) -> tuple[int, int]:
-    """The cell of an operating point (peak velocity [m/s], current [A])."""
-    v_m, current = operating_point
-    return round(math.log(max(v_m, 1e-9)) / _VELOCITY_CELL), round(current / _CURRENT_CELL)
+
+def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
+    """Index of the nearest of the points that is the same operating point; None if none is."""
+    best, nearest = 1.0, None
+    for index, (v_m, current) in enumerate(points):
+        ratio = math.log(max(v_m, 1e-9) / max(wanted[0], 1e-9))
+        distance = max(abs(ratio) / _SAME_VELOCITY, abs(current - wanted[1]) / _SAME_CURRENT)
+        if distance <= best:
+            best, nearest = distance, index
+    return nearest
 
 
 class Reservoir:
     """The newest accepted window of each operating point, thinned to a few hundred samples."""
 
     def __init__(self) -> None:
-        self._windows: dict[tuple[int, int], Window] = {}
+        self._windows: list[Window] = []
+        self._points: list[OperatingPoint] = []
 
     @property
     def windows(self) -> tuple[Window, ...]:
         """All windows kept, oldest first."""
-        return tuple(self._windows.values())
+        return tuple(self._windows)
 
     @property
     def operating_points(self) -> int:
@@ -41,9 +51,11 @@ class Reservoir:
 
     def add(self, window: Window, fit: WindowFit) -> None:
         """Keep a window in place of the older one at its operating point."""
-        cell = cell_of(fit.operating_point)
-        self._windows.pop(cell, None)
+        older = nearest_same(self._points, fit.operating_point)
+        if older is None and len(self._windows) == _MOST_WINDOWS:
+            older = 0
+        if older is not None:
+            del self._windows[older], self._points[older]
         stride = max(window.sample_count // _MOST_SAMPLES, 1)
-        self._windows[cell] = window.part(slice(None, None, stride))
-        if len(self._windows) > _MOST_WINDOWS:
-            del self._windows[next(iter(self._windows))]
+        self._windows.append(window.part(slice(None, None, stride)))
+        self._points.append(fit.operating_point)

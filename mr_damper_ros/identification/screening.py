@@ -20,6 +20,13 @@ LARGEST_CURRENT = 50.0
 _CLIPPED_PART = 0.02
 _CLIPPED_RUN = 8
 
+_RESTING = 0.02
+_LONGEST_REST = 0.25
+"""A machine is standing still below 2 % of its top speed for this part of a window in a row."""
+
+_DRIVING = 0.1
+"""Correlation of force and velocity below minus this: the sign of one of them is wrong."""
+
 
 @dataclass(frozen=True)
 class Screening:
@@ -60,6 +67,28 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
     for name, array in (("force", force), ("displacement", displacement)):
         if _is_clipped(array):
             return f"the {name} is clipped at the end of its range: is the sensor overloaded?"
+    return ""
+
+
+def fault_of_motion(velocity: Array, force: Array) -> str:
+    """Why motion and force of shape (n,) [m/s, N] do not go together; empty where they do.
+
+    A damper takes power out of the motion; and a machine that stops within a window leaves a
+    stretch that says nothing of it.
+    """
+    speed = np.abs(velocity)
+    resting = np.concatenate(([0], (speed < _RESTING * speed.max()).view(np.int8), [0]))
+    edges = np.flatnonzero(np.diff(resting))
+    longest = int(np.max(edges[1::2] - edges[::2], initial=0))
+    if longest > _LONGEST_REST * speed.size:
+        return f"the machine stands still for {longest / speed.size:.0%} of the window"
+    centred = force - force.mean()
+    power = float(centred @ velocity)
+    if power < -_DRIVING * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
+        return (
+            "the force drives the motion, which no damper does: reverse the sign of the force or "
+            "of the displacement (extension and tension are positive)"
+        )
     return ""
 
 

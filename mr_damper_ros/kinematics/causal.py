@@ -21,19 +21,29 @@ _SETTLING = 12.0
 """Time constants of the poles after which the start is forgotten to a thousandth."""
 
 
+def possible_bandwidths(period: float) -> tuple[float, float]:
+    """Lowest and highest bandwidth [Hz] of the observer for samples ``period`` [s] apart.
+
+    Above a quarter of the sample rate it would not filter; far below, four poles next to 1 need
+    more digits than double precision has.
+    """
+    return 2e-4 / period, 0.25 / period
+
+
 class CausalDifferentiator:
     """Displacement, velocity and acceleration of a stream, sample by sample, block by block.
 
     ``period`` [s] is the sample period, ``bandwidth`` [Hz] the corner of the observer.
 
-    Raises ValueError where the bandwidth is not positive or exceeds a quarter of the sample rate.
+    Raises ValueError where the bandwidth lies outside of :func:`possible_bandwidths`.
     """
 
     def __init__(self, period: float, bandwidth: float) -> None:
-        if not 0.0 < bandwidth <= 0.25 / period:
+        lowest, highest = possible_bandwidths(period)
+        if not lowest <= bandwidth <= highest:
             raise ValueError(
-                f"the bandwidth is {bandwidth:g} Hz: it must be positive and at most a quarter "
-                f"of the sample rate ({0.25 / period:g} Hz)"
+                f"the bandwidth is {bandwidth:g} Hz: samples {period:g} s apart allow "
+                f"{lowest:g} to {highest:g} Hz"
             )
         pole = math.exp(-2.0 * math.pi * bandwidth * period)
         self._denominator = np.asarray(np.poly(np.full(_ORDER, pole)), dtype=float)

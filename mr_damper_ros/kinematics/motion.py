@@ -26,6 +26,9 @@ force in all published conditions. A larger distortion would bias the fit of the
 _NOISE_FACTOR = 1.2
 """... or hardly more than the noise of the displacement itself."""
 
+_CHANCE = 5.0
+"""Standard deviations by which the worst of many stretches may exceed the noise by chance."""
+
 _POLYNOMIAL_ORDER = 4
 _SHORTEST_FILTER = 7
 
@@ -84,7 +87,8 @@ def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
         stretch = max(candidate, 32)
         blocks = left[: left.size // stretch * stretch].reshape(-1, stretch)
         worst = math.sqrt(float(np.max(np.mean(blocks**2, axis=1)))) if blocks.size else math.inf
-        allowed = noise * math.sqrt(1.0 - kept) * (1.0 + 3.0 / math.sqrt(2.0 * stretch))
+        chance = _CHANCE / math.sqrt(2.0 * stretch)
+        allowed = noise * math.sqrt(1.0 - kept) * (1.0 + chance)
         if worst > _NOISE_FACTOR * allowed:
             break
         length = candidate

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 from mr_damper_ros.damper.sigmoid import Array
 
@@ -11,6 +12,19 @@ _STRETCHES = 64
 
 _SMALLEST_RETURN = 1e-4
 """A reversal counts once the motion has come back by this [m] and by a quarter of its span."""
+
+
+@dataclass
+class _Stretch:
+    """Number of samples, and their lowest and highest value [m]."""
+
+    count: int
+    low: float
+    high: float
+
+    def add(self, count: int, low: float, high: float) -> None:
+        self.count += count
+        self.low, self.high = min(self.low, low), max(self.high, high)
 
 
 class MotionCentre:
@@ -24,10 +38,10 @@ class MotionCentre:
     """
 
     def __init__(self, memory: float, period: float) -> None:
-        self._length = max(round(memory / period / _STRETCHES), 1)
-        self._lowest: deque[float] = deque([math.inf], maxlen=_STRETCHES)
-        self._highest: deque[float] = deque([-math.inf], maxlen=_STRETCHES)
-        self._in_stretch = 0
+        self._memory = max(round(memory / period), 1)
+        self._length = max(self._memory // _STRETCHES, 1)
+        self._stretches: deque[_Stretch] = deque()
+        self._remembered = 0
         self._direction = 0
         self._bottom, self._top = math.inf, -math.inf
         self._count = 0
@@ -38,16 +52,17 @@ class MotionCentre:
 
     def follow(self, displacement: Array) -> float:
         """Centre [m] after these samples of shape (n,), n >= 1."""
-        if self._in_stretch >= self._length:
-            self._lowest.append(math.inf)
-            self._highest.append(-math.inf)
-            self._in_stretch = 0
         low, high = float(displacement.min()), float(displacement.max())
-        self._lowest[-1] = min(self._lowest[-1], low)
-        self._highest[-1] = max(self._highest[-1], high)
-        self._in_stretch += displacement.size
+        if not self._stretches or self._stretches[-1].count >= self._length:
+            self._stretches.append(_Stretch(0, low, high))
+        newest = self._stretches[-1]
+        newest.add(displacement.size, low, high)
+        self._remembered += displacement.size
+        while self._remembered - self._stretches[0].count >= self._memory:
+            self._remembered -= self._stretches.popleft().count
         self._count += displacement.size
-        bottom, top = min(self._lowest), max(self._highest)
+        bottom = min(stretch.low for stretch in self._stretches)
+        top = max(stretch.high for stretch in self._stretches)
         self._bottom, self._top = min(self._bottom, low), max(self._top, high)
         self._count_reversals(float(displacement[-1]), max(0.25 * (top - bottom), _SMALLEST_RETURN))
         return 0.5 * (bottom + top)

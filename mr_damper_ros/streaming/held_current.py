@@ -18,6 +18,7 @@ class HeldCurrent:
         self._keep_ns = round(keep * NANOSECONDS)
         self._stamps: list[int] = []
         self._values: list[float] = []
+        self._jumped = False
 
     @property
     def last_stamp_ns(self) -> int | None:
@@ -28,6 +29,7 @@ class HeldCurrent:
         """Add a value [A]; one that jumps back in time takes the place of all that came after."""
         # One topic keeps its order: an earlier stamp means that time was set back.
         place = bisect_left(self._stamps, stamp_ns)
+        self._jumped |= bool(self._stamps) and stamp_ns < self._stamps[-1]
         del self._stamps[place:], self._values[place:]
         self._stamps.append(stamp_ns)
         self._values.append(current)
@@ -35,6 +37,16 @@ class HeldCurrent:
         surplus = bisect_right(self._stamps, stamp_ns - self._keep_ns) - 1
         if surplus > 0:
             del self._stamps[:surplus], self._values[:surplus]
+
+    def follow_jump(self) -> None:
+        """Forget the values of the time before, now that the samples have jumped back.
+
+        If the current jumped first, its values are those of the new time already.
+        """
+        if not self._jumped:
+            self._stamps.clear()
+            self._values.clear()
+        self._jumped = False
 
     def known_from(self, stamp_ns: int) -> bool:
         """Whether a value is in force at the stamp."""

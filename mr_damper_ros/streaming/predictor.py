@@ -8,7 +8,7 @@ import numpy as np
 
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.sigmoid import Array, force, peak_velocity
-from mr_damper_ros.kinematics.causal import CausalDifferentiator
+from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.kinematics.sine_follower import SineFollower
 from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.streaming.centre import MotionCentre
@@ -85,13 +85,15 @@ class ForcePredictor:
         verdict = self._sequence.follow(block)
         if verdict.kind == "repeat":
             return self._invalid(block, verdict.sentence, verdict.sentence)
+        if verdict.kind == "jump_back":
+            self._current.follow_jump()
         if (
             self._differentiator is None
             or self._centre is None
             or self._sine is None
             or verdict.restarts
         ):
-            bandwidth = min(self._settings.bandwidth, 0.25 / block.period)
+            bandwidth = float(np.clip(self._settings.bandwidth, *possible_bandwidths(block.period)))
             self._differentiator = CausalDifferentiator(block.period, bandwidth)
             self._centre = MotionCentre(self._settings.centre_memory, block.period)
             self._sine = SineFollower(block.period, self._settings.centre_memory)

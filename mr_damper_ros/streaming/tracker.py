@@ -26,7 +26,11 @@ from mr_damper_ros.identification.global_fit import (
     identify_global,
 )
 from mr_damper_ros.identification.reservoir import Reservoir
-from mr_damper_ros.identification.screening import Screening, fault_of_samples
+from mr_damper_ros.identification.screening import (
+    Screening,
+    fault_of_motion,
+    fault_of_samples,
+)
 from mr_damper_ros.identification.window import Window, scale_parameter_errors
 from mr_damper_ros.streaming.windows import RawWindow
 
@@ -40,14 +44,12 @@ class TrackerSettings:
     """Settings of the identification of windows.
 
     ``method``: "nelder_mead" or "least_squares"; ``robust``: bound the influence of outliers;
-    ``global_period``: a global identification after this many accepted windows, 0 for never;
-    ``time_budget`` [s]: a fit is cut here with the best so far.
+    ``global_period``: a global identification after this many accepted windows, 0 for never.
     """
 
     method: str = "nelder_mead"
     robust: bool = False
     global_period: int = 20
-    time_budget: float = 5.0
     screening: Screening = field(default_factory=Screening)
     acceptance: AcceptanceSettings = field(default_factory=AcceptanceSettings)
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
@@ -127,6 +129,9 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         return FitResult(task, fault)
     try:
         window = Window.from_samples(raw.displacement, raw.force, raw.current, raw.period)
+        fault = fault_of_motion(window.motion.velocity, window.force)
+        if fault:
+            return FitResult(task, fault)
         held_back = held_back_samples(window.sample_count)
         trained = fit_window(
             window.part(~held_back),
@@ -199,13 +204,14 @@ class WindowTracker:
         self._settings = settings
         self._initial = initial
         self.parameters = initial
+        # It also names the sets, so it goes on through a reset.
+        self._windows = 0
         self._start_again()
 
     def _start_again(self) -> None:
         self._gatekeeper = Gatekeeper(self._settings.acceptance)
         self._baselines = Baselines()
         self._reservoir = Reservoir()
-        self._windows = 0
         self._accepted = 0
         self._accepted_since_global = 0
 

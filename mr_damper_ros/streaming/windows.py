@@ -57,6 +57,8 @@ class WindowAssembler:
 
     def _empty(self) -> None:
         self._blocks: list[SampleBlock] = []
+        # Samples of the first block that lie before the present window, and those from there on.
+        self._skip = 0
         self._count = 0
 
     @property
@@ -103,6 +105,7 @@ class WindowAssembler:
         if verdict.kind == "jump_back":
             # Windows that still wait belong to the time before the jump.
             self._waiting.clear()
+            self._current.follow_jump()
         self._blocks.append(block)
         self._count += block.sample_count
         self._cut()
@@ -127,34 +130,26 @@ class WindowAssembler:
         length = max(round(self._window / period), 1)
         step = max(round(self._hop / period), 1)
         while self._count >= length:
-            displacement = np.concatenate([block.displacement for block in self._blocks])
-            force = np.concatenate([block.force for block in self._blocks])
-            start_ns = self._blocks[0].start_ns
+            end = self._skip + length
             self._waiting.append(
                 RawWindow(
-                    start_ns=start_ns,
+                    # From the stamp of its own block: a sample clock that is not quite the
+                    # nominal one must not drift away from the stamps.
+                    start_ns=self._blocks[0].start_ns + round(self._skip * period * NANOSECONDS),
                     period=period,
-                    displacement=displacement[:length],
-                    force=force[:length],
+                    displacement=self._joined("displacement")[self._skip : end],
+                    force=self._joined("force")[self._skip : end],
                     current=np.full(length, math.nan),
                     temperature=self._temperature,
                 )
             )
-            rest = (
-                SampleBlock(
-                    start_ns=start_ns + round(step * period * NANOSECONDS),
-                    sequence=self._blocks[0].sequence + step,
-                    period=period,
-                    displacement=displacement[step:],
-                    force=force[step:],
-                )
-                if self._count > step
-                else None
-            )
-            self._blocks = [rest] if rest is not None else []
             self._count -= step
-        if len(self._waiting) > _WAIT_FOR_CURRENT:
-            del self._waiting[:-_WAIT_FOR_CURRENT]
+            self._skip += step
+            while self._blocks and self._skip >= self._blocks[0].sample_count:
+                self._skip -= self._blocks.pop(0).sample_count
+
+    def _joined(self, name: str) -> Array:
+        return np.concatenate([getattr(block, name) for block in self._blocks])
 
     def _ready(self) -> list[RawWindow]:
         ready = []
@@ -162,7 +157,9 @@ class WindowAssembler:
         while self._waiting and last is not None and last >= self._waiting[0].end_ns:
             window = self._waiting.pop(0)
             if not self._current.known_from(window.start_ns):
-                # The current is not known for the beginning: no guess is made.
+                self._events.append(
+                    "the supply current is not known from the start of a window: it is left out"
+                )
                 continue
             ready.append(
                 RawWindow(
@@ -173,5 +170,10 @@ class WindowAssembler:
                     current=self._current.at(window.start_ns, window.period, window.force.size),
                     temperature=window.temperature,
                 )
+            )
+        if len(self._waiting) > _WAIT_FOR_CURRENT:
+            del self._waiting[:-_WAIT_FOR_CURRENT]
+            self._events.append(
+                "windows are dropped, because no supply current comes to go with them"
             )
         return ready

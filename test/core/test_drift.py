@@ -85,7 +85,6 @@ EDGE = 0.001
 """Relative change of the amplitude or current that no controller of a test machine holds."""
 
 
-@pytest.mark.xfail(reason="the edges of the cells split one operating point in two", strict=True)
 @pytest.mark.parametrize("what", ["peak velocity", "current"])
 def test_an_operating_point_at_the_edge_of_a_cell_has_one_baseline(what: str) -> None:
     speed, current = 1.1**-33.5, 0.5

@@ -206,10 +206,6 @@ MOTIONS = {"triangle": ROUNDED_TRIANGLE, "random": RANDOM}
 NEAR_THE_BEST = 4.0
 """The filter's length comes from the data: it may cost this factor against the best length."""
 
-CHANCE = pytest.mark.xfail(
-    reason="a chance excess in one stretch ends the search at the shortest filter", strict=True
-)
-
 
 @functools.cache
 def smoothed(name: str, noise: float) -> tuple[Array, Array]:
@@ -238,7 +234,6 @@ def smoothed(name: str, noise: float) -> tuple[Array, Array]:
     return np.max(found, axis=0), np.max(best, axis=0)
 
 
-@CHANCE
 @pytest.mark.parametrize("name", MOTIONS)
 @pytest.mark.parametrize("noise", [1e-6, 1e-5])
 def test_the_acceleration_of_any_motion_is_near_the_best_there_is(name: str, noise: float) -> None:
@@ -246,7 +241,6 @@ def test_the_acceleration_of_any_motion_is_near_the_best_there_is(name: str, noi
     assert found[1] < NEAR_THE_BEST * best[1]
 
 
-@CHANCE
 @pytest.mark.parametrize("name", MOTIONS)
 @pytest.mark.parametrize("noise", [1e-6, 1e-5])
 def test_the_velocity_of_any_motion_is_near_the_best_there_is(name: str, noise: float) -> None:
@@ -377,13 +371,10 @@ def test_a_constant_offset_changes_nothing() -> None:
 
 @pytest.mark.parametrize("bandwidth", [0.0, -1.0, 251.0, math.nan, math.inf])
 def test_a_bandwidth_out_of_range_is_refused(bandwidth: float) -> None:
-    with pytest.raises(ValueError, match="must be positive and at most a quarter"):
+    with pytest.raises(ValueError, match="s apart allow"):
         CausalDifferentiator(PERIOD, bandwidth)
 
 
-@pytest.mark.xfail(
-    reason="the fourfold pole needs more digits than double precision has", strict=True
-)
 def test_a_narrow_band_at_a_high_rate_is_stable_or_refused() -> None:
     period, bandwidth = 1e-4, 0.1
     try:

@@ -285,12 +285,7 @@ def test_the_centre_of_a_sine_is_found_within_a_cycle(size: int) -> None:
     [
         1,
         10,
-        pytest.param(
-            1000,
-            marks=pytest.mark.xfail(
-                reason="large blocks lengthen the memory to 64 blocks", strict=True
-            ),
-        ),
+        1000,
     ],
 )
 def test_a_centre_that_moves_is_followed_within_the_memory(size: int) -> None:
