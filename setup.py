@@ -6,7 +6,7 @@ from setuptools import find_packages, setup
 
 NAME = "mr_damper_ros"
 NODES = ("bridge", "demo", "identifier", "model", "replay")
-TOOLS = ("identify", "import_record", "thesis_bags", "validate")
+TOOLS = ("identify", "import_record", "reproduce", "thesis_bags", "validate")
 
 
 def data_files(*patterns: str) -> list[tuple[str, list[str]]]:

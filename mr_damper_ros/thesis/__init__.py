@@ -1,0 +1,5 @@
+"""The thesis' results made again on re-synthesised runs, next to the published ones.
+
+Source of all published numbers: D. M. D. da Silva, "Comparative study of optimization algorithms
+for parameter identification of the sigmoid model in MR dampers", University of Brasília, 2023.
+"""

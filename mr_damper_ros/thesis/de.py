@@ -1,0 +1,83 @@
+"""Differential evolution as the thesis describes it: a whole generation at a time, bounds by
+clipping (Storn and Price, Journal of Global Optimization 11, 1997; thesis 2.7.2).
+
+That the thesis clipped is read off its tables 10 and 11: the variances of a0, I1, a3, a4 and k2
+exceed that of a uniform distribution over the whole range, so most results lie on the bounds.
+"""  # noqa: D205
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array
+
+STRATEGIES = ("rand/1", "best/1", "rand-to-best/2", "rand/2")
+"""Mutation schemes by the names of the thesis' table 3."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evolved:
+    """Best individual (p,), its cost, the evaluations spent."""
+
+    best: Array
+    cost: float
+    evaluations: int
+
+
+def evolve(
+    cost: Callable[[Array], Array],
+    low: Array,
+    high: Array,
+    rng: np.random.Generator,
+    *,
+    strategy: str = "rand/1",
+    mutation: float = 0.8,
+    recombination: float = 0.8,
+    generations: int = 500,
+    population: int = 160,
+) -> Evolved:
+    """Minimise ``cost``, which takes sets of shape (s, p) and returns (s,), within (p,) bounds.
+
+    Raises ValueError for an unknown strategy or a population below six.
+    """
+    if strategy not in STRATEGIES:
+        raise ValueError(f"strategy '{strategy}' is unknown: use one of {', '.join(STRATEGIES)}")
+    if population < 6:
+        raise ValueError(f"the population is {population}: at least 6 are needed")
+    people = low + (high - low) * rng.random((population, low.size))
+    costs = _finite(cost(people))
+    for _ in range(generations):
+        mutants = _mutants(people, people[np.argmin(costs)], strategy, mutation, rng)
+        crossed = rng.random(people.shape) < recombination
+        crossed[np.arange(population), rng.integers(low.size, size=population)] = True
+        trials = np.clip(np.where(crossed, mutants, people), low, high)
+        trial_costs = _finite(cost(trials))
+        better = trial_costs <= costs
+        people[better] = trials[better]
+        costs[better] = trial_costs[better]
+    place = int(np.argmin(costs))
+    return Evolved(people[place].copy(), float(costs[place]), population * (generations + 1))
+
+
+def _finite(costs: Array) -> Array:
+    return np.nan_to_num(costs, nan=1e300, posinf=1e300)
+
+
+def _mutants(
+    people: Array, best: Array, strategy: str, mutation: float, rng: np.random.Generator
+) -> Array:
+    """Mutants (s, p); partners are drawn by rotating a permutation, so they differ."""
+    count = people.shape[0]
+    order = rng.permutation(count)
+    turns = rng.choice(np.arange(1, count), size=4, replace=False)
+    one, two, three, four, five = (people[np.roll(order, turn)] for turn in (0, *turns))
+    if strategy == "rand/1":
+        return np.asarray(one + mutation * (two - three))
+    if strategy == "best/1":
+        return np.asarray(best + mutation * (one - two))
+    if strategy == "rand-to-best/2":
+        return np.asarray(people + mutation * (best - people + one - two))
+    return np.asarray(one + mutation * (two - three + four - five))

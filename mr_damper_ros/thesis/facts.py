@@ -1,0 +1,84 @@
+"""Numbers that the thesis states, with the places where it does."""
+
+from __future__ import annotations
+
+import numpy as np
+
+SINE = {"amplitude": 2.5e-3, "frequency": 1.0, "phase": 4.481}
+"""Fitted sine of 2.5 mm, 1 Hz, 0 A: [m], [Hz], [rad] (figure 17, appendix D)."""
+
+FORCE_ERROR = {
+    "sample_size": 7001.0,
+    "minimum": -20.9067,
+    "maximum": 21.8406,
+    "mean": 0.0026,
+    "variance": 31.0140,
+    "mu": -0.00162972,
+    "mu_low": -0.131098,
+    "mu_high": 0.127839,
+    "sigma": 5.52613,
+    "sigma_low": 5.43609,
+    "sigma_high": 5.61921,
+}
+"""Error of the fitted force [N, N²] and its normal fit with 95 % intervals (4.6, figure 38)."""
+
+VELOCITY_PER_STROKE = 0.015
+"""Rise of the peak velocity [m/s] per 2.5 mm at 1 Hz, 0.5 A (4.4)."""
+
+VELOCITY_PER_HERTZ = 0.06
+"""Rise of the peak velocity [m/s] per 1 Hz at 5 mm, 0.5 A (4.3)."""
+
+ASYMMETRY_LIMIT = 0.10
+"""With current, peak forces of the two directions differ by less than this (4.1)."""
+
+PEAK_COLD, PEAK_WARM = 1332.0, 989.0
+"""Peak force [N] at 28 and 71 °C, 1.5 A, 5 mm, 1 Hz (4.5)."""
+
+SENSITIVITY = {
+    "f0": 16e5,
+    "a0": 3e4,
+    "a1": 1.2e4,
+    "a4": 20.0,
+    "k5": 16e4,
+    "k1c": 7e4,
+    "k1e": 7e4,
+    "k0": 3.5e4,
+    "k4": 3e4,
+    "k6": 180.0,
+    **dict.fromkeys(("I0", "I1", "a2", "a3", "k2", "k3"), 0.0),
+}
+"""Error of the force after a change of each parameter (tables 13 and 14; "CTE" is 0 here)."""
+
+REPEATED = {
+    "maximum": np.array([15.0, 1, 1, 250, 10, 5, 1, 20, 1, 10, 10, 800, 5, 1, 0.358, 0.5]),
+    "minimum": np.array(
+        [0.752, -1, -1, -250, -10, -5, -1, -20, -1, -10, -10, -800, -5, -1, -0.235, 0.0]
+    ),
+    "mean": np.array(
+        [
+            *(7.30, 0.300, 0.17, -30.9, -1.80, -0.18, -0.01, -0.01),
+            *(-0.06, 6.45, 4.64, 15.83, 0.18, 0.01, 0.001, 0.02),
+        ]
+    ),
+    "variance": np.array(
+        [
+            *(18.96, 0.29, 0.53, 5.27e4, 56.18, 10.70, 0.47, 189.25),
+            *(0.55, 21.32, 26.64, 3.09e5, 12.80, 0.281, 0.005, 0.005),
+        ]
+    ),
+}
+"""Hundred runs of differential evolution, captioned 5.0 mm, 1 Hz, 0 A (tables 10 and 11)."""
+
+SEARCH_LOW = np.array([0.0, -1, -1, -250, -10, -5, -1, -20, -1, -10, -10, -800, -5, -1, -0.5, 0])
+SEARCH_HIGH = np.array([15.0, 1, 1, 250, 10, 5, 1, 20, 1, 10, 10, 800, 5, 1, 0.5, 0.5])
+"""Bounds of the search. The round extremes of tables 10 and 11 are taken for the thesis' bounds;
+those of f0 (below) and k5 are assumed, as the tables show none."""
+
+MODEL_ERRORS = {
+    "bingham": 3.8096,
+    "bouc_wen": 1.9245,
+    "modified_bouc_wen": 1.3770,
+    "hyperbolic_tangent": 3.3688,
+    "nonlinear_biviscous": 3.8052,
+}
+"""Estimation errors of models in an unstated measure, quoted from Yaakub et al. 2020 (table 2)."""

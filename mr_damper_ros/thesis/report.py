@@ -1,0 +1,209 @@
+"""What a section of the report is made of, and the page itself: one file, figures inside."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import html
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; plain text."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a file name (no ending), a caption, column heads and rows."""
+
+    name: str
+    caption: str
+    columns: tuple[str, ...]
+    rows: Sequence[Sequence[Cell]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A Matplotlib figure with a file name (no ending) and a caption."""
+
+    name: str
+    caption: str
+    figure: Any
+
+
+Block = Text | Table | Picture
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A value of ours beside the thesis' (None where the thesis states none).
+
+    ``relative`` is False where the true value is zero, so that a relative difference says nothing.
+    """
+
+    quantity: str
+    unit: str
+    ours: float
+    thesis: float | None
+    where: str
+    relative: bool = True
+
+    @property
+    def difference(self) -> float | None:
+        """(ours - thesis) / |thesis|."""
+        if self.thesis is None or self.thesis == 0.0 or not math.isfinite(self.ours):
+            return None
+        if not self.relative:
+            return None
+        return (self.ours - self.thesis) / abs(self.thesis)
+
+
+def comparison(name: str, caption: str, values: Sequence[Compared]) -> Table:
+    """Table of ours, the thesis' and the relative difference."""
+    rows = [
+        (
+            v.quantity,
+            v.unit,
+            v.ours,
+            "not stated" if v.thesis is None else v.thesis,
+            "" if v.difference is None else f"{100.0 * v.difference:+.1f} %".replace("-", "−"),
+            v.where,
+        )
+        for v in values
+    ]
+    columns = ("Quantity", "Unit", "Ours", "Thesis", "Difference", "In the thesis")
+    return Table(name, caption, columns, rows)
+
+
+def shown(value: Cell) -> str:
+    """A cell as text: four digits, no more."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return str(value)
+    if isinstance(value, int):
+        return str(value)
+    if not math.isfinite(value):
+        return "–"
+    if value != 0.0 and not 1e-3 <= abs(value) < 1e5:
+        mantissa, exponent = f"{value:.2e}".split("e")
+        return f"{mantissa}·10^{int(exponent)}".replace("-", "−")
+    return f"{value:.4g}".replace("-", "−")
+
+
+def write_table(folder: Path, table: Table) -> None:
+    """Write a table as CSV; numbers with all their digits."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.columns)
+    writer.writerows(table.rows)
+    (folder / f"{table.name}.csv").write_text(text.getvalue(), encoding="utf-8")
+
+
+def write_picture(folder: Path, picture: Picture) -> bytes:
+    """Write a figure as PNG and SVG; returns the SVG."""
+    folder.mkdir(parents=True, exist_ok=True)
+    picture.figure.savefig(folder / f"{picture.name}.png", dpi=150)
+    buffer = io.BytesIO()
+    # No date and fixed ids: the same data give the same file.
+    picture.figure.savefig(buffer, format="svg", metadata={"Date": None})
+    (folder / f"{picture.name}.svg").write_bytes(buffer.getvalue())
+    return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A section as shown: a name for links, a title, blocks."""
+
+    name: str
+    title: str
+    blocks: Sequence[Block]
+
+
+def write_report(folder: Path, title: str, notice: str, chapters: Sequence[Chapter]) -> Path:
+    """Write the page, the figures and the tables below ``folder``; returns the page."""
+    parts = [f"<h1>{html.escape(title)}</h1>", f'<p class="notice">{html.escape(notice)}</p>']
+    links = "".join(f'<li><a href="#{c.name}">{html.escape(c.title)}</a></li>' for c in chapters)
+    parts.append(f"<nav><ol>{links}</ol></nav>")
+    for number, chapter in enumerate(chapters, start=1):
+        parts.append(f'<section id="{chapter.name}"><h2>{number} {html.escape(chapter.title)}</h2>')
+        parts += [_block(folder, block) for block in chapter.blocks]
+        parts.append("</section>")
+    body = "\n".join(parts)
+    page = folder / "report.html"
+    folder.mkdir(parents=True, exist_ok=True)
+    page.write_text(
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>\n"
+        f"<body>{body}</body></html>\n",
+        encoding="utf-8",
+    )
+    return page
+
+
+def _block(folder: Path, block: Block) -> str:
+    if isinstance(block, Text):
+        return f"<p>{html.escape(block.text)}</p>"
+    if isinstance(block, Table):
+        write_table(folder / "tables", block)
+        return _table(block)
+    svg = base64.b64encode(write_picture(folder / "figures", block)).decode("ascii")
+    caption = html.escape(block.caption)
+    return (
+        f'<figure><img alt="{caption}" src="data:image/svg+xml;base64,{svg}">'
+        f"<figcaption>{caption}</figcaption></figure>"
+    )
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{html.escape(column)}</th>" for column in table.columns)
+    rows = []
+    for row in table.rows:
+        cells = []
+        for value in row:
+            numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
+            kind = ' class="number"' if numeric or value is None else ""
+            cells.append(f"<td{kind}>{html.escape(shown(value))}</td>")
+        rows.append(f"<tr>{''.join(cells)}</tr>")
+    return (
+        f'<div class="table"><table><caption>{html.escape(table.caption)}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+    )
+
+
+_STYLE = """
+:root{color-scheme:light dark;--ink:#1a1a1a;--paper:#fff;--soft:#5c5c5c;--line:#d0d0d0;
+--mark:#f5f1e6}
+@media (prefers-color-scheme:dark){:root{--ink:#e4e4e4;--paper:#141414;--soft:#a5a5a5;
+--line:#3c3c3c;--mark:#2a2619}figure img{filter:invert(.92) hue-rotate(180deg)}}
+body{font:16px/1.5 Georgia,"Times New Roman",serif;color:var(--ink);background:var(--paper);
+max-width:62rem;margin:2rem auto;padding:0 1.2rem}
+h1,h2{line-height:1.25;font-weight:600}h1{font-size:1.7rem}
+h2{font-size:1.3rem;margin-top:3rem;border-top:1px solid var(--line);padding-top:1rem}
+p{max-width:46rem}a{color:inherit}nav{font-size:.95rem}
+.notice{background:var(--mark);padding:.6rem .9rem;max-width:none}
+figure{margin:1.5rem 0;break-inside:avoid}figure img{max-width:100%;height:auto}
+figcaption,caption{font-size:.9rem;color:var(--soft);text-align:left;caption-side:top;
+padding:.3rem 0;max-width:46rem}
+.table{overflow-x:auto;margin:1.5rem 0}table{border-collapse:collapse;font-size:.84rem;
+font-variant-numeric:tabular-nums;border-bottom:1px solid var(--ink)}
+th{text-align:left;border-top:1px solid var(--ink);border-bottom:1px solid var(--ink);
+vertical-align:bottom}
+th,td{padding:.18rem .7rem .18rem 0}td.number{text-align:right;white-space:nowrap}
+tbody tr+tr td{border-top:1px solid var(--line)}
+@media print{:root{--ink:#000;--paper:#fff;--soft:#333;--line:#bbb;--mark:#f0f0f0}
+figure img{filter:none}body{font-size:10pt;max-width:none;margin:0}nav{display:none}
+table{font-size:7.5pt}.table{overflow:visible}tr{break-inside:avoid}}
+"""

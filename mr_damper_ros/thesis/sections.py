@@ -1,0 +1,60 @@
+"""The sections of the report in their order, and the report from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mr_damper_ros.rig.thesis import PROVENANCE
+from mr_damper_ros.thesis import force_error
+from mr_damper_ros.thesis.campaign import Campaign
+from mr_damper_ros.thesis.report import Block, Chapter, write_report
+from mr_damper_ros.thesis.style import styled
+
+
+@dataclass(frozen=True)
+class Section:
+    """``compute`` makes the numbers, ``show`` the blocks of the report from them."""
+
+    name: str
+    title: str
+    compute: Callable[[Campaign], dict[str, Any]]
+    show: Callable[[dict[str, Any]], list[Block]]
+
+
+SECTIONS = (
+    Section(
+        "force-error",
+        "Sine and force identified, and their errors",
+        force_error.compute,
+        force_error.show,
+    ),
+)
+
+_TITLE = "Parameter identification of the sigmoid model of an MR damper: the thesis reproduced"
+
+
+def build(campaign: Campaign, only: Sequence[str] | None = None) -> Path:
+    """Compute what is missing and write the report; returns its page."""
+    settings = campaign.settings
+    chapters = []
+    for section in SECTIONS:
+        if only is not None and section.name not in only:
+            continue
+        campaign.say(section.title)
+        data = section.compute(campaign)
+        with styled():
+            # Drawn figures keep their style only while it is set: so they are written at once.
+            chapters.append(Chapter(section.name, section.title, section.show(data)))
+    notice = (
+        "The recordings behind the thesis (D. M. D. da Silva, University of Brasília, 2023) were "
+        f"not published. All runs here are {PROVENANCE}: the force of the Nelder–Mead set of a "
+        "condition on the fitted sine, with noise of the reported size. Agreement therefore shows "
+        "that methods and numbers are reproducible, not that the damper behaves so. "
+        f"Random searches: {settings.runs} repetitions, seed {settings.seed}"
+        f"{', quick variant' if settings.quick else ''}."
+    )
+    with styled():
+        return write_report(settings.folder, _TITLE, notice, chapters)
