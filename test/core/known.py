@@ -37,7 +37,7 @@ T0 = 1_700_000_000 * NANOSECONDS
 PLAUSIBLE = np.array(
     [
         *(40.0, -0.35, -0.25, 900.0, 2.5, 4.0, 3.0, 2.0),
-        *(9.0, 1.2, 1.6, 18.0, -0.45, -0.11, 0.06, 0.012),
+        *(9.0, 4.0, 6.0, 18.0, -0.45, -0.11, 0.06, 0.012),
     ]
 )
 """Sixteen parameters of a damper whose laws all show within 0.01 to 0.25 m/s and 0 to 1.5 A."""

@@ -1,0 +1,587 @@
+"""One set for many runs: the truth where the data hold it, the start's value where they do not."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.damper.sigmoid import (
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+    SHAPE_PARAMETER_NAMES,
+    Array,
+    force,
+    operating_point_coefficients,
+    parameter_jacobian,
+)
+from mr_damper_ros.identification.evolution import (
+    STRATEGIES,
+    EvolutionSettings,
+    GlobalProgress,
+    ProgressClock,
+    evolve,
+)
+from mr_damper_ros.identification.global_fit import GlobalFit, identify_global, neutral_shape
+from mr_damper_ros.identification.laws import CoefficientTable, fit_laws
+from mr_damper_ros.identification.observability import (
+    determined_parameters,
+    standard_errors,
+    varied_parameters,
+)
+from mr_damper_ros.identification.pooled import PooledMisfit
+from mr_damper_ros.identification.window import Window
+
+AT_THE_NOISE = 1.06
+"""RMSE over the noise of any one window of a few hundred samples."""
+
+CURRENTS = (0.0, 0.5, 1.0, 1.5)
+QUICK = EvolutionSettings(generations=150)
+FEW = EvolutionSettings(generations=40, population=8)
+
+
+@cache
+def grid(
+    currents: tuple[float, ...] = CURRENTS,
+    amplitudes: tuple[float, ...] = (2.5e-3, 5e-3, 10e-3),
+    frequencies: tuple[float, ...] = (1.0, 3.0),
+    samples: int = 600,
+) -> tuple[Window, ...]:
+    """Windows of the known damper at all combinations."""
+    conditions = [(a, f, i) for a in amplitudes for f in frequencies for i in currents]
+    return tuple(
+        known.run(
+            amplitude=a, frequency=f, current=i, seed=seed, samples=samples, period=2e-3
+        ).window
+        for seed, (a, f, i) in enumerate(conditions)
+    )
+
+
+def excess(windows: tuple[Window, ...], fit: GlobalFit) -> float:
+    """Largest RMSE of any window over the noise."""
+    ratios = []
+    for window in windows:
+        m = window.motion
+        predicted = force(
+            fit.parameter_set.values, m.displacement, m.velocity, m.acceleration, window.current
+        )
+        ratios.append(known.rms(predicted - window.force) / known.NOISE)
+    return max(ratios)
+
+
+def unobservable(fit: GlobalFit) -> set[str]:
+    observable = fit.parameter_set.observable
+    return {name for name, seen in zip(PARAMETER_NAMES, observable, strict=True) if not seen}
+
+
+# -- the known damper ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def found() -> GlobalFit:
+    """The known damper, identified from 24 runs at four currents."""
+    return identify_global(grid(), LITERATURE, EvolutionSettings())
+
+
+def test_all_sixteen_are_observable_at_four_currents(found: GlobalFit) -> None:
+    assert unobservable(found) == set()
+
+
+def test_all_sixteen_are_recovered(found: GlobalFit) -> None:
+    result = found.parameter_set
+    errors = (result.values - known.PLAUSIBLE) / result.standard_errors
+    assert np.max(np.abs(errors)) < 4.0, dict(zip(PARAMETER_NAMES, errors.round(1), strict=True))
+
+
+def test_the_standard_errors_are_no_larger_than_they_must_be(found: GlobalFit) -> None:
+    jacobian = np.concatenate(
+        [
+            parameter_jacobian(
+                known.PLAUSIBLE,
+                w.motion.displacement,
+                w.motion.velocity,
+                w.motion.acceleration,
+                w.current,
+            )
+            for w in grid()
+        ]
+    )
+    sizes = np.linalg.norm(jacobian, axis=0)
+    scaled = jacobian / sizes
+    bound = known.NOISE * np.sqrt(np.diag(np.linalg.inv(scaled.T @ scaled))) / sizes
+    np.testing.assert_allclose(found.parameter_set.standard_errors, bound, rtol=0.3)
+
+
+def test_every_window_is_fitted_down_to_the_noise(found: GlobalFit) -> None:
+    assert excess(grid(), found) < AT_THE_NOISE
+    assert found.success, found.message
+
+
+def test_the_figures_of_the_fit_are_those_of_its_windows(found: GlobalFit) -> None:
+    nrmse = []
+    for window in grid():
+        m = window.motion
+        predicted = force(
+            found.parameter_set.values, m.displacement, m.velocity, m.acceleration, window.current
+        )
+        nrmse.append(known.rms(predicted - window.force) / np.std(window.force))
+    np.testing.assert_allclose(found.nrmse, nrmse, rtol=1e-9)
+    assert found.median_nrmse == found.parameter_set.nrmse == pytest.approx(np.median(nrmse))
+
+
+def test_the_set_is_valid_where_the_data_were(found: GlobalFit) -> None:
+    assert found.parameter_set.current_range == (0.0, 1.5)
+    low, high = found.parameter_set.peak_velocity_range
+    assert low == pytest.approx(2.0 * math.pi * 2.5e-3, rel=1e-2)
+    assert high == pytest.approx(2.0 * math.pi * 3.0 * 10e-3, rel=1e-2)
+
+
+@pytest.mark.parametrize("start", [THESIS_28_CELSIUS, THESIS_71_CELSIUS], ids=["28C", "71C"])
+def test_the_start_does_not_matter_where_all_is_observable(start: Array, found: GlobalFit) -> None:
+    other = identify_global(grid(), start, EvolutionSettings()).parameter_set
+    difference = (other.values - found.parameter_set.values) / found.parameter_set.standard_errors
+    assert np.max(np.abs(difference)) < 0.1
+
+
+def test_a_condition_that_was_not_fitted_is_predicted(found: GlobalFit) -> None:
+    run = known.run(amplitude=7.5e-3, frequency=2.0, current=0.75, seed=None)
+    predicted = force(
+        found.parameter_set.values, run.displacement, run.velocity, run.acceleration, 0.75
+    )
+    assert known.rms(predicted - run.clean) / np.std(run.clean) < 0.005
+
+
+# -- what the data do not hold ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Poor:
+    """Data that do not determine all, and what they leave open."""
+
+    windows: tuple[Window, ...]
+    open: frozenset[str]
+
+
+VELOCITY_SHAPE = frozenset({"a1", "k0", "a4"})
+CURRENT_SHAPE = frozenset({"k2", "a2", "I0", "k3", "a3", "I1"})
+
+POOR = {
+    "one current": Poor(grid((1.0,)), CURRENT_SHAPE),
+    "two currents": Poor(grid((0.0, 1.0)), CURRENT_SHAPE - {"k2", "k3"}),
+    "three currents": Poor(grid((0.0, 0.5, 1.5)), frozenset({"I0", "I1"})),
+    "one peak velocity": Poor(grid(CURRENTS, (5e-3,), (1.0,)), VELOCITY_SHAPE),
+    "one run": Poor(grid((1.0,), (5e-3,), (1.0,)), VELOCITY_SHAPE | CURRENT_SHAPE),
+}
+
+
+@pytest.fixture(scope="module")
+def poor_fits() -> dict[str, GlobalFit]:
+    return {name: identify_global(p.windows, LITERATURE, QUICK) for name, p in POOR.items()}
+
+
+@pytest.mark.parametrize("name", POOR)
+def test_what_the_data_do_not_determine_is_not_observable(
+    poor_fits: dict[str, GlobalFit], name: str
+) -> None:
+    assert unobservable(poor_fits[name]) == POOR[name].open
+
+
+@pytest.mark.parametrize("name", POOR)
+def test_what_is_not_observable_keeps_its_value(poor_fits: dict[str, GlobalFit], name: str) -> None:
+    result = poor_fits[name].parameter_set
+    hidden = ~result.observable
+    assert hidden.any()
+    np.testing.assert_array_equal(result.values[hidden], LITERATURE[hidden])
+
+
+@pytest.mark.parametrize("name", POOR)
+def test_what_is_not_observable_has_no_standard_error(
+    poor_fits: dict[str, GlobalFit], name: str
+) -> None:
+    result = poor_fits[name].parameter_set
+    np.testing.assert_array_equal(np.isfinite(result.standard_errors), result.observable)
+
+
+@pytest.mark.parametrize("name", POOR)
+def test_poor_data_are_fitted_down_to_the_noise_all_the_same(
+    poor_fits: dict[str, GlobalFit], name: str
+) -> None:
+    assert excess(POOR[name].windows, poor_fits[name]) < AT_THE_NOISE
+
+
+@pytest.mark.xfail(
+    reason="values held at the start leave the law no way to follow the current", strict=True
+)
+@pytest.mark.parametrize(
+    ("currents", "start"),
+    [((0.5, 1.0), LITERATURE), ((0.0, 0.5, 1.0), THESIS_71_CELSIUS)],
+    ids=["two currents", "three currents"],
+)
+def test_a_start_of_another_basin_does_not_spoil_the_fit(
+    currents: tuple[float, ...], start: Array
+) -> None:
+    windows = grid(currents)
+    fit = identify_global(windows, start, QUICK)
+    assert excess(windows, fit) < AT_THE_NOISE
+
+
+def test_repeated_runs_at_one_point_are_one_point() -> None:
+    windows = tuple(known.run(seed=seed, samples=500).window for seed in range(4))
+    fit = identify_global(windows, LITERATURE, QUICK)
+    assert unobservable(fit) == set(SHAPE_PARAMETER_NAMES)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "currents", "names"),
+    [
+        ([0.1], [1.0], set()),
+        ([0.1, 0.11], [1.0, 1.01], set()),
+        ([0.1, 0.13], [1.0], VELOCITY_SHAPE),
+        ([0.1], [0.0, 1.0], {"k2", "k3"}),
+        ([0.1], [0.0, 0.5, 1.0], {"k2", "k3", "a2", "a3"}),
+        ([0.1], [0.0, 0.5, 1.0, 1.5], CURRENT_SHAPE),
+    ],
+    ids=str,
+)
+def test_what_was_varied_limits_what_can_be_known(
+    speeds: list[float], currents: list[float], names: set[str]
+) -> None:
+    assert varied_parameters(speeds, currents) == set(SCALE_PARAMETER_NAMES) | names
+
+
+def test_a_parameter_without_effect_is_not_determined() -> None:
+    rng = np.random.default_rng(0)
+    jacobian = rng.normal(size=(400, 16))
+    jacobian[:, known.index("a1")] = 0.0
+    jacobian[:, known.index("k0")] *= 1e-6
+    ranges = dict.fromkeys(SHAPE_PARAMETER_NAMES, 10.0)
+    determined = determined_parameters(jacobian, frozenset(PARAMETER_NAMES), ranges)
+    assert set(PARAMETER_NAMES) - determined == {"a1", "k0"}
+
+
+def test_of_two_parameters_with_the_same_effect_one_is_determined() -> None:
+    jacobian = np.random.default_rng(0).normal(size=(400, 16))
+    jacobian[:, known.index("a3")] = jacobian[:, known.index("a2")]
+    ranges = dict.fromkeys(SHAPE_PARAMETER_NAMES, 10.0)
+    determined = determined_parameters(jacobian, frozenset(PARAMETER_NAMES), ranges)
+    assert len({"a2", "a3"} & determined) == 1
+    assert len(determined) == 15
+
+
+def test_standard_errors_are_those_of_the_named_parameters_alone() -> None:
+    jacobian = np.random.default_rng(0).normal(size=(400, 16))
+    names = ["f0", "a1", "k6"]
+    chosen = jacobian[:, [known.index(name) for name in names]]
+    expected = np.sqrt(np.diag(np.linalg.inv(chosen.T @ chosen)))
+    triangular = np.linalg.qr(jacobian, mode="r")
+    found = standard_errors(triangular, names)
+    np.testing.assert_allclose([found[name] for name in names], expected, rtol=1e-9)
+
+
+# -- methods, seeds, progress, stop, errors --------------------------------------------------
+
+SMALL = grid(CURRENTS, (5e-3,), (2.0,), 250)
+"""Four currents at one peak velocity: the two laws over current are searched."""
+
+
+@pytest.mark.parametrize("method", ["global", "least_squares", "nelder_mead"])
+def test_every_method_reaches_the_noise(method: str) -> None:
+    windows = grid((1.0,), (2.5e-3, 5e-3), (1.0,), 250)
+    fit = identify_global(windows, LITERATURE, QUICK, method=method)
+    assert excess(windows, fit) < 1.15
+    assert fit.success
+
+
+def test_differential_evolution_over_the_samples_comes_near() -> None:
+    settings = EvolutionSettings(generations=60, population=6)
+    fit = identify_global(SMALL, LITERATURE, settings, method="differential_evolution")
+    assert fit.median_nrmse < 0.2
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_every_strategy_of_the_thesis_runs(strategy: str) -> None:
+    settings = EvolutionSettings(strategy=strategy, generations=100)
+    fit = identify_global(SMALL, LITERATURE, settings)
+    assert excess(SMALL, fit) < 1.5
+
+
+def test_the_same_seed_gives_the_same_set() -> None:
+    first, second = (identify_global(SMALL, LITERATURE, FEW) for _ in range(2))
+    np.testing.assert_array_equal(first.parameter_set.values, second.parameter_set.values)
+    assert first.evaluations == second.evaluations
+
+
+def test_the_order_of_the_windows_hardly_matters(found: GlobalFit) -> None:
+    other = identify_global(grid()[::-1], LITERATURE, EvolutionSettings()).parameter_set
+    difference = (other.values - found.parameter_set.values) / found.parameter_set.standard_errors
+    assert np.max(np.abs(difference)) < 0.1
+
+
+def test_progress_is_told_and_grows() -> None:
+    told: list[GlobalProgress] = []
+
+    def report(progress: GlobalProgress) -> bool:
+        told.append(progress)
+        return True
+
+    identify_global(SMALL, LITERATURE, FEW, report)
+    generations = [p.generation for p in told]
+    assert generations == sorted(generations)
+    assert all(p.generation <= p.generations for p in told)
+    assert all(p.time_left >= 0.0 for p in told)
+    stages = [*dict.fromkeys(p.stage for p in told)]
+    assert stages[:2] == ["yield force", "hysteresis"], "the laws over current, and no other"
+
+
+@pytest.mark.xfail(
+    reason="what the data leave open is searched again, and not counted", strict=True
+)
+@pytest.mark.xfail(
+    reason="what the samples leave open makes the laws be searched again, not counted", strict=True
+)
+def test_progress_does_not_end_before_the_search() -> None:
+    told: list[GlobalProgress] = []
+    brief = EvolutionSettings(generations=10, population=5)
+    windows = grid(CURRENTS, (5e-3,), (1.0, 3.0), 250)
+    identify_global(
+        windows, LITERATURE, brief, lambda progress: bool(told.append(progress)) or True
+    )
+    full = [p for p in told if p.generation == p.generations]
+    assert sum(p.stage in ("yield force", "hysteresis") for p in full) <= 1
+
+
+def mean_square(windows: tuple[Window, ...], parameters: Array) -> float:
+    return PooledMisfit(windows, [known.NOISE] * len(windows)).mean_square(parameters)
+
+
+@pytest.mark.parametrize("after", [1, 20])
+def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
+    count = 0
+
+    def report(progress: GlobalProgress) -> bool:
+        nonlocal count
+        count += 1
+        return count < after
+
+    fit = identify_global(SMALL, LITERATURE, QUICK, report)
+    assert count == after, "it was asked again after it had said stop"
+    assert not fit.success
+    assert "best so far" in fit.message
+    assert mean_square(SMALL, fit.parameter_set.values) < 0.1 * mean_square(SMALL, LITERATURE)
+
+
+def test_a_stop_never_returns_something_worse_than_the_start() -> None:
+    fit = identify_global(SMALL, known.PLAUSIBLE, QUICK, lambda progress: False)
+    assert mean_square(SMALL, fit.parameter_set.values) <= mean_square(SMALL, known.PLAUSIBLE) * 1.5
+
+
+def test_no_windows_are_refused() -> None:
+    with pytest.raises(ValueError, match="no windows to identify from"):
+        identify_global([], LITERATURE, FEW)
+
+
+def test_an_unknown_method_is_refused() -> None:
+    with pytest.raises(ValueError, match="'annealing' is unknown: use one of global, nelder_mead"):
+        identify_global(SMALL, LITERATURE, FEW, method="annealing")
+
+
+def test_a_window_of_constant_force_is_refused() -> None:
+    window = SMALL[0]
+    still = Window(window.motion, np.zeros(window.sample_count), window.current)
+    with pytest.raises(ValueError, match="the force does not change"):
+        identify_global([window, still], LITERATURE, FEW)
+
+
+# -- laws ------------------------------------------------------------------------------------
+
+
+def test_the_laws_are_found_from_exact_coefficients() -> None:
+    speeds = np.repeat([0.015, 0.05, 0.1, 0.2], 5)
+    currents = np.tile([0.0, 0.4, 0.8, 1.2, 1.6], 4)
+    coefficients = np.stack(
+        operating_point_coefficients(known.PLAUSIBLE, speeds, currents), axis=-1
+    )
+    table = CoefficientTable(speeds, currents, coefficients, 1e-6 * np.abs(coefficients))
+    parameters, evaluations = fit_laws(
+        table,
+        LITERATURE,
+        frozenset(PARAMETER_NAMES),
+        EvolutionSettings(),
+        ProgressClock(2000, None),
+    )
+    again = np.stack(operating_point_coefficients(parameters, speeds, currents), axis=-1)
+    sizes = np.sqrt(np.mean(coefficients**2, axis=0))
+    np.testing.assert_allclose(again / sizes, coefficients / sizes, atol=0.01)
+    assert evaluations > 0
+
+
+def test_the_laws_keep_what_is_not_free() -> None:
+    speeds, currents = np.array([0.02, 0.1]), np.array([1.0, 1.0])
+    coefficients = np.stack(
+        operating_point_coefficients(known.PLAUSIBLE, speeds, currents), axis=-1
+    )
+    table = CoefficientTable(speeds, currents, coefficients, 1e-3 * np.abs(coefficients))
+    free = frozenset({"f0", "k6"})
+    parameters, _ = fit_laws(table, LITERATURE, free, FEW, ProgressClock(1, None))
+    changed = {n for n, a, b in zip(PARAMETER_NAMES, parameters, LITERATURE, strict=True) if a != b}
+    assert changed == free
+
+
+def test_a_neutral_shape_makes_coefficients_that_do_not_change() -> None:
+    values = neutral_shape(known.PLAUSIBLE)
+    c = operating_point_coefficients(values, np.array([0.01, 0.3]), np.array([0.0, 1.5]))
+    for name in ("f_t", "alpha", "k_c", "k_e", "f_d"):
+        first, second = getattr(c, name)
+        assert first == pytest.approx(second), name
+
+
+# -- differential evolution ------------------------------------------------------------------
+
+
+def bowl(individuals: Array) -> Array:
+    return np.sum((individuals - np.array([[0.3], [-0.7]])) ** 2, axis=0)
+
+
+def evolved(**settings: object) -> tuple[Array, float, int]:
+    return evolve(
+        bowl,
+        [(-1.0, 1.0), (-1.0, 1.0)],
+        EvolutionSettings(**settings),  # type: ignore[arg-type]
+        ProgressClock(500, None),
+        stage="bowl",
+    )
+
+
+def test_evolution_finds_the_bottom_of_a_bowl() -> None:
+    best, cost, _ = evolved()
+    np.testing.assert_allclose(best, [0.3, -0.7], atol=1e-3)
+    assert cost == pytest.approx(float(bowl(best[:, np.newaxis])[0]))
+
+
+def test_another_seed_takes_another_way() -> None:
+    assert evolved(seed=1, generations=5)[1] != evolved(seed=2, generations=5)[1]
+
+
+def test_the_start_joins_the_first_population() -> None:
+    _, cost, _ = evolve(
+        bowl,
+        [(-1.0, 1.0), (-1.0, 1.0)],
+        EvolutionSettings(generations=1),
+        ProgressClock(1, None),
+        stage="bowl",
+        start=np.array([0.3, -0.7]),
+    )
+    assert cost < 1e-20
+
+
+def test_costs_that_are_no_numbers_lose() -> None:
+    def holed(individuals: Array) -> Array:
+        cost = bowl(individuals)
+        return np.where(individuals[0] < 0.0, np.nan, cost)
+
+    best, cost, _ = evolve(
+        holed,
+        [(-1.0, 1.0), (-1.0, 1.0)],
+        EvolutionSettings(),
+        ProgressClock(500, None),
+        stage="holed",
+    )
+    assert best[0] > 0.0
+    assert cost < 1e-4
+
+
+@pytest.mark.xfail(reason="SciPy counts a whole population as one evaluation", strict=True)
+def test_every_individual_is_an_evaluation() -> None:
+    seen = 0
+
+    def counted(individuals: Array) -> Array:
+        nonlocal seen
+        seen += individuals.shape[1]
+        return bowl(individuals)
+
+    *_, count = evolve(
+        counted,
+        [(-1.0, 1.0), (-1.0, 1.0)],
+        EvolutionSettings(generations=10),
+        ProgressClock(10, None),
+        stage="bowl",
+    )
+    assert count == seen
+
+
+def test_the_defaults_are_those_of_the_thesis() -> None:
+    settings = EvolutionSettings()
+    assert (settings.strategy, settings.mutation, settings.recombination) == ("rand1bin", 0.8, 0.8)
+    assert settings.generations == 500
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"strategy": "rand9"}, "strategy 'rand9' is unknown: use one of rand1bin"),
+        ({"mutation": 0.0}, "mutation is 0.0: it must lie between 0 and 2"),
+        ({"mutation": 2.0}, "mutation is 2.0"),
+        ({"mutation": math.nan}, "mutation is nan"),
+        ({"recombination": 1.1}, "recombination is 1.1: it must lie in 0 to 1"),
+        ({"recombination": -0.1}, "recombination is -0.1"),
+        ({"generations": 0}, "generations is 0: at least 1"),
+        ({"population": 4}, "population is 4: at least 5"),
+        ({"seed": -1}, "seed is -1: it must not be negative"),
+    ],
+    ids=str,
+)
+def test_settings_out_of_range_are_refused(settings: dict[str, object], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        EvolutionSettings(**settings)  # type: ignore[arg-type]
+
+
+# -- real recordings -------------------------------------------------------------------------
+
+PER_RECORD = 0.08
+"""Median NRMSE of fits to single records."""
+
+ONE_SET = 0.105
+"""Median NRMSE of one set for all twenty records."""
+
+
+@cache
+def recorded(folder: Path) -> tuple[Window, ...]:
+    """Windows of the records, in the order of their names."""
+    windows = []
+    for path in sorted(folder.glob("*.txt")):
+        match = re.fullmatch(r".*Hz(\d+(?:x\d+)?)A", path.stem)
+        assert match is not None, path.name
+        table = np.loadtxt(path)
+        period = float(np.median(np.diff(table[:, 0])))
+        windows.append(
+            Window.from_samples(
+                1e-3 * table[:, 1], table[:, 3], float(match[1].replace("x", ".")), period
+            )
+        )
+    return tuple(windows)
+
+
+def test_there_are_twenty_records() -> None:
+    assert len(recorded(known.recordings_folder())) == 20
+
+
+@pytest.mark.parametrize("method", ["nelder_mead", "least_squares"])
+def test_single_records_of_a_real_damper_are_fitted(method: str) -> None:
+    nrmse = [
+        identify_global([window], LITERATURE, EvolutionSettings(), method=method).median_nrmse
+        for window in recorded(known.recordings_folder())
+    ]
+    assert np.median(nrmse) <= PER_RECORD
+
+
+def test_one_set_fits_all_records_of_a_real_damper() -> None:
+    windows = recorded(known.recordings_folder())
+    fit = identify_global(windows, LITERATURE, EvolutionSettings())
+    assert fit.median_nrmse <= ONE_SET
