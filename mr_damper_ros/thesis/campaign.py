@@ -80,7 +80,9 @@ class Campaign:
                     known[keys[place]] = result
                     file.write(json.dumps([keys[place], result]) + "\n")
                     file.flush()
-                    self.say(f"{name}: {len(tasks) - len(missing) + done} of {len(tasks)}")
+                    # Ten lines at most for a log.
+                    if done % max(len(missing) // 10, 1) == 0:
+                        self.say(f"{name}: {len(tasks) - len(missing) + done} of {len(tasks)}")
         self.timings[name] = time.monotonic() - began
         return [known[key] for key in keys]
 

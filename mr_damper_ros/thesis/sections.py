@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from mr_damper_ros.rig.thesis import PROVENANCE
-from mr_damper_ros.thesis import force_error
+from mr_damper_ros.thesis import (
+    conditions,
+    dependency,
+    errata,
+    force_error,
+    methods,
+    repeated,
+    sensitivity,
+)
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.report import Block, Chapter, write_report
 from mr_damper_ros.thesis.style import styled
@@ -31,6 +39,17 @@ SECTIONS = (
         force_error.compute,
         force_error.show,
     ),
+    Section(
+        "dependency",
+        "Dependency on current, frequency, displacement and temperature",
+        dependency.compute,
+        dependency.show,
+    ),
+    Section("conditions", "All conditions", conditions.compute, conditions.show),
+    Section("sensitivity", "Sensitivity of the force", sensitivity.compute, sensitivity.show),
+    Section("repeated", "Repeated differential evolution", repeated.compute, repeated.show),
+    Section("methods", "Both methods, and the literature", methods.compute, methods.show),
+    Section("errata", "Errata", errata.compute, errata.show),
 )
 
 _TITLE = "Parameter identification of the sigmoid model of an MR damper: the thesis reproduced"

@@ -1,0 +1,141 @@
+"""Sensitivity of the force to every parameter (thesis 4.8, figures 42-52, tables 13 and 14).
+
+The thesis does not say what its "error of the force" is. The sum of the squared change over the
+7001 samples, for a change of 20 %, gives its numbers; they are taken for that.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, force
+from mr_damper_ros.rig.thesis import find, parameters
+from mr_damper_ros.thesis import facts
+from mr_damper_ros.thesis.campaign import Campaign
+from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison
+from mr_damper_ros.thesis.runs import loop, window
+from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels
+
+CONDITION = "2.5mm_1Hz_0.0A"
+WITH_CURRENT = "2.5mm_1Hz_1.0A"
+CHANGES = (0.01, 0.05, 0.10, 0.15, 0.20)
+
+
+def squared_change(condition: str, seed: int) -> dict[str, list[float]]:
+    """Sum of the squared change of the force [N²] by parameter, one for each of ``CHANGES``."""
+    values = parameters(find(condition))
+    w = window(condition, seed)
+    m = w.motion
+    sets = np.repeat(values[np.newaxis], 1 + len(CHANGES) * len(PARAMETER_NAMES), axis=0)
+    for place in range(len(PARAMETER_NAMES)):
+        for step, change in enumerate(CHANGES):
+            sets[1 + place * len(CHANGES) + step, place] *= 1.0 + change
+    forces = force(sets, m.displacement, m.velocity, m.acceleration, w.current)
+    sums = np.sum((forces[1:] - forces[0]) ** 2, axis=1).reshape(-1, len(CHANGES))
+    return {name: row.tolist() for name, row in zip(PARAMETER_NAMES, sums, strict=True)}
+
+
+def compute(campaign: Campaign) -> dict[str, Any]:
+    """Data of the section."""
+    seed = campaign.settings.seed
+    return {name: squared_change(name, seed) for name in (CONDITION, WITH_CURRENT)}
+
+
+def show(data: dict[str, Any]) -> list[Block]:
+    """Text, tables and figures of the section."""
+    passive, active = data[CONDITION], data[WITH_CURRENT]
+    values = [
+        Compared(
+            name,
+            "N²",
+            passive[name][-1],
+            facts.SENSITIVITY[name],
+            "Table 13" if name in PARAMETER_NAMES[:8] else "Table 14",
+        )
+        for name in sorted(PARAMETER_NAMES, key=lambda n: -facts.SENSITIVITY[n])
+    ]
+    full = [
+        (name, *passive[name], active[name][-1])
+        for name in sorted(PARAMETER_NAMES, key=lambda n: -passive[n][-1])
+    ]
+    return [
+        Text(
+            "The Nelder–Mead set of 2.5 mm, 1 Hz, 0 A, one parameter changed at a time. The "
+            "thesis' numbers are read off its axes and rounded up; “CTE” (constant) in its tables "
+            "is 0 here. At 0 A the two current terms cancel exactly, so I0, I1, a2, a3, k2 and k3 "
+            "have no effect at all: they cannot be identified there. With current they count, "
+            "as the last column of the second table shows."
+        ),
+        comparison(
+            "sensitivity",
+            "Sum of the squared change of the force over 7001 samples, for +20 %.",
+            values,
+        ),
+        Table(
+            "sensitivity_steps",
+            "The same for all changes, in N²; the last column is 2.5 mm, 1 Hz, 1.0 A.",
+            ("Parameter", *(f"+{100 * c:.0f} %" for c in CHANGES), "+20 %, 1.0 A"),
+            full,
+        ),
+        _figure(passive),
+        _loops_figure(),
+    ]
+
+
+def _figure(passive: dict[str, list[float]]) -> Picture:
+    figure, axes = panels(1, 2, 6.8, 3.0, sharey=True)
+    percent = [100.0 * change for change in CHANGES]
+    names = [name for name in PARAMETER_NAMES if passive[name][-1] > 0.0]
+    names.sort(key=lambda name: -passive[name][-1])
+    for place, part in enumerate((names[:5], names[5:])):
+        a = axes[0, place]
+        for number, name in enumerate(part):
+            a.semilogy(
+                percent,
+                passive[name],
+                ls=DASHES[number],
+                marker=MARKS[number],
+                color=INK[number],
+                label=name,
+            )
+        a.set_xlabel("Change of the parameter [%]")
+        a.legend(loc="lower right", ncols=2)
+    axes[0, 0].set_ylabel("Sum of squared change [N²]")
+    return Picture(
+        "sensitivity",
+        "Sum of the squared change of the force (thesis Fig. 42–52 b), 2.5 mm, 1 Hz, 0 A; I0, I1, "
+        "a2, a3, k2, k3 are zero.",
+        figure,
+    )
+
+
+def _loops_figure() -> Picture:
+    condition = find(CONDITION)
+    shown = ("f0", "k5", "k1e", "k1c", "k0", "k4", "a0", "a1")
+    figure, axes = panels(2, 4, 7.0, 3.6, sharex=True, sharey=True)
+    for place, name in enumerate(shown):
+        a = axes.ravel()[place]
+        for number, change in enumerate((0.0, 0.10, 0.20)):
+            values = parameters(condition).copy()
+            values[PARAMETER_NAMES.index(name)] *= 1.0 + change
+            turn = loop(values, condition)
+            a.plot(
+                1e3 * turn.velocity,
+                turn.force,
+                ls=DASHES[number],
+                color=(INK[0], INK[2], INK[1])[number],
+                label=f"+{100 * change:.0f} %",
+            )
+        a.set_title(name)
+    for a in axes[-1]:
+        a.set_xlabel("Velocity [mm/s]")
+    for a in axes[:, 0]:
+        a.set_ylabel("Force [N]")
+    axes[0, 0].legend(loc="upper left", fontsize=6.5, handlelength=1.8)
+    return Picture(
+        "sensitivity_loops",
+        "Loops with one parameter changed (thesis Fig. 42–52 a), 2.5 mm, 1 Hz, 0 A.",
+        figure,
+    )
