@@ -248,6 +248,15 @@ def test_the_velocity_of_any_motion_is_near_the_best_there_is(name: str, noise: 
     assert found[0] < NEAR_THE_BEST * best[0]
 
 
+@pytest.mark.xfail(reason="in a long record some stretch exceeds any fixed margin", strict=True)
+def test_a_long_record_is_smoothed_as_well_as_a_short_one() -> None:
+    truth = RANDOM.at(np.arange(60_000) * PERIOD)
+    for seed in (2, 3, 4):
+        noise = np.random.default_rng(seed).normal(0.0, 1e-5, 60_000)
+        found = window_motion(truth.displacement + noise, PERIOD)
+        assert relative(found.acceleration, truth.acceleration) < 0.1, f"seed {seed}"
+
+
 @pytest.mark.parametrize(
     ("name", "velocity", "acceleration"), [("triangle", 1e-3, 5e-3), ("random", 1e-5, 1e-4)]
 )
