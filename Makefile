@@ -1,5 +1,5 @@
 # `make help` lists the targets. Settings: PYTHON=... (interpreter for the environments), ARGS=...
-# (arguments for pytest or the demo).
+# (arguments for pytest, the demo or the figures).
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
@@ -10,7 +10,7 @@ export PYTHON
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
-.PHONY: help setup demo thesis test test-noble lint format clean distclean
+.PHONY: help setup demo thesis bench test test-noble lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -27,6 +27,11 @@ demo: setup ## Replay a bag through bridge, identifier and model; table and figu
 thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (ARGS=--quick: two minutes)
 	@. ./env.bash
 	exec $(PROGRAMS)/reproduce $(ARGS)
+
+bench: setup ## Measure the figures of the identification; writes build/bench.json
+	@. ./env.bash
+	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+	exec python -m benchmarks.bench $(ARGS)
 
 test: setup ## Run all tests: core, packaging, and nodes over real DDS
 	@. ./env.bash

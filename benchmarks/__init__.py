@@ -1,0 +1,1 @@
+"""Figures of the identification against stated bars: ``make bench``."""

@@ -1,0 +1,95 @@
+"""Measure all figures, write ``build/bench.json`` and print a table: ``make bench``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from benchmarks import (
+    drift,
+    earthquake_online,
+    earthquake_static,
+    force_step,
+    noise_limit,
+    repeated_evolution,
+    utfsm_extended,
+    utfsm_sixteen,
+    whole_damper,
+    window_refit,
+)
+from benchmarks.figure import Figure, Value, table
+
+OUTPUT = Path("build/bench.json")
+
+Measure = Callable[[], list[Figure]]
+
+FULL: dict[str, Measure] = {
+    "window_refit": window_refit.figures,
+    "whole_damper": whole_damper.figures,
+    "repeated_evolution": repeated_evolution.figures,
+    "noise_limit": noise_limit.figures,
+    "drift": drift.figures,
+    "force_step": force_step.figures,
+    "utfsm_sixteen": utfsm_sixteen.figures,
+    "utfsm_extended": utfsm_extended.figures,
+    "earthquake_online": earthquake_online.figures,
+    "earthquake_static": earthquake_static.figures,
+}
+"""Every module of figures, in the order of the table."""
+
+QUICK: dict[str, Measure] = {
+    "window_refit": lambda: window_refit.figures(repetitions=2),
+    "whole_damper": lambda: whole_damper.figures(generations=20, repetitions=1),
+    "repeated_evolution": lambda: repeated_evolution.figures(runs=4),
+    "drift": lambda: drift.figures(duration=120.0),
+    "force_step": lambda: force_step.figures(offsets=(0.0, 0.5)),
+}
+"""Shorter versions of the long ones, for development: their figures are not the real ones."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    chosen = {**FULL, **QUICK} if options.quick else FULL
+    figures: list[Figure] = []
+    for name in options.only or chosen:
+        began = time.monotonic()
+        print(f"{name} ...", end=" ", file=sys.stderr, flush=True)
+        figures += chosen[name]()
+        print(f"{time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
+    if options.quick:
+        print("QUICK RUN: fewer repetitions and shorter recordings; these are not the figures.")
+    print(table(figures))
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    document = {figure.key: _number(figure.value) for figure in figures}
+    options.output.write_text(
+        json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+    )
+    print(f"\nwritten to {options.output}")
+    return 0
+
+
+def _number(value: Value) -> Value:
+    """The value as JSON can hold it: what is infinite was not reached at all."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="bench", description="Measure all figures.")
+    parser.add_argument(
+        "--quick", action="store_true", help="shorter, for development: not the real figures"
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=list(FULL), metavar="NAME", help=f"of {', '.join(FULL)}"
+    )
+    parser.add_argument("--output", type=Path, default=OUTPUT, help="file (default %(default)s)")
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

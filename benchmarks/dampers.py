@@ -1,0 +1,43 @@
+"""Windows of re-synthesised runs that the figures are measured on."""
+
+from __future__ import annotations
+
+from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.identification.window import Window
+from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import Sine
+from mr_damper_ros.rig.recording import Recording
+from mr_damper_ros.rig.thesis import (
+    CONDITIONS,
+    DISPLACEMENT_NOISE,
+    PHASE,
+    Condition,
+    is_clean,
+    synthesise,
+)
+
+
+def window_of(recording: Recording) -> Window:
+    """A whole recording as one window."""
+    return Window.from_samples(
+        recording.displacement, recording.force, recording.current, recording.period
+    )
+
+
+def steady_window(parameters: Array, condition: Condition, *, samples: int, seed: int) -> Window:
+    """Steady run of a damper of known parameters (16,) in a condition, at 1 kHz.
+
+    The force has the noise of the thesis, the displacement that of :mod:`mr_damper_ros.rig.thesis`.
+    """
+    rig = EmulatedRig(
+        ConstantDamper(parameters),
+        Sine(condition.amplitude, condition.frequency, phase=PHASE),
+        condition.current,
+        settings=RigSettings(displacement_noise=DISPLACEMENT_NOISE, seed=seed),
+    )
+    return window_of(rig.record(samples * rig.settings.period))
+
+
+def clean_windows() -> list[Window]:
+    """The 30 clean conditions of the thesis, 7001 samples each."""
+    return [window_of(synthesise(condition)) for condition in CONDITIONS if is_clean(condition)]

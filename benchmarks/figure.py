@@ -1,0 +1,67 @@
+"""A measured figure with its bar and its definition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+Value = float | list[float] | None
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure: ``key`` in the JSON file, ``value``, and what it must reach.
+
+    ``bar`` is a pair (low, high) that the value, or every value of a list, must lie within; None
+    where the figure is only reported. ``definition`` says in one or two sentences what was
+    measured; ``value`` is None where it was not, and ``note`` then says why.
+    """
+
+    key: str
+    value: Value
+    definition: str
+    bar: tuple[float, float] | None = None
+    note: str = ""
+
+    @property
+    def reached(self) -> str:
+        """``yes``, ``no``, or ``-`` where there is nothing to compare."""
+        if self.value is None or self.bar is None:
+            return "-"
+        low, high = self.bar
+        values = self.value if isinstance(self.value, list) else [self.value]
+        return "yes" if all(low <= value <= high for value in values) else "no"
+
+
+def table(figures: Sequence[Figure]) -> str:
+    """Lines of text: key, figure, bar, reached, definition."""
+    rows = [("key", "figure", "bar", "reached", "definition")]
+    for figure in figures:
+        definition = f"{figure.definition} {figure.note}".strip()
+        rows.append((figure.key, _shown(figure.value), _bar(figure), figure.reached, definition))
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    return "\n".join(
+        "  ".join(
+            [*(cell.ljust(width) for cell, width in zip(row[:4], widths, strict=True)), row[4]]
+        )
+        for row in rows
+    )
+
+
+def _shown(value: Value) -> str:
+    if value is None:
+        return "not measured"
+    if isinstance(value, list):
+        return ", ".join(f"{entry:.4g}" for entry in value)
+    return f"{value:.4g}"
+
+
+def _bar(figure: Figure) -> str:
+    if figure.bar is None:
+        return "reported"
+    low, high = figure.bar
+    if high == float("inf"):
+        return f">= {low:g}"
+    if low in (0.0, float("-inf")):
+        return f"<= {high:g}"
+    return f"{low:g} to {high:g}"

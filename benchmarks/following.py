@@ -1,0 +1,115 @@
+"""An emulated rig whose damper changes, and a tracker that follows it as the identifier does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.damper.sigmoid import Array, force
+from mr_damper_ros.identification.window import Window
+from mr_damper_ros.rig.emulator import Damper, EmulatedRig, ForceStep, RigSettings, ThermalModel
+from mr_damper_ros.rig.excitation import Sine
+from mr_damper_ros.rig.recording import Recording
+from mr_damper_ros.streaming.blocks import SampleBlock
+from mr_damper_ros.streaming.tracker import Report, TrackerSettings, WindowTracker, run_fit
+from mr_damper_ros.streaming.windows import WindowAssembler
+
+WINDOW, HOP = 2.0, 1.0
+"""Defaults of the identifier node [s]."""
+
+AMPLITUDE, FREQUENCY, CURRENT = 5e-3, 1.0, 1.5
+"""The test of the thesis' section 4.5: [m], [Hz], [A]."""
+
+_BLOCK = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A report and the parameters (16,) in use once it was published."""
+
+    report: Report
+    parameters: Array
+
+
+def excitation() -> Sine:
+    """The motion of all these recordings."""
+    return Sine(AMPLITUDE, FREQUENCY)
+
+
+def recording(
+    damper: Damper,
+    duration: float,
+    *,
+    seed: int,
+    thermal: ThermalModel | None = None,
+    events: Sequence[ForceStep] = (),
+) -> Recording:
+    """Recording of a damper that heats up or breaks, with the noise of the thesis."""
+    rig = EmulatedRig(
+        damper,
+        excitation(),
+        CURRENT,
+        settings=RigSettings(displacement_noise=1e-6, seed=seed),
+        thermal=thermal,
+        events=events,
+    )
+    return rig.record(duration)
+
+
+def follow(
+    run: Recording, settings: TrackerSettings, window: float = WINDOW, hop: float = HOP
+) -> list[Step]:
+    """Reports on all windows of a recording, streamed in blocks of 0.1 s from a cold start."""
+    assembler = WindowAssembler(window, hop)
+    tracker = WindowTracker(settings, ParameterSet(LITERATURE, set_id="literature"))
+    steps = []
+    for first in range(0, run.force.size, _BLOCK):
+        last = min(first + _BLOCK, run.force.size)
+        stamp = run.start_ns + round(first * run.period * 1e9)
+        block = SampleBlock(
+            stamp, first, run.period, run.displacement[first:last], run.force[first:last]
+        )
+        ready = assembler.add_block(block)
+        ready += assembler.add_current(stamp, float(run.current[first]))
+        for raw in ready:
+            report = tracker.complete(run_fit(tracker.window_task(raw)))
+            steps.append(Step(report, tracker.parameters.values))
+    return steps
+
+
+def window_between(run: Recording, first: int, last: int) -> Window:
+    """Samples ``first`` to ``last`` of a recording as a window."""
+    part = slice(first, last)
+    return Window.from_samples(
+        run.displacement[part], run.force[part], run.current[part], run.period
+    )
+
+
+def nrmse(parameters: Array, window: Window) -> float:
+    """RMSE/std of the force that parameters (16,) predict on a window."""
+    m = window.motion
+    predicted = force(parameters, m.displacement, m.velocity, m.acceleration, window.current)
+    return float(np.sqrt(np.mean((predicted - window.force) ** 2)) / np.std(window.force))
+
+
+def sample_of(run: Recording, stamp_ns: int) -> int:
+    """Index of the sample with a stamp."""
+    return round((stamp_ns - run.start_ns) * 1e-9 / run.period)
+
+
+def one_cycle() -> tuple[Array, Array, Array]:
+    """Displacement [m], velocity [m/s] and acceleration [m/s²] over one cycle, shape (256,)."""
+    time = np.arange(256) / (256.0 * FREQUENCY)
+    motion = excitation().at(time)
+    return motion.displacement, motion.velocity, motion.acceleration
+
+
+def scale_of(present: Array, reference: Array) -> float:
+    """Factor on ``reference`` (n,) that comes nearest to ``present`` (n,)."""
+    power = float(reference @ reference)
+    return float(present @ reference) / power if power > 0.0 else math.nan

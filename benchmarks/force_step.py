@@ -1,0 +1,68 @@
+"""A sudden loss of a tenth of the force, followed window by window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks import following
+from benchmarks.figure import Figure
+from mr_damper_ros.damper.published import THESIS_28_CELSIUS
+from mr_damper_ros.damper.sigmoid import force
+from mr_damper_ros.rig.emulator import ConstantDamper, ForceStep, scaled
+from mr_damper_ros.streaming.tracker import TrackerSettings
+
+FACTOR = 0.9
+WITHIN = 0.01
+OFFSETS = tuple(place / 8.0 for place in range(8))
+"""When the step comes, in parts of a hop after the end of a window."""
+
+_BEFORE, _AFTER = 8.0, 10.0
+
+
+def windows_until_right(offset: float, settings: TrackerSettings) -> float:
+    """Time from the step until the set in use is within 1 %, in lengths of a window.
+
+    Within 1 % is the norm of the error of the force over a cycle against that of the force.
+    Infinite where that never happens; a set that becomes wrong again does not count.
+    """
+    time = _BEFORE + offset * following.HOP
+    run = following.recording(
+        ConstantDamper(THESIS_28_CELSIUS),
+        time + _AFTER,
+        seed=round(100 * offset),
+        events=[ForceStep(time, FACTOR)],
+    )
+    cycle = following.one_cycle()
+    truth = force(scaled(THESIS_28_CELSIUS, FACTOR), *cycle, following.CURRENT)
+    right_since = np.inf
+    for step in following.follow(run, settings):
+        elapsed = (following.sample_of(run, step.report.stamp_ns) + 1) * run.period - time
+        if elapsed <= 0.0:
+            continue
+        error = force(step.parameters, *cycle, following.CURRENT) - truth
+        right = bool(np.linalg.norm(error) <= WITHIN * np.linalg.norm(truth))
+        right_since = min(right_since, elapsed) if right else np.inf
+    return float(right_since) / following.WINDOW
+
+
+def measure(settings: TrackerSettings, offsets: Sequence[float] = OFFSETS) -> list[float]:
+    """The same for steps at several times within a hop."""
+    return [windows_until_right(offset, settings) for offset in offsets]
+
+
+def figures(offsets: Sequence[float] = OFFSETS) -> list[Figure]:
+    """``step_windows``."""
+    found = measure(TrackerSettings(), offsets)
+    return [
+        Figure(
+            "step_windows",
+            max(found),
+            f"Step of -10 % in force: time until the set in use is right within 1 % for good, in "
+            f"windows of {following.WINDOW:g} s (a window every {following.HOP:g} s); the longest "
+            f"of {len(found)} steps at different times within a hop.",
+            (0.0, 2.0),
+            f"Mean: {float(np.mean(found)):.2f}.",
+        )
+    ]

@@ -1,0 +1,37 @@
+"""One sixteen-parameter set for the real sinusoid records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from benchmarks import recordings
+from benchmarks.figure import Figure
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.identification.global_fit import identify_global
+from mr_damper_ros.identification.window import Window
+
+
+def median_nrmse_percent(windows: Sequence[Window], settings: EvolutionSettings) -> float:
+    """Median over the windows of RMSE/std [%] of one set identified from all of them."""
+    return 100.0 * identify_global(windows, LITERATURE, settings).median_nrmse
+
+
+def figures() -> list[Figure]:
+    """``utfsm_sixteen_nrmse``."""
+    place = recordings.folder()
+    value = (
+        None
+        if place is None
+        else median_nrmse_percent(recordings.processed_windows(place), EvolutionSettings())
+    )
+    return [
+        Figure(
+            "utfsm_sixteen_nrmse",
+            value,
+            "Median over the processed sinusoid records of RMSE/std of the force [%], one set of "
+            "16 parameters for all, ramps included.",
+            (0.0, 10.0),
+            recordings.NONE if place is None else "",
+        )
+    ]

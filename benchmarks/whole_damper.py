@@ -1,0 +1,129 @@
+"""One set for thirty runs, against differential evolution on their samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from benchmarks.dampers import clean_windows
+from benchmarks.figure import Figure
+from benchmarks.timing import cpu_seconds, interleaved_medians
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, Array
+from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.identification.fit import fit_window
+from mr_damper_ros.identification.global_fit import identify_global, neutral_shape
+from mr_damper_ros.identification.laws import shape_bounds
+from mr_damper_ros.identification.pooled import PooledMisfit
+from mr_damper_ros.identification.window import Window
+
+GENERATIONS = 500
+GAIN_RANGE = 100.0
+"""Bounds of k2 and k3, those of the identification's own search."""
+
+SCALE_REACH = 3.0
+"""Scales are searched up to so many times the size that the identification found."""
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Processor times [s] and costs (mean squared weighted residual) of both searches."""
+
+    seconds: float
+    cost: float
+    reference_seconds: float
+    reference_cost: float
+    generations: int
+
+
+def search_bounds(windows: Sequence[Window], found: Array) -> list[tuple[float, float]]:
+    """Bounds of the sixteen parameters, no wider than those of the identification itself."""
+    bounds = shape_bounds(
+        max(float(window.motion.peak_velocity.max()) for window in windows),
+        max(float(np.abs(window.current).max()) for window in windows),
+    )
+    bounds |= dict.fromkeys(("k2", "k3"), (-GAIN_RANGE, GAIN_RANGE))
+    for name in SCALE_PARAMETER_NAMES:
+        reach = SCALE_REACH * max(abs(float(found[PARAMETER_NAMES.index(name)])), 1e-3)
+        bounds[name] = (-reach, reach)
+    return [bounds[name] for name in PARAMETER_NAMES]
+
+
+def reference_search(
+    misfit: PooledMisfit, bounds: Sequence[tuple[float, float]], generations: int
+) -> float:
+    """Lowest cost that SciPy's differential evolution finds with the thesis' settings.
+
+    rand/1/bin, F = CR = 0.8, 15 individuals per unknown, all samples; a whole generation is
+    evaluated at once.
+    """
+    found = differential_evolution(
+        lambda individuals: misfit.population_cost(individuals.T),
+        bounds,
+        strategy="rand1bin",
+        mutation=0.8,
+        recombination=0.8,
+        maxiter=generations,
+        tol=0.0,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        rng=np.random.default_rng(0),
+    )
+    return float(found.fun)
+
+
+def contest(windows: Sequence[Window], generations: int, repetitions: int) -> Contest:
+    """Identify from the windows, then let the reference try; both know the same bounds."""
+
+    def identify() -> Array:
+        return identify_global(windows, LITERATURE, EvolutionSettings()).parameter_set.values
+
+    found = identify()
+    (seconds,) = interleaved_medians((identify,), (repetitions,))
+    start = neutral_shape(LITERATURE)
+    noise = [fit_window(window, start, method="least_squares").rmse for window in windows]
+    misfit = PooledMisfit(windows, noise)
+    costs: list[float] = []
+    bounds = search_bounds(windows, found)
+    reference = cpu_seconds(lambda: costs.append(reference_search(misfit, bounds, generations)))
+    return Contest(seconds, misfit.mean_square(found), reference, costs[0], generations)
+
+
+def figures(
+    generations: int = GENERATIONS,
+    repetitions: int = 5,
+    windows: Sequence[Window] | None = None,
+) -> list[Figure]:
+    """``global_speedup`` and ``global_s``."""
+    windows = clean_windows() if windows is None else windows
+    result = contest(windows, generations, repetitions)
+    note = (
+        f"The reference took {result.reference_seconds:.0f} s for {generations} generations and "
+        f"reached a cost of {result.reference_cost:.4g}, the identification {result.cost:.4g}."
+    )
+    if generations != GENERATIONS:
+        note += f" NOT THE FULL FIGURE: {generations} generations instead of {GENERATIONS}."
+    return [
+        Figure(
+            "global_speedup",
+            result.reference_seconds / result.seconds
+            if result.cost <= result.reference_cost
+            else None,
+            f"Sixteen parameters from {len(windows)} runs of 7001 samples: processor time against "
+            "SciPy's differential_evolution on all samples, with the same cost function and "
+            "bounds, vectorised over the population.",
+            (200.0, float("inf")),
+            note,
+        ),
+        Figure(
+            "global_s",
+            result.seconds,
+            "Processor time of that identification, from windows to parameters with standard "
+            "errors [s].",
+            (0.0, 2.0),
+        ),
+    ]
