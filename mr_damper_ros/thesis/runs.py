@@ -21,6 +21,9 @@ from mr_damper_ros.rig.thesis import Condition, find, synthesise
 
 LOOP_POINTS = 240
 
+PHASES = 250
+"""Phase bins of a cycle: the curvature of the loop within one is far below the noise."""
+
 
 @lru_cache(maxsize=64)
 def recording(name: str, seed: int) -> Recording:
@@ -59,11 +62,11 @@ class CycleMisfit:
     """Misfit of a steady run as a function of the sixteen parameters, on phase bins.
 
     In a steady cycle the samples of one phase differ by noise only, so their mean and number say
-    all about the model; the noise within the bins is a constant. ``costs`` is the mean square
-    error [N²] over all samples, that constant included.
+    all about the model; the scatter within the bins, about a line, is a constant. ``costs`` is the
+    mean square error [N²] over all samples, that constant included.
     """
 
-    def __init__(self, run: Window, bins: int = 64) -> None:
+    def __init__(self, run: Window, bins: int) -> None:
         sine = run.motion.sine
         if sine is None:
             raise ValueError("the run is no steady sine: it has no phase to average over")
@@ -77,13 +80,18 @@ class CycleMisfit:
         def mean(values: Array) -> Array:
             return np.asarray(np.bincount(bin_of, values, minlength=bins) / number)
 
+        centre = 2.0 * np.pi / bins * (bin_of + 0.5)
+        # Within a bin the phase runs over less than a turn about its centre.
+        from_centre = (phase - centre + np.pi) % (2.0 * np.pi) - np.pi
+        step = from_centre - mean(from_centre)[bin_of]
+        deviation = run.force - mean(run.force)[bin_of]
+        slope = mean(step * deviation) / np.maximum(mean(step * step), 1e-300)
+        self.within = float(np.mean((deviation - slope[bin_of] * step) ** 2))
         self.force = mean(run.force)[used]
-        offset = mean((phase - 2.0 * np.pi / bins * (bin_of + 0.5) + np.pi) % (2.0 * np.pi))
-        angle = (2.0 * np.pi / bins * (np.arange(bins) + 0.5) + offset - np.pi)[used]
+        angle = (2.0 * np.pi / bins * (np.arange(bins) + 0.5) + mean(from_centre))[used]
         self.velocity = sine.amplitude * omega * np.cos(angle)
-        self.branch = -np.sign(np.sin(angle))
+        self.displacement = sine.amplitude * np.sin(angle)
         self.weight = count[used] / run.sample_count
-        self.within = float(np.mean((run.force - mean(run.force)[bin_of]) ** 2))
         self.peak_velocity = sine.amplitude * omega
         self.current = float(run.current[0])
         self.sample_count = run.sample_count
@@ -92,7 +100,7 @@ class CycleMisfit:
     def residual(self, parameters: Array) -> Array:
         """Model minus mean force [N], shape (..., bins)."""
         c = operating_point_coefficients(parameters, self.peak_velocity, self.current)
-        return force_from_coefficients(c, self.velocity, self.branch) - self.force
+        return force_from_coefficients(c, self.velocity, -self.displacement) - self.force
 
     def costs(self, parameters: Array) -> Array:
         """Mean square error [N²] of sets of shape (..., 16)."""
@@ -101,12 +109,12 @@ class CycleMisfit:
     def jacobian(self, parameters: Array) -> Array:
         """Derivatives of the residual (bins, 16) for one set."""
         c = operating_point_coefficients(parameters, self.peak_velocity, self.current)
-        outer = coefficient_jacobian(c, self.velocity, self.branch)
+        outer = coefficient_jacobian(c, self.velocity, -self.displacement)
         inner = coefficient_parameter_jacobian(parameters, self.peak_velocity, self.current)
         return np.asarray(outer @ inner[0])
 
 
 @lru_cache(maxsize=64)
-def cycle(name: str, seed: int, bins: int = 64) -> CycleMisfit:
+def cycle(name: str, seed: int, bins: int = PHASES) -> CycleMisfit:
     """Misfit of a re-synthesised run on phase bins."""
     return CycleMisfit(window(name, seed), bins)

@@ -14,6 +14,7 @@ from mr_damper_ros.thesis import (
     errata,
     force_error,
     methods,
+    optimisers,
     repeated,
     sensitivity,
 )
@@ -49,6 +50,7 @@ SECTIONS = (
     Section("sensitivity", "Sensitivity of the force", sensitivity.compute, sensitivity.show),
     Section("repeated", "Repeated differential evolution", repeated.compute, repeated.show),
     Section("methods", "Both methods, and the literature", methods.compute, methods.show),
+    Section("optimisers", "Optimisers side by side", optimisers.compute, optimisers.show),
     Section("errata", "Errata", errata.compute, errata.show),
 )
 
