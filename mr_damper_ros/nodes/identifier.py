@@ -553,6 +553,8 @@ class Identifier(Node):
                 "raise hop or waiting_windows",
                 values,
             )
+        if not self._worker.ready:
+            return Finding(OK, "the process is starting", values)
         return Finding(OK, self._pipeline.running or "idle", values)
 
     def _parameters_finding(self) -> Finding:

@@ -187,6 +187,11 @@ class Worker:
         return self._task is not None
 
     @property
+    def ready(self) -> bool:
+        """Whether there is a process that has come up."""
+        return self._process is not None and self._process.ready
+
+    @property
     def pid(self) -> int | None:
         """Id of the present worker process; None for the moment in which there is none."""
         return None if self._process is None else self._process.pid

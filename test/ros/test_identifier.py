@@ -51,8 +51,16 @@ class Results:
 
     def wait_for_the_start(self) -> DamperParameters:
         """Wait until nothing more can be missed; returns the initial set."""
+        subscriptions = list(self._listener.node.subscriptions)
         self._listener.until(
-            lambda: self.sets and self._listener.node.count_publishers("damper/fit_report"),
+            lambda: (
+                self.sets
+                and all(
+                    subscription.get_publisher_count()
+                    for subscription in subscriptions
+                    if subscription.topic_name.startswith("/damper/")
+                )
+            ),
             "the initial set",
         )
         return self.sets[0]
@@ -91,7 +99,7 @@ def wait_until_gone(pid: int) -> None:
 
 
 def worker_pid(listener: Listener) -> int:
-    status = listener.wait_for_finding("identifier: worker", "")
+    status = listener.wait_for_finding("identifier: worker", "idle")
     return int(next(item.value for item in status.values if item.key == "process"))
 
 
