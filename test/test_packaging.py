@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 NODES = ("bridge", "identifier", "model", "replay")
-TOOLS = ("demo", "identify", "import_record", "thesis_bags", "validate")
+TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate")
 MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
 
 
