@@ -14,7 +14,7 @@ from mr_damper_ros.damper.sigmoid import Array, force
 from mr_damper_ros.identification.fit import fit_window
 from mr_damper_ros.rig.emulator import TemperatureDependentDamper, ThermalModel
 from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.streaming.tracker import TrackerSettings
+from mr_damper_ros.streaming.tracker import TRACKERS, TrackerSettings
 
 DURATION = 600.0
 COLD, HOT = 28.0, 71.0
@@ -104,9 +104,9 @@ def _true_loop(run: Recording, part: slice) -> Array:
 
 
 def figures(duration: float = DURATION) -> list[Figure]:
-    """``drift_scale_error_p95_percent``, ``drift_nrmse_ratio``."""
+    """``drift_scale_error_p95_percent``, ``drift_nrmse_ratio``, ``ukf_drift_...`` of the first."""
     run = bag(duration)
-    window = measure(run, TrackerSettings())
+    window, unscented = (measure(run, TrackerSettings(tracker=name)) for name in TRACKERS)
     assert run.temperature is not None
     shared = (
         f"Emulated rig heating from 28 to {float(run.temperature[-1]):.1f} °C in {duration:.0f} s, "
@@ -129,5 +129,11 @@ def figures(duration: float = DURATION) -> list[Figure]:
             (0.0, 1.1),
             f"95th percentile of the single ratios: "
             f"{float(np.quantile(window.predicted / window.fitted, 0.95)):.3f}.",
+        ),
+        Figure(
+            "ukf_drift_scale_error_p95_percent",
+            100.0 * unscented.scale_error_p95,
+            "The force scale's error on the same recording by the unscented Kalman filter [%].",
+            note=f"Its NRMSE ratio: {unscented.nrmse_ratio:.3f}.",
         ),
     ]

@@ -11,7 +11,7 @@ from benchmarks.figure import Figure
 from mr_damper_ros.damper.published import THESIS_28_CELSIUS
 from mr_damper_ros.damper.sigmoid import force
 from mr_damper_ros.rig.emulator import ConstantDamper, ForceStep, scaled
-from mr_damper_ros.streaming.tracker import TrackerSettings
+from mr_damper_ros.streaming.tracker import TRACKERS, TrackerSettings
 
 FACTOR = 0.9
 WITHIN = 0.01
@@ -53,8 +53,8 @@ def measure(settings: TrackerSettings, offsets: Sequence[float] = OFFSETS) -> li
 
 
 def figures(offsets: Sequence[float] = OFFSETS) -> list[Figure]:
-    """``step_windows``."""
-    found = measure(TrackerSettings(), offsets)
+    """``step_windows`` and ``ukf_step_windows``."""
+    found, unscented = (measure(TrackerSettings(tracker=name), offsets) for name in TRACKERS)
     return [
         Figure(
             "step_windows",
@@ -64,5 +64,11 @@ def figures(offsets: Sequence[float] = OFFSETS) -> list[Figure]:
             f"of {len(found)} steps at different times within a hop.",
             (0.0, 2.0),
             f"Mean: {float(np.mean(found)):.2f}.",
-        )
+        ),
+        Figure(
+            "ukf_step_windows",
+            max(unscented),
+            "The same by the unscented Kalman filter.",
+            note=f"Mean: {float(np.mean(unscented)):.2f}.",
+        ),
     ]

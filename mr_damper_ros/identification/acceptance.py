@@ -11,6 +11,10 @@ _NO_NOISE = 1e-4
 """An NRMSE below this is better than any load cell: smaller ones are not told apart."""
 
 
+NO_BETTER = "the running set predicts the held-back samples as well"
+"""The one reason for a refusal that is not the window's fault."""
+
+
 @dataclass(frozen=True)
 class AcceptanceSettings:
     """Limits of acceptance.
@@ -92,7 +96,7 @@ class Gatekeeper:
                 self._residuals.clear()
         self._refused_for_residual = 0
         if not evidence.nrmse_after < evidence.nrmse_before:
-            return "the running set predicts the held-back samples as well"
+            return NO_BETTER
         change = evidence.force_change
         confirmed = pending is not None and abs(change - pending) <= 0.2 * abs(pending)
         if known and abs(change) > settings.step_limit and not confirmed:

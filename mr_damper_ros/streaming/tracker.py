@@ -16,7 +16,12 @@ import numpy as np
 
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_INDICES, Array, force
-from mr_damper_ros.identification.acceptance import AcceptanceSettings, Evidence, Gatekeeper
+from mr_damper_ros.identification.acceptance import (
+    NO_BETTER,
+    AcceptanceSettings,
+    Evidence,
+    Gatekeeper,
+)
 from mr_damper_ros.identification.drift import Baselines, ForceScale, force_scale
 from mr_damper_ros.identification.evolution import EvolutionSettings
 from mr_damper_ros.identification.fit import WindowFit, fit_window
@@ -25,43 +30,74 @@ from mr_damper_ros.identification.global_fit import (
     GlobalProgress,
     identify_global,
 )
-from mr_damper_ros.identification.reservoir import Reservoir
+from mr_damper_ros.identification.reservoir import Reservoir, nearest_same
 from mr_damper_ros.identification.screening import (
     Screening,
     fault_of_motion,
     fault_of_samples,
 )
+from mr_damper_ros.identification.unscented import (
+    METHOD,
+    FilterState,
+    UnscentedFilter,
+    as_fit,
+    state_of,
+)
 from mr_damper_ros.identification.window import Window, scale_parameter_errors
+from mr_damper_ros.streaming.blocks import NANOSECONDS
 from mr_damper_ros.streaming.windows import RawWindow
 
 _CHUNKS = 40
 _HELD_BACK_EVERY = 4
 """Of the chunks into which a window is cut, every fourth is held back from the fit."""
 
+_ASTRAY = 2.0
+"""A filter is wrong where held-back samples differ by more than so many times their noise."""
+
+TRACKERS = ("window", METHOD)
+"""How the scales are followed: each window on its own, or by a recursive filter."""
+
 
 @dataclass(frozen=True)
 class TrackerSettings:
     """Settings of the identification of windows.
 
-    ``method``: "nelder_mead" or "least_squares"; ``robust``: bound the influence of outliers;
-    ``global_period``: a global identification after this many accepted windows, 0 for never.
+    ``tracker``: "window" fits every window; "unscented" is an unscented Kalman filter, which
+    uses every sample once and starts from the fit of a window. ``method`` of that fit:
+    "nelder_mead" or "least_squares"; ``robust``: bound the influence of outliers;
+    ``drift_rate`` [1/sqrt(s)]: how fast the filter expects the force to change, see
+    :class:`UnscentedFilter`; ``global_period``: a global identification after this many accepted
+    windows, 0 for never.
+
+    Raises ValueError for an unknown tracker or a drift rate that is not positive.
     """
 
+    tracker: str = "window"
     method: str = "nelder_mead"
     robust: bool = False
+    drift_rate: float = 1e-3
     global_period: int = 20
     screening: Screening = field(default_factory=Screening)
     acceptance: AcceptanceSettings = field(default_factory=AcceptanceSettings)
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
 
+    def __post_init__(self) -> None:
+        if self.tracker not in TRACKERS:
+            raise ValueError(
+                f"tracker '{self.tracker}' is unknown: use one of {', '.join(TRACKERS)}"
+            )
+        if not self.drift_rate > 0.0:
+            raise ValueError(f"drift_rate is {self.drift_rate}: it must be positive")
+
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """One window and the parameters (16,) to start from."""
+    """One window, the parameters (16,) to start from, and where the filter stood, if it did."""
 
     window: RawWindow
     start: Array
     settings: TrackerSettings
+    state: FilterState | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +109,7 @@ class FitResult:
     window: Window | None = None
     fit: WindowFit | None = None
     evidence: Evidence | None = None
+    state: FilterState | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +169,10 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         fault = fault_of_motion(window.motion.velocity, window.force)
         if fault:
             return FitResult(task, fault)
+        state = _usable(task, window)
+        filtered = None if state is None else _filtered(task, window, state)
+        if filtered is not None:
+            return filtered
         held_back = held_back_samples(window.sample_count)
         trained = fit_window(
             window.part(~held_back),
@@ -154,7 +195,48 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         success=trained.success,
         message=trained.message,
     )
-    return FitResult(task, "", window, final, evidence)
+    begun = state_of(final, raw.end_ns) if settings.tracker == METHOD else None
+    return FitResult(task, "", window, final, evidence, begun)
+
+
+def _usable(task: FitTask, window: Window) -> FilterState | None:
+    """The state from which the filter can go on into a window, if there is one.
+
+    A jump in time, or to another operating point, is a new start.
+    """
+    state = task.state
+    if state is None or not state.stamp_ns < task.window.end_ns:
+        return None
+    same = nearest_same([state.operating_point], window.operating_point)
+    return None if same is None else state
+
+
+def _filtered(task: FitTask, window: Window, state: FilterState) -> FitResult | None:
+    """The filter's state after the samples of a window that it has not seen yet.
+
+    None where it has gone astray, as it may where it knew too little of the scales: then it is
+    started again from a fit.
+    """
+    raw, settings = task.window, task.settings
+    seen = round((state.stamp_ns - raw.start_ns) / (raw.period * NANOSECONDS)) + 1
+    new = window.part(slice(max(seen, 0), None))
+    held_back = held_back_samples(new.sample_count)
+    follower = UnscentedFilter(
+        state,
+        new,
+        task.start,
+        raw.end_ns,
+        drift_rate=settings.drift_rate,
+        robust=settings.robust,
+    )
+    follower.take_in(~held_back)
+    trained = as_fit(follower.state, new, task.start, follower.evaluations).parameters
+    evidence = _evidence(new.part(held_back), new, task.start, trained)
+    if evidence.rmse_after > _ASTRAY * follower.noise_level:
+        return None
+    follower.take_in(held_back)
+    fit = as_fit(follower.state, window, task.start, follower.evaluations)
+    return FitResult(task, "", window, fit, evidence, follower.state)
 
 
 def run_global(
@@ -214,6 +296,7 @@ class WindowTracker:
         self._reservoir = Reservoir()
         self._accepted = 0
         self._accepted_since_global = 0
+        self._state: FilterState | None = None
 
     @property
     def accepted_windows(self) -> int:
@@ -237,7 +320,7 @@ class WindowTracker:
 
     def window_task(self, window: RawWindow) -> FitTask:
         """The task of a window, starting from the running set."""
-        return FitTask(window, self.parameters.values, self._settings)
+        return FitTask(window, self.parameters.values, self._settings, self._state)
 
     def complete(self, result: FitResult) -> Report:
         """Judge the result of a window's task and, if it is accepted, run with it."""
@@ -246,6 +329,9 @@ class WindowTracker:
             return self._report(result, result.fault, ForceScale())
         reason = self._gatekeeper.judge(result.evidence)
         scale = force_scale(self._baselines, result.fit)
+        if reason in ("", NO_BETTER):
+            # The filter learns from every good window, the running set from those that help.
+            self._state = result.state
         if not reason:
             self._accept(result.window, result.fit, result)
         return self._report(result, reason, scale)
@@ -299,7 +385,7 @@ class WindowTracker:
             stamp_ns=raw.end_ns,
             window_duration=raw.force.size * raw.period,
             sample_count=raw.force.size,
-            method=self._settings.method,
+            method=fit.method if fit else self._settings.method,
             evaluations=fit.evaluations if fit else 0,
             nrmse_before=evidence.nrmse_before if evidence else math.nan,
             nrmse_after=evidence.nrmse_after if evidence else math.nan,
@@ -345,6 +431,8 @@ class WindowTracker:
             self.parameters = replace(
                 fit.parameter_set, set_id=f"global-{self._windows}", stamp_ns=result.task.stamp_ns
             )
+            # Its scales went with the shape of the set before.
+            self._state = None
         unknown = np.full(7, math.nan)
         return Report(
             window_start_ns=result.task.stamp_ns,
