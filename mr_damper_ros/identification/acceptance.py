@@ -64,6 +64,35 @@ class Gatekeeper:
             self._residuals.append((evidence.rmse_after, evidence.nrmse_after))
         return reason
 
+    def may_be_early(self, evidence: Evidence) -> bool:
+        """Whether a fit to a few samples after a change may replace the running set.
+
+        It must leave no more than the usual residual, predict better, and need no confirmation. What it says leaves no trace: the next window judges again.
+        """
+        return bool(
+            self._residuals
+            and evidence.nrmse_after <= self._settings.maximum_nrmse
+            and self._excess(evidence) <= self._settings.residual_factor
+            and evidence.nrmse_after < evidence.nrmse_before
+            and abs(evidence.force_change) <= self._settings.step_limit
+        )
+
+    def _excess(self, evidence: Evidence) -> float:
+        """Residual over the usual one.
+
+        A sensor's noise keeps its newtons, a model's error its share of the force: a disturbance
+        exceeds both.
+        """
+        usual_rmse, usual_nrmse = np.median(np.array(self._residuals), axis=0)
+        # A force without noise, as a simulation has it, leaves rounding: that is no measure.
+        spread = evidence.rmse_after / max(evidence.nrmse_after, _NO_NOISE)
+        return float(
+            min(
+                evidence.rmse_after / max(usual_rmse, _NO_NOISE * spread),
+                evidence.nrmse_after / max(usual_nrmse, _NO_NOISE),
+            )
+        )
+
     def _judge(self, evidence: Evidence) -> str:
         settings = self._settings
         pending, self._pending_change = self._pending_change, None
@@ -76,15 +105,7 @@ class Gatekeeper:
             )
         known = bool(self._residuals)
         if known:
-            # A sensor's noise keeps its newtons, a model's error its share of the force: a
-            # disturbance exceeds both.
-            usual_rmse, usual_nrmse = np.median(np.array(self._residuals), axis=0)
-            # A force without noise, as a simulation has it, leaves rounding: that is no measure.
-            spread = evidence.rmse_after / max(evidence.nrmse_after, _NO_NOISE)
-            excess = min(
-                evidence.rmse_after / max(usual_rmse, _NO_NOISE * spread),
-                evidence.nrmse_after / max(usual_nrmse, _NO_NOISE),
-            )
+            excess = self._excess(evidence)
             if excess > settings.residual_factor:
                 self._refused_for_residual += 1
                 if self._refused_for_residual <= self._PATIENCE:

@@ -130,10 +130,12 @@ def evolve(
     first population. Costs that are not numbers lose against every other.
     """
     best_cost = math.inf
-    generations = 0
+    generations = evaluations = 0
 
     def safe_cost(individuals: Array) -> Array:
-        nonlocal best_cost
+        nonlocal best_cost, evaluations
+        # SciPy counts a whole population as one evaluation.
+        evaluations += individuals.shape[1]
         costs = np.nan_to_num(cost(individuals), nan=_WORST, posinf=_WORST)
         best_cost = min(best_cost, float(costs.min()))
         return costs
@@ -163,4 +165,4 @@ def evolve(
         **{_GENERATOR_KEYWORD: np.random.default_rng(settings.seed)},
     )
     clock.skip(settings.generations - generations)
-    return np.asarray(result.x), float(result.fun), int(result.nfev)
+    return np.asarray(result.x), float(result.fun), evaluations

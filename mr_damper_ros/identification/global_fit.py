@@ -30,7 +30,7 @@ from mr_damper_ros.identification.evolution import (
     Report,
     evolve,
 )
-from mr_damper_ros.identification.fit import WindowFit, fit_window
+from mr_damper_ros.identification.fit import fit_window
 from mr_damper_ros.identification.laws import (
     CoefficientTable,
     fit_laws,
@@ -99,15 +99,16 @@ class GlobalFit:
         return float(np.median(self.nrmse))
 
 
-def neutral_shape(parameters: Array) -> Array:
+def neutral_shape(parameters: Array, top_current: float) -> Array:
     """The same scales with coefficients that depend on neither peak velocity nor current.
 
-    ``v_h`` and ``v_d`` stay proportional to the peak velocity. Shape (16,).
+    ``v_h`` and ``v_d`` stay proportional to the peak velocity. Where k2 or k3 is freed, the
+    coefficient rises smoothly up to ``top_current`` [A] and saturates beyond. Shape (16,).
     """
-    values = np.array(parameters, dtype=float)
-    for name in ("a1", "k0", "a4", "k2", "k3"):
-        values[PARAMETER_NAMES.index(name)] = 0.0
-    return values
+    values = dict(zip(PARAMETER_NAMES, np.asarray(parameters, dtype=float), strict=True))
+    values.update(dict.fromkeys(("a1", "k0", "a4", "k2", "k3", "I0", "I1"), 0.0))
+    values.update(dict.fromkeys(("a2", "a3"), 2.0 / max(top_current, 1e-12)))
+    return np.array(list(values.values()))
 
 
 def identify_global(
@@ -151,11 +152,17 @@ class _GlobalSearch:
         settings: EvolutionSettings,
         report: Report | None,
     ) -> None:
+        if not windows:
+            raise ValueError("there are no windows to identify from")
         self.windows = windows
         self._start = start
         self._settings = settings
         self._thinned = [_thinned(window, _SEARCH_SAMPLES) for window in windows]
-        self.fits = [_neutral_fit(window, start) for window in self._thinned]
+        top_current = max(float(np.max(np.abs(window.current))) for window in windows)
+        self._neutral = neutral_shape(start, top_current)
+        self.fits = [
+            fit_window(window, self._neutral, method="least_squares") for window in self._thinned
+        ]
         self.pooled = PooledMisfit(self._thinned, [fit.rmse for fit in self.fits])
         self.evaluations = sum(fit.evaluations for fit in self.fits)
         speeds, currents = operating_points_within(windows)
@@ -164,7 +171,7 @@ class _GlobalSearch:
             [fit.operating_point[0] for fit in self.fits],
             [fit.operating_point[1] for fit in self.fits],
         )
-        bounds = shape_bounds(max(speeds), float(np.max(np.abs(currents))))
+        bounds = shape_bounds(max(speeds), top_current)
         self._bounds = {**bounds, **dict.fromkeys(("k2", "k3"), (-_GAIN_RANGE, _GAIN_RANGE))}
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
         self._report = report
@@ -172,13 +179,21 @@ class _GlobalSearch:
         self.best = start
 
     def run(self, method: str) -> None:
-        stages = searched_laws(self._varied_between)
-        generations = self._settings.generations * (stages + (method == "differential_evolution"))
-        self._clock = ProgressClock(max(generations, 1), self._report)
-        laws = self._fit_laws(self._start, self._varied_between)
-        self.best = min((laws, self._without_dependence()), key=self.pooled.mean_square)
+        # The laws from two starts, and once more if the samples leave parameters open.
+        laws = 2 * self._settings.generations * searched_laws(self._varied_between)
+        direct = self._settings.generations if method == "differential_evolution" else 0
+        self._clock = ProgressClock(max(2 * laws + direct, 1), self._report)
+        candidates = self._candidates(self._varied_between)
+        self.best = min(candidates, key=self.pooled.mean_square)
         self.free = self._determined(self.best)
-        candidates = self._candidates(laws)
+        if self._varied <= self.free:
+            self._clock.skip(laws)
+        else:
+            # The scales must adapt to the values that undetermined parameters are held at.
+            determined = self._varied_between & self.free
+            again = 2 * self._settings.generations * searched_laws(determined)
+            self._clock.skip(laws - again)
+            candidates = self._candidates(determined)
         if method == "differential_evolution":
             self.best = min(candidates, key=self.pooled.mean_square)
             candidates = [self._evolve_samples()]
@@ -194,14 +209,14 @@ class _GlobalSearch:
         whole = PooledMisfit(self.windows, [fit.rmse for fit in self.fits])
         self.best = self._local(whole, self.best, False)
 
-    def _candidates(self, laws: Array) -> list[Array]:
-        """Where to start on the samples: with the start's undetermined values, or without any."""
-        neutral = neutral_shape(self._start)
-        if self._varied <= self.free:
-            return [laws, self._without_dependence()]
-        # Scales must adapt to the values that the undetermined parameters are held at.
-        free = self._varied_between & self.free
-        return [self._fit_laws(self._start, free), self._fit_laws(neutral, free)]
+    def _candidates(self, free: frozenset[str]) -> list[Array]:
+        """Where to start on the samples.
+
+        The laws, with the start's values for what is not free or with none of its dependences;
+        and the best of the windows' own fits, which assume no dependence at all.
+        """
+        laws = [self._fit_laws(start, free) for start in (self._start, self._neutral)]
+        return [*laws, min((fit.parameters for fit in self.fits), key=self.pooled.mean_square)]
 
     def _fit_laws(self, start: Array, free: frozenset[str]) -> Array:
         table = CoefficientTable(
@@ -213,10 +228,6 @@ class _GlobalSearch:
         parameters, count = fit_laws(table, start, free, self._settings, self._clock)
         self.evaluations += count
         return parameters
-
-    def _without_dependence(self) -> Array:
-        """The best of the windows' own fits, which assume no dependence on the operating point."""
-        return min((fit.parameters for fit in self.fits), key=self.pooled.mean_square)
 
     def _determined(self, parameters: Array) -> frozenset[str]:
         residual = self.pooled.residual(parameters)
@@ -314,10 +325,6 @@ class _FreeProblem:
 def _thinned(window: Window, most: int) -> Window:
     stride = max(window.sample_count // most, 1)
     return window if stride == 1 else window.part(slice(None, None, stride))
-
-
-def _neutral_fit(window: Window, start: Array) -> WindowFit:
-    return fit_window(window, neutral_shape(start), method="least_squares")
 
 
 def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:

@@ -26,8 +26,10 @@ force in all published conditions. A larger distortion would bias the fit of the
 _NOISE_FACTOR = 1.2
 """... or hardly more than the noise of the displacement itself."""
 
-_CHANCE = 5.0
-"""Standard deviations by which the worst of many stretches may exceed the noise by chance."""
+_CHANCE = 3.0
+"""Standard deviations by which a stretch may exceed the worst that is to be expected."""
+
+_SHORTEST_STRETCH = 64
 
 _POLYNOMIAL_ORDER = 4
 _SHORTEST_FILTER = 7
@@ -84,10 +86,14 @@ def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
         kept = savgol_coeffs(candidate, _POLYNOMIAL_ORDER)[candidate // 2]
         left = displacement - savgol_filter(displacement, candidate, _POLYNOMIAL_ORDER)
         # The worst stretch decides, not the average: a filter must not round off the reversals.
-        stretch = max(candidate, 32)
+        stretch = max(candidate, _SHORTEST_STRETCH)
         blocks = left[: left.size // stretch * stretch].reshape(-1, stretch)
-        worst = math.sqrt(float(np.max(np.mean(blocks**2, axis=1)))) if blocks.size else math.inf
-        chance = _CHANCE / math.sqrt(2.0 * stretch)
+        if not blocks.size:
+            break
+        worst = math.sqrt(float(np.max(np.mean(blocks**2, axis=1))))
+        # Of many stretches the worst exceeds the noise the more, the more there are.
+        margin = _CHANCE + math.sqrt(2.0 * math.log(len(blocks)))
+        chance = margin / math.sqrt(2.0 * stretch)
         allowed = noise * math.sqrt(1.0 - kept) * (1.0 + chance)
         if worst > _NOISE_FACTOR * allowed:
             break

@@ -469,7 +469,7 @@ def test_the_laws_keep_what_is_not_free() -> None:
 
 
 def test_a_neutral_shape_makes_coefficients_that_do_not_change() -> None:
-    values = neutral_shape(known.PLAUSIBLE)
+    values = neutral_shape(known.PLAUSIBLE, 1.5)
     c = operating_point_coefficients(values, np.array([0.01, 0.3]), np.array([0.0, 1.5]))
     for name in ("f_t", "alpha", "k_c", "k_e", "f_d"):
         first, second = getattr(c, name)

@@ -1,0 +1,154 @@
+"""Notices a sudden change of the force between two windows: a two-sided CUSUM.
+
+What is summed is the force scale that a short block of samples shows against the running set,
+standardised by the noise of the window that the set was fitted to (Page, Biometrika 41, 1954).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array
+
+SLACK = 0.5
+"""Standard deviations subtracted from each block's deviation: half the smallest shift to find."""
+
+THRESHOLD = 12.0
+"""Sum [1] that counts as a change; see :func:`average_run_length` for what that means."""
+
+_EXCURSION = 2.0
+"""The sum must exceed so many times what the residual of a usual window reaches by itself."""
+
+_BLOCKS_PER_WINDOW = 40
+
+_SIEGMUND = 1.166
+"""Correction of the threshold for the overshoot over it."""
+
+
+def average_run_length(threshold: float = THRESHOLD, slack: float = SLACK) -> float:
+    """Mean number of blocks between two false alarms where the residual is white noise.
+
+    Siegmund's approximation ("Sequential Analysis", 1985), for both sides together. With the
+    defaults, half a million: 7 h at 20 blocks per second. The slack grows where the force stands
+    far out of the noise (:meth:`ChangeWatch.follow`), and then the alarms become rarer still.
+    """
+    reach = 2.0 * slack * (threshold + _SIEGMUND)
+    return (math.exp(reach) - reach - 1.0) / (2.0 * slack**2) / 2.0
+
+
+@dataclass(frozen=True)
+class ChangeWatch:
+    """State of the detector; every step returns a new one.
+
+    ``noise`` [N]: standard deviation of the residual of the window that the running set was
+    fitted to; ``smallest_change``: relative change of the force that is worth an early fit;
+    ``operating_point``: peak velocity [m/s] and current [A] for which the set is known to hold;
+    ``block``: samples per block; ``threshold``: see :data:`THRESHOLD`. ``rising`` and ``falling``
+    are the two sums; ``samples`` have been followed since the larger one was last zero.
+    """
+
+    noise: float
+    smallest_change: float
+    operating_point: tuple[float, float]
+    block: int
+    threshold: float = THRESHOLD
+    rising: float = 0.0
+    falling: float = 0.0
+    rising_samples: int = 0
+    falling_samples: int = 0
+    top: float = 0.0
+
+    @classmethod
+    def after_fit(
+        cls,
+        predicted: Array,
+        measured: Array,
+        operating_point: tuple[float, float],
+        smallest_change: float,
+    ) -> ChangeWatch:
+        """Watch from a window (n,) [N] on, predicted by the set that was fitted to it.
+
+        Where the law itself is not exact its residual swings with the motion: the threshold then
+        stands above what that swing adds up to.
+        """
+        residual = measured - predicted
+        noise = math.sqrt(float(np.mean(residual**2)))
+        floor = 1e-6 * math.sqrt(float(np.mean(predicted**2)))
+        fresh = cls(
+            noise=max(noise, floor, 1e-300),
+            smallest_change=smallest_change,
+            operating_point=operating_point,
+            block=max(predicted.size // _BLOCKS_PER_WINDOW, 1),
+        )
+        usual = fresh.follow(predicted, measured).top
+        return replace(fresh, threshold=max(THRESHOLD, _EXCURSION * usual))
+
+    @property
+    def changed(self) -> bool:
+        """Whether a sum has passed the threshold."""
+        return max(self.rising, self.falling) > self.threshold
+
+    @property
+    def samples_since_change(self) -> int:
+        """Samples followed since the change began, as far as the larger sum tells."""
+        return self.rising_samples if self.rising > self.falling else self.falling_samples
+
+    def quiet(self) -> ChangeWatch:
+        """The same with both sums at zero."""
+        return replace(self, rising=0.0, falling=0.0, rising_samples=0, falling_samples=0)
+
+    def follow(self, predicted: Array, measured: Array) -> ChangeWatch:
+        """The state after further samples (n,) [N].
+
+        The slack is half of the smallest change worth an early fit, in standard deviations of a
+        block, and never less than ``SLACK``.
+        """
+        state = self
+        blocks = max(predicted.size // self.block, 1)
+        for chosen in np.array_split(np.arange(predicted.size), blocks):
+            state = state._next(predicted[chosen], measured[chosen])
+        return state
+
+    def _next(self, predicted: Array, measured: Array) -> ChangeWatch:
+        strength = float(np.linalg.norm(predicted)) / self.noise
+        if strength == 0.0:
+            return self
+        deviation = float(predicted @ (measured - predicted)) / (self.noise**2 * strength)
+        slack = max(SLACK, 0.5 * self.smallest_change * strength)
+        rising = max(self.rising + deviation - slack, 0.0)
+        falling = max(self.falling - deviation - slack, 0.0)
+        count = predicted.size
+        return replace(
+            self,
+            rising=rising,
+            falling=falling,
+            rising_samples=self.rising_samples + count if rising > 0.0 else 0,
+            falling_samples=self.falling_samples + count if falling > 0.0 else 0,
+            top=max(self.top, rising, falling),
+        )
+
+
+@dataclass(frozen=True)
+class ScaleFit:
+    """Factor on the force of the running set, with its standard error [1]."""
+
+    factor: float
+    standard_error: float
+
+
+def fit_scale(predicted: Array, measured: Array) -> ScaleFit:
+    """Factor on ``predicted`` (n,) [N] that comes nearest to ``measured``: the early re-fit.
+
+    A fraction of a cycle determines this one number well, and seven coefficients not at all.
+    Raises ValueError where the predicted force is zero.
+    """
+    power = float(predicted @ predicted)
+    if power == 0.0:
+        raise ValueError("the predicted force is zero: no factor on it can be found")
+    factor = float(predicted @ measured) / power
+    residual = measured - factor * predicted
+    noise = float(residual @ residual) / max(predicted.size - 1, 1)
+    return ScaleFit(factor, math.sqrt(noise / power))
