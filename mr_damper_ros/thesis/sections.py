@@ -14,6 +14,8 @@ from mr_damper_ros.thesis import (
     errata,
     force_error,
     methods,
+    model_table,
+    observability,
     optimisers,
     repeated,
     sensitivity,
@@ -51,6 +53,13 @@ SECTIONS = (
     Section("repeated", "Repeated differential evolution", repeated.compute, repeated.show),
     Section("methods", "Both methods, and the literature", methods.compute, methods.show),
     Section("optimisers", "Optimisers side by side", optimisers.compute, optimisers.show),
+    Section(
+        "observability",
+        "What the thesis could not show: what the data determine",
+        observability.compute,
+        observability.show,
+    ),
+    Section("models", "The reviewed models compared", model_table.compute, model_table.show),
     Section("errata", "Errata", errata.compute, errata.show),
 )
 

@@ -122,8 +122,9 @@ def _modified_starts(force: float, middle: float, speed: float, amplitude: float
     return np.array(
         [
             [0.2 * viscous, 0.0, stiff * viscous, 0.0]
-            + [middle, 0.8 * force, 0.05 * amplitude, 0.5, 1.5]
+            + [middle, 0.8 * force, part * amplitude, 0.5, 1.5]
             for stiff in (2.0, 8.0)
+            for part in (0.01, 0.1)
         ]
     )
 
