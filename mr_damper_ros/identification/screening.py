@@ -56,8 +56,8 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
         return f"the current reaches {largest:.3g} A: is it in milliamperes? give it in amperes"
     if 0.5 * span < limits.minimum_amplitude:
         return (
-            f"motion of {0.5e3 * span:.3g} mm is below {1e3 * limits.minimum_amplitude:.3g} mm: "
-            "move the damper, or lower minimum_amplitude"
+            f"motion of {0.5e3 * span:.3g} mm is below {1e3 * limits.minimum_amplitude:.3g} mm, "
+            "the least that counts: move the damper more"
         )
     if np.ptp(force) == 0.0:
         return "the force does not change: is the load cell connected?"
@@ -71,10 +71,9 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
 
 
 def fault_of_motion(velocity: Array, force: Array) -> str:
-    """Why motion and force of shape (n,) [m/s, N] do not go together; empty where they do.
+    """Why motion and force of shape (n,) [m/s, N] of a window do not do; empty where they do.
 
-    A damper takes power out of the motion; and a machine that stops within a window leaves a
-    stretch that says nothing of it.
+    A machine that stops within a window leaves a stretch that says nothing of the damper.
     """
     speed = np.abs(velocity)
     resting = np.concatenate(([0], (speed < _RESTING * speed.max()).view(np.int8), [0]))
@@ -82,6 +81,14 @@ def fault_of_motion(velocity: Array, force: Array) -> str:
     longest = int(np.max(edges[1::2] - edges[::2], initial=0))
     if longest > _LONGEST_REST * speed.size:
         return f"the machine stands still for {longest / speed.size:.0%} of the window"
+    return fault_of_sign(velocity, force)
+
+
+def fault_of_sign(velocity: Array, force: Array) -> str:
+    """Why the signs of motion and force (n,) cannot both be right; empty where they can.
+
+    A damper takes power out of the motion, over any stretch of time that holds some cycles.
+    """
     centred = force - force.mean()
     power = float(centred @ velocity)
     if power < -_DRIVING * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):

@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array, force
-from mr_damper_ros.identification.screening import Screening, fault_of_samples
+from mr_damper_ros.identification.screening import (
+    Screening,
+    fault_of_samples,
+    fault_of_sign,
+)
 from mr_damper_ros.identification.window import Window
 from mr_damper_ros.rig.bags import read_bag
 
@@ -44,11 +48,13 @@ def bag_windows(path: Path) -> BagWindows:
         )
         if fault:
             raise ValueError(f"{path}: {fault}")
-        windows.append(
-            Window.from_samples(
-                recording.displacement, recording.force, recording.current, recording.period
-            )
+        window = Window.from_samples(
+            recording.displacement, recording.force, recording.current, recording.period
         )
+        fault = fault_of_sign(window.motion.velocity, window.force)
+        if fault:
+            raise ValueError(f"{path}: {fault}")
+        windows.append(window)
     return BagWindows(path, tuple(windows))
 
 
