@@ -1,0 +1,217 @@
+"""The programs identify and validate, as their users meet them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.damper.sigmoid import (
+    COEFFICIENT_NAMES,
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+    SHAPE_PARAMETER_NAMES,
+    operating_point_coefficients,
+)
+from mr_damper_ros.identification.evolution import GlobalProgress
+from mr_damper_ros.rig.bags import read_bag, write_bag
+from mr_damper_ros.rig.thesis import CONDITIONS, is_clean, parameters, synthesise
+from mr_damper_ros.tools import identify, validate
+from mr_damper_ros.tools.progress import ProgressLine
+
+BAGS = Path(__file__).parents[2] / "bags"
+ONE_RUN = BAGS / "5.0mm_1Hz_1.5A"
+
+AT_THE_NOISE = 1.01
+"""Residual over the noise in the bag: the asked figure."""
+
+STANDARD_ERRORS = 3.0
+
+
+def identified(tmp_path: Path, *arguments: str | Path) -> dict[str, Any]:
+    path = tmp_path / "result.json"
+    assert identify.main([*map(str, arguments), "--json", str(path)]) == 0
+    document: dict[str, Any] = json.loads(path.read_text())
+    return document
+
+
+@pytest.mark.parametrize("method", ["nelder_mead", "least_squares", "global"])
+def test_a_run_is_identified_down_to_its_noise(tmp_path: Path, method: str) -> None:
+    condition = next(c for c in CONDITIONS if is_clean(c) and c.current == 1.5)
+    recording = synthesise(condition)
+    bag = tmp_path / "bag"
+    write_bag(bag, recording)
+    document = identified(tmp_path, bag, "--method", method)
+    assert document["metrics"]["rmse"] <= AT_THE_NOISE * 5.53
+
+
+def test_the_coefficients_are_those_of_the_published_set(tmp_path: Path) -> None:
+    condition = next(c for c in CONDITIONS if is_clean(c) and c.current == 0.5)
+    bag = tmp_path / "bag"
+    write_bag(bag, synthesise(condition))
+    entry = identified(tmp_path, bag, "--method", "nelder_mead")["bags"][0]
+    peak_velocity = 2.0 * math.pi * condition.frequency * condition.amplitude
+    true = np.concatenate(
+        operating_point_coefficients(
+            parameters(condition, "nelder_mead"), peak_velocity, condition.current
+        )
+    )
+    true[:2] *= math.copysign(1.0, true[0])
+    for name, value in zip(COEFFICIENT_NAMES, true, strict=True):
+        error = entry["coefficient_standard_errors"][name]
+        assert abs(entry["coefficients"][name] - value) < STANDARD_ERRORS * error, name
+
+
+def test_the_document_has_the_promised_keys(tmp_path: Path) -> None:
+    document = identified(tmp_path, ONE_RUN, "--method", "least_squares")
+    assert {
+        *("parameters", "standard_errors", "observable", "metrics", "evaluations"),
+        *("duration_s", "method", "message", "bags"),
+    } <= document.keys()
+    assert set(document["metrics"]) == {"rmse", "nrmse", "r2", "n_samples"}
+    assert list(document["parameters"]) == list(PARAMETER_NAMES)
+    assert document["bags"][0]["bag"] == str(ONE_RUN)
+    assert document["metrics"] == document["bags"][0]["metrics"]
+
+
+def test_what_one_run_cannot_tell_is_said_to_be_unknown(tmp_path: Path) -> None:
+    document = identified(tmp_path, ONE_RUN, "--method", "nelder_mead")
+    unknown = {name for name, error in document["standard_errors"].items() if error is None}
+    assert unknown == set(SHAPE_PARAMETER_NAMES)
+    observable = {name for name, is_known in document["observable"].items() if is_known}
+    assert observable == set(SCALE_PARAMETER_NAMES)
+
+
+def test_the_metrics_belong_to_the_parameters(tmp_path: Path) -> None:
+    document = identified(tmp_path, ONE_RUN, BAGS / "5.0mm_1Hz_0.5A", "--generations", "30")
+    total = sum(bag["metrics"]["n_samples"] for bag in document["bags"])
+    squares = sum(
+        bag["metrics"]["n_samples"] * bag["metrics"]["rmse"] ** 2 for bag in document["bags"]
+    )
+    assert document["metrics"]["n_samples"] == total
+    assert document["metrics"]["rmse"] == pytest.approx(math.sqrt(squares / total))
+    assert document["metrics"]["r2"] == pytest.approx(1.0 - document["metrics"]["nrmse"] ** 2)
+
+
+def test_the_same_seed_gives_the_same_set(tmp_path: Path) -> None:
+    arguments = (ONE_RUN, BAGS / "7.5mm_1Hz_1.0A", "--generations", "20", "--seed", "3")
+    first, second = (identified(tmp_path, *arguments) for _ in range(2))
+    assert first["parameters"] == second["parameters"]
+
+
+def test_differential_evolution_over_all_free_parameters(tmp_path: Path) -> None:
+    document = identified(
+        tmp_path, ONE_RUN, "--method", "differential_evolution", "--generations", "60"
+    )
+    assert document["metrics"]["rmse"] <= AT_THE_NOISE * 5.53
+
+
+def test_validate_gives_the_errors_that_identify_gave(tmp_path: Path) -> None:
+    output, report = tmp_path / "set.yaml", tmp_path / "validation.json"
+    document = identified(tmp_path, ONE_RUN, "--method", "least_squares", "--output", str(output))
+    assert validate.main([str(output), str(ONE_RUN), "--json", str(report)]) == 0
+    validation = json.loads(report.read_text())
+    assert list(validation) == ["bags"]
+    assert validation["bags"][0]["metrics"] == pytest.approx(document["bags"][0]["metrics"])
+
+
+def test_a_start_of_ones_own_is_kept_where_the_data_do_not_determine(tmp_path: Path) -> None:
+    start = LITERATURE.copy()
+    start[PARAMETER_NAMES.index("I1")] = 0.777
+    file = tmp_path / "start.yaml"
+    file.write_text(ParameterSet(start).to_yaml())
+    document = identified(tmp_path, ONE_RUN, "--method", "least_squares", "--start", str(file))
+    assert document["parameters"]["I1"] == 0.777
+
+
+def spoilt(tmp_path: Path, **changes: Any) -> Path:
+    bag = tmp_path / "spoilt"
+    write_bag(bag, dataclasses.replace(read_bag(ONE_RUN)[0], **changes))
+    return bag
+
+
+RUN = read_bag(ONE_RUN)[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"displacement": 1e3 * RUN.displacement}, "is it in millimetres"),
+        ({"displacement": 0.0 * RUN.displacement}, "move the damper"),
+        ({"force": -RUN.force}, "reverse the sign"),
+        ({"force": 0.0 * RUN.force}, "is the load cell connected"),
+        ({"current": 1e3 * RUN.current}, "is it in milliamperes"),
+    ],
+    ids=["millimetres", "no motion", "wrong sign", "no force", "milliamperes"],
+)
+def test_a_bag_that_makes_no_sense_is_refused_in_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict[str, Any], sentence: str
+) -> None:
+    assert identify.main([str(spoilt(tmp_path, **changes))]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len(said.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["nowhere"], "nowhere"),
+        ([str(ONE_RUN), "--generations", "0"], "at least 1"),
+        ([str(ONE_RUN), "--start", "nowhere.yaml"], "nowhere.yaml"),
+        ([str(ONE_RUN), "--seed", "-1"], "seed"),
+    ],
+)
+def test_a_wrong_argument_is_one_sentence(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], sentence: str
+) -> None:
+    assert identify.main(arguments) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_an_interrupted_search_returns_the_best_so_far(tmp_path: Path) -> None:
+    """Ctrl-C once the search has begun, from outside: the result is written and says so."""
+    result = tmp_path / "result.json"
+    program = (
+        "import sys, os, signal\n"
+        "from mr_damper_ros.tools import identify, progress\n"
+        "shown = progress.ProgressLine.__call__\n"
+        "def interrupted(self, told):\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    return shown(self, told)\n"
+        "progress.ProgressLine.__call__ = interrupted\n"
+        "sys.exit(identify.main(sys.argv[1:]))\n"
+    )
+    bags = [str(BAGS / name) for name in ("5.0mm_1Hz_0.0A", "5.0mm_1Hz_0.5A", "5.0mm_1Hz_1.5A")]
+    ended = subprocess.run(
+        [sys.executable, "-c", program, *bags, "--json", str(result)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "stopped" in json.loads(result.read_text())["message"]
+
+
+def test_a_second_interrupt_ends_at_once() -> None:
+    def raised_twice() -> None:
+        with ProgressLine() as line:
+            for _ in range(2):
+                os.kill(os.getpid(), signal.SIGINT)
+                line(GlobalProgress("laws", 1, 2, 0.5, 1.0))
+
+    with pytest.raises(KeyboardInterrupt):
+        raised_twice()
