@@ -19,8 +19,8 @@ from mr_damper_ros.streaming.blocks import SampleBlock
 from mr_damper_ros.streaming.tracker import Report, TrackerSettings, WindowTracker, run_fit
 from mr_damper_ros.streaming.windows import WindowAssembler
 
-WINDOW, HOP = 2.0, 1.0
-"""Defaults of the identifier node [s]."""
+WINDOW, HOP, LOOKS = 2.0, 1.0, 3
+"""Defaults of the identifier node: [s], [s], looks between two windows."""
 
 AMPLITUDE, FREQUENCY, CURRENT = 5e-3, 1.0, 1.5
 """The test of the thesis' section 4.5: [m], [Hz], [A]."""
@@ -65,7 +65,7 @@ def follow(
     run: Recording, settings: TrackerSettings, window: float = WINDOW, hop: float = HOP
 ) -> list[Step]:
     """Reports on all windows of a recording, streamed in blocks of 0.1 s from a cold start."""
-    assembler = WindowAssembler(window, hop)
+    assembler = WindowAssembler(window, hop, LOOKS)
     tracker = WindowTracker(settings, ParameterSet(LITERATURE, set_id="literature"))
     steps = []
     for first in range(0, run.force.size, _BLOCK):
@@ -77,8 +77,10 @@ def follow(
         ready = assembler.add_block(block)
         ready += assembler.add_current(stamp, float(run.current[first]))
         for raw in ready:
-            report = tracker.complete(run_fit(tracker.window_task(raw)))
-            steps.append(Step(report, tracker.parameters.values))
+            result = run_fit(tracker.window_task(raw))
+            report = tracker.complete_look(result) if raw.look else tracker.complete(result)
+            if report is not None:
+                steps.append(Step(report, tracker.parameters.values))
     return steps
 
 

@@ -67,7 +67,8 @@ class Gatekeeper:
     def may_be_early(self, evidence: Evidence) -> bool:
         """Whether a fit to a few samples after a change may replace the running set.
 
-        It must leave no more than the usual residual, predict better, and need no confirmation. What it says leaves no trace: the next window judges again.
+        It must leave no more than the usual residual, predict better, and need no confirmation.
+        What it says leaves no trace: the next window judges again.
         """
         return bool(
             self._residuals

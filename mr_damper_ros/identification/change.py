@@ -1,7 +1,8 @@
 """Notices a sudden change of the force between two windows: a two-sided CUSUM.
 
-What is summed is the force scale that a short block of samples shows against the running set,
-standardised by the noise of the window that the set was fitted to (Page, Biometrika 41, 1954).
+What is summed is the log-likelihood ratio of a damper whose force has changed by some percent to
+one that has not, block by block of samples (Page, Biometrika 41, 1954), in units in which a usual
+block of noise has a standard deviation of 1.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from mr_damper_ros.damper.sigmoid import Array
 
 SLACK = 0.5
-"""Standard deviations subtracted from each block's deviation: half the smallest shift to find."""
+"""Least slack: half the smallest shift to find, in standard deviations of a usual block."""
 
 THRESHOLD = 12.0
 """Sum [1] that counts as a change; see :func:`average_run_length` for what that means."""
@@ -33,7 +34,7 @@ def average_run_length(threshold: float = THRESHOLD, slack: float = SLACK) -> fl
 
     Siegmund's approximation ("Sequential Analysis", 1985), for both sides together. With the
     defaults, half a million: 7 h at 20 blocks per second. The slack grows where the force stands
-    far out of the noise (:meth:`ChangeWatch.follow`), and then the alarms become rarer still.
+    far out of the noise (see :meth:`ChangeWatch.follow`), and then the alarms become rarer still.
     """
     reach = 2.0 * slack * (threshold + _SIEGMUND)
     return (math.exp(reach) - reach - 1.0) / (2.0 * slack**2) / 2.0
@@ -44,13 +45,15 @@ class ChangeWatch:
     """State of the detector; every step returns a new one.
 
     ``noise`` [N]: standard deviation of the residual of the window that the running set was
-    fitted to; ``smallest_change``: relative change of the force that is worth an early fit;
+    fitted to; ``block_norm`` [N]: root mean square norm of the force in a block of that window;
+    ``smallest_change``: relative change of the force that is worth an early fit;
     ``operating_point``: peak velocity [m/s] and current [A] for which the set is known to hold;
     ``block``: samples per block; ``threshold``: see :data:`THRESHOLD`. ``rising`` and ``falling``
     are the two sums; ``samples`` have been followed since the larger one was last zero.
     """
 
     noise: float
+    block_norm: float
     smallest_change: float
     operating_point: tuple[float, float]
     block: int
@@ -76,12 +79,15 @@ class ChangeWatch:
         """
         residual = measured - predicted
         noise = math.sqrt(float(np.mean(residual**2)))
-        floor = 1e-6 * math.sqrt(float(np.mean(predicted**2)))
+        level = math.sqrt(float(np.mean(predicted**2)))
+        block = max(predicted.size // _BLOCKS_PER_WINDOW, 1)
         fresh = cls(
-            noise=max(noise, floor, 1e-300),
+            # A simulated force has no noise at all.
+            noise=max(noise, 1e-6 * level, 1e-100),
+            block_norm=max(level * math.sqrt(block), 1e-100),
             smallest_change=smallest_change,
             operating_point=operating_point,
-            block=max(predicted.size // _BLOCKS_PER_WINDOW, 1),
+            block=block,
         )
         usual = fresh.follow(predicted, measured).top
         return replace(fresh, threshold=max(THRESHOLD, _EXCURSION * usual))
@@ -103,8 +109,7 @@ class ChangeWatch:
     def follow(self, predicted: Array, measured: Array) -> ChangeWatch:
         """The state after further samples (n,) [N].
 
-        The slack is half of the smallest change worth an early fit, in standard deviations of a
-        block, and never less than ``SLACK``.
+        The slack is half of the smallest change worth an early fit, and never less than ``SLACK``.
         """
         state = self
         blocks = max(predicted.size // self.block, 1)
@@ -113,11 +118,11 @@ class ChangeWatch:
         return state
 
     def _next(self, predicted: Array, measured: Array) -> ChangeWatch:
-        strength = float(np.linalg.norm(predicted)) / self.noise
-        if strength == 0.0:
-            return self
-        deviation = float(predicted @ (measured - predicted)) / (self.noise**2 * strength)
-        slack = max(SLACK, 0.5 * self.smallest_change * strength)
+        # The sum over a window of a set that was fitted to it is zero, whatever swing is left:
+        # so blocks are weighted by the force in them, as the likelihood says.
+        deviation = float(predicted @ (measured - predicted)) / (self.noise * self.block_norm)
+        shift = max(self.smallest_change * self.block_norm / self.noise, 2.0 * SLACK)
+        slack = 0.5 * shift * float(predicted @ predicted) / self.block_norm**2
         rising = max(self.rising + deviation - slack, 0.0)
         falling = max(self.falling - deviation - slack, 0.0)
         count = predicted.size

@@ -22,6 +22,7 @@ from mr_damper_ros.identification.acceptance import (
     Evidence,
     Gatekeeper,
 )
+from mr_damper_ros.identification.change import ChangeWatch, fit_scale
 from mr_damper_ros.identification.drift import Baselines, ForceScale, force_scale
 from mr_damper_ros.identification.evolution import EvolutionSettings
 from mr_damper_ros.identification.fit import WindowFit, fit_window
@@ -43,13 +44,19 @@ from mr_damper_ros.identification.unscented import (
     as_fit,
     state_of,
 )
-from mr_damper_ros.identification.window import Window, scale_parameter_errors
+from mr_damper_ros.identification.window import ScaleMisfit, Window, scale_parameter_errors
 from mr_damper_ros.streaming.blocks import NANOSECONDS
 from mr_damper_ros.streaming.windows import RawWindow
 
 _CHUNKS = 40
 _HELD_BACK_EVERY = 4
 """Of the chunks into which a window is cut, every fourth is held back from the fit."""
+
+_FEWEST_EARLY = 40
+"""An early fit needs as many samples: so that each held-back chunk has one."""
+
+EARLY_METHOD = "force_scale"
+"""Method of a fit that came early because the force had changed."""
 
 _ASTRAY = 2.0
 """A filter is wrong where held-back samples differ by more than so many times their noise."""
@@ -66,16 +73,19 @@ class TrackerSettings:
     uses every sample once and starts from the fit of a window. ``method`` of that fit:
     "nelder_mead" or "least_squares"; ``robust``: bound the influence of outliers;
     ``drift_rate`` [1/sqrt(s)]: how fast the filter expects the force to change, see
-    :class:`UnscentedFilter`; ``global_period``: a global identification after this many accepted
-    windows, 0 for never.
+    :class:`UnscentedFilter`; ``smallest_change`` [1]: a relative change of the force between two
+    windows that is worth an early fit; ``global_period``: a global identification after this
+    many accepted windows, 0 for never.
 
-    Raises ValueError for an unknown tracker or a drift rate that is not positive.
+    Raises ValueError for an unknown tracker, or a drift rate or smallest change that is not
+    positive.
     """
 
     tracker: str = "window"
     method: str = "nelder_mead"
     robust: bool = False
     drift_rate: float = 1e-3
+    smallest_change: float = 0.02
     global_period: int = 20
     screening: Screening = field(default_factory=Screening)
     acceptance: AcceptanceSettings = field(default_factory=AcceptanceSettings)
@@ -86,18 +96,25 @@ class TrackerSettings:
             raise ValueError(
                 f"tracker '{self.tracker}' is unknown: use one of {', '.join(TRACKERS)}"
             )
-        if not self.drift_rate > 0.0:
-            raise ValueError(f"drift_rate is {self.drift_rate}: it must be positive")
+        for name in ("drift_rate", "smallest_change"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be positive")
 
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """One window, the parameters (16,) to start from, and where the filter stood, if it did."""
+    """One window, or a look, and the parameters (16,) to start from.
+
+    ``state`` is where the filter stood and ``watch`` that of the detector of changes, if they
+    run; samples stamped before ``changed_ns`` are of the damper before its last sudden change.
+    """
 
     window: RawWindow
     start: Array
     settings: TrackerSettings
     state: FilterState | None = None
+    watch: ChangeWatch | None = None
+    changed_ns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +127,7 @@ class FitResult:
     fit: WindowFit | None = None
     evidence: Evidence | None = None
     state: FilterState | None = None
+    watch: ChangeWatch | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +177,10 @@ class Report:
 
 
 def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> FitResult:
-    """Fit the window of a task; every fault of the data comes back as a sentence."""
+    """Fit the window of a task; every fault of the data comes back as a sentence.
+
+    Of a look only the watch comes back as long as nothing has changed.
+    """
     raw, settings = task.window, task.settings
     fault = fault_of_samples(raw.displacement, raw.force, raw.current, settings.screening)
     if fault:
@@ -169,6 +190,12 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         fault = fault_of_motion(window.motion.velocity, window.force)
         if fault:
             return FitResult(task, fault)
+        if raw.look:
+            return _look(task, window)
+        before_change = math.ceil((task.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))
+        if before_change > 0.5 * window.sample_count:
+            return FitResult(task, "most of the window lies before the change of the force")
+        window = window.part(slice(max(before_change, 0), None))
         state = _usable(task, window)
         filtered = None if state is None else _filtered(task, window, state)
         if filtered is not None:
@@ -196,7 +223,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         message=trained.message,
     )
     begun = state_of(final, raw.end_ns) if settings.tracker == METHOD else None
-    return FitResult(task, "", window, final, evidence, begun)
+    return FitResult(task, "", window, final, evidence, begun, _watch(task, window, final))
 
 
 def _usable(task: FitTask, window: Window) -> FilterState | None:
@@ -218,8 +245,8 @@ def _filtered(task: FitTask, window: Window, state: FilterState) -> FitResult | 
     started again from a fit.
     """
     raw, settings = task.window, task.settings
-    seen = round((state.stamp_ns - raw.start_ns) / (raw.period * NANOSECONDS)) + 1
-    new = window.part(slice(max(seen, 0), None))
+    unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
+    new = window.part(slice(max(window.sample_count - unseen, 0), None))
     held_back = held_back_samples(new.sample_count)
     follower = UnscentedFilter(
         state,
@@ -236,7 +263,59 @@ def _filtered(task: FitTask, window: Window, state: FilterState) -> FitResult | 
         return None
     follower.take_in(held_back)
     fit = as_fit(follower.state, window, task.start, follower.evaluations)
-    return FitResult(task, "", window, fit, evidence, follower.state)
+    return FitResult(task, "", window, fit, evidence, follower.state, _watch(task, window, fit))
+
+
+def _watch(task: FitTask, window: Window, fit: WindowFit) -> ChangeWatch:
+    """Watch for changes against a fit, from its window on."""
+    predicted = ScaleMisfit(window, fit.parameters).residual(fit.scales) + window.force
+    return ChangeWatch.after_fit(
+        predicted, window.force, fit.operating_point, task.settings.smallest_change
+    )
+
+
+def _look(task: FitTask, window: Window) -> FitResult:
+    """See whether the newest samples fit the running set; if not, fit the force scale to them."""
+    raw, watch = task.window, task.watch
+    if watch is None:
+        return FitResult(task, "")
+    newest = slice(window.sample_count - raw.look, None)
+    here = window.part(newest).operating_point
+    if nearest_same([watch.operating_point], here) is None:
+        return FitResult(task, "", watch=watch.quiet())
+    misfit = ScaleMisfit(window, task.start)
+    predicted = misfit.residual(misfit.start) + window.force
+    watch = watch.follow(predicted[newest], window.force[newest])
+    count = min(watch.samples_since_change, window.sample_count)
+    if not watch.changed or count < _FEWEST_EARLY:
+        return FitResult(task, "", watch=watch)
+    since = slice(window.sample_count - count, None)
+    changed, predicted = window.part(since), predicted[since]
+    held_back = held_back_samples(count)
+    trained = fit_scale(predicted[~held_back], changed.force[~held_back]).factor
+    spread = float(np.std(window.force))
+    before, after = (
+        float(np.sqrt(np.mean((factor * predicted - changed.force)[held_back] ** 2)))
+        for factor in (1.0, trained)
+    )
+    evidence = Evidence(before / spread, after / spread, after, trained - 1.0)
+    found = fit_scale(predicted, changed.force)
+    if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
+        return FitResult(task, "", watch=watch)  # a sensor has failed, no damper does that
+    # Yield force and force offset follow the factor, the other scales stay.
+    factors = np.array([found.factor, 1.0, 1.0, 1.0, 1.0, 1.0, found.factor])
+    moved = np.where(factors == found.factor, misfit.start, 0.0) * found.standard_error
+    own = FilterState(misfit.start * factors, np.outer(moved, moved), raw.end_ns, here)
+    fit = replace(as_fit(own, changed, task.start, 2), method=EARLY_METHOD)
+    state = task.state
+    if state is not None:
+        state = FilterState(
+            state.scales * factors,
+            state.covariance * np.outer(factors, factors) + own.covariance,
+            raw.end_ns,
+            here,
+        )
+    return FitResult(task, "", changed, fit, evidence, state, watch)
 
 
 def run_global(
@@ -296,7 +375,13 @@ class WindowTracker:
         self._reservoir = Reservoir()
         self._accepted = 0
         self._accepted_since_global = 0
+        self._forget_scales()
+
+    def _forget_scales(self) -> None:
+        """What was known of the scales went with another set."""
         self._state: FilterState | None = None
+        self._watch: ChangeWatch | None = None
+        self._changed_ns = 0
 
     @property
     def accepted_windows(self) -> int:
@@ -319,8 +404,17 @@ class WindowTracker:
         self._start_again()
 
     def window_task(self, window: RawWindow) -> FitTask:
-        """The task of a window, starting from the running set."""
-        return FitTask(window, self.parameters.values, self._settings, self._state)
+        """The task of a window or a look, starting from the running set."""
+        if window.end_ns < self._changed_ns:
+            self._changed_ns = 0  # time was set back
+        return FitTask(
+            window,
+            self.parameters.values,
+            self._settings,
+            self._state,
+            self._watch,
+            self._changed_ns,
+        )
 
     def complete(self, result: FitResult) -> Report:
         """Judge the result of a window's task and, if it is accepted, run with it."""
@@ -333,8 +427,46 @@ class WindowTracker:
             # The filter learns from every good window, the running set from those that help.
             self._state = result.state
         if not reason:
+            self._watch = result.watch
             self._accept(result.window, result.fit, result)
         return self._report(result, reason, scale)
+
+    def complete_look(self, result: FitResult) -> Report | None:
+        """Take in what a look has seen; a report where it led to an early fit that is in use."""
+        self._watch = result.watch or self._watch
+        fit, evidence, watch = result.fit, result.evidence, result.watch
+        if fit is None or evidence is None or watch is None:
+            return None
+        if not self._gatekeeper.may_be_early(evidence):
+            return None
+        raw = result.task.window
+        self._windows += 1
+        self._state = result.state
+        self._watch = watch.quiet()
+        length = round(watch.samples_since_change * raw.period * NANOSECONDS)
+        self._changed_ns = raw.end_ns - length
+        errors = self.parameters.standard_errors.copy()
+        # The other scales keep what is known of them.
+        errors[SCALE_INDICES[0]] = math.hypot(
+            errors[SCALE_INDICES[0]] * (1.0 + evidence.force_change),
+            math.sqrt(fit.covariance[0, 0]),
+        )
+        self.parameters = replace(
+            self.parameters,
+            values=fit.parameters,
+            standard_errors=errors,
+            set_id=f"early-{self._windows}",
+            source=fit.method,
+            nrmse=evidence.nrmse_after,
+            stamp_ns=raw.end_ns,
+        )
+        reason = (
+            f"the force changed by {evidence.force_change:+.0%} at "
+            f"t = {self._changed_ns / NANOSECONDS:.2f} s: fitted early"
+        )
+        report = self._report(result, "", force_scale(self._baselines, fit))
+        unknown = np.full(7, math.nan)
+        return replace(report, reason=reason, coefficient_errors=unknown)
 
     def _accept(self, window: Window, fit: WindowFit, result: FitResult) -> None:
         self._accepted += 1
@@ -431,8 +563,7 @@ class WindowTracker:
             self.parameters = replace(
                 fit.parameter_set, set_id=f"global-{self._windows}", stamp_ns=result.task.stamp_ns
             )
-            # Its scales went with the shape of the set before.
-            self._state = None
+            self._forget_scales()
         unknown = np.full(7, math.nan)
         return Report(
             window_start_ns=result.task.stamp_ns,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,11 @@ _WAIT_FOR_CURRENT = 64
 
 @dataclass(frozen=True, eq=False)
 class RawWindow:
-    """Samples of one window: arrays of shape (n,), SI units; ``temperature`` [°C], NaN unknown."""
+    """Samples of one window: arrays of shape (n,), SI units; ``temperature`` [°C], NaN unknown.
+
+    A look is a window cut early, to see whether its ``look`` newest samples still fit the running
+    set; 0 for a window to be fitted.
+    """
 
     start_ns: int
     period: float
@@ -25,6 +29,7 @@ class RawWindow:
     force: Array
     current: Array
     temperature: float = math.nan
+    look: int = 0
 
     @property
     def end_ns(self) -> int:
@@ -37,17 +42,23 @@ class WindowAssembler:
 
     A window is handed out once the current is known for all of it, that is once a value stamped
     at or after its last sample has come: what a window holds then does not depend on the order
-    in which the messages of different topics arrive.
+    in which the messages of different topics arrive. ``looks`` windows more are cut within each
+    hop, see :class:`RawWindow`.
     """
 
-    def __init__(self, window: float, hop: float) -> None:
-        """Raises ValueError where ``window`` or ``hop`` is not positive or hop exceeds window."""
+    def __init__(self, window: float, hop: float, looks: int = 0) -> None:
+        """Raises ValueError where ``window`` or ``hop`` is not positive or hop exceeds window, or
+        for a negative number of looks.
+        """  # noqa: D205
         if not (math.isfinite(window) and window > 0.0):
             raise ValueError(f"the window is {window} s long: it must be positive")
         if not 0.0 < hop <= window:
             raise ValueError(f"the hop is {hop} s: it must lie in 0 to {window} s, the window")
+        if looks < 0:
+            raise ValueError(f"{looks} looks per hop were asked for: it must not be negative")
         self._window = window
         self._hop = hop
+        self._looks = looks
         self._sequence = BlockSequence()
         self._current = HeldCurrent(keep=4.0 * window + 60.0)
         self._temperature = math.nan
@@ -60,6 +71,8 @@ class WindowAssembler:
         # Samples of the first block that lie before the present window, and those from there on.
         self._skip = 0
         self._count = 0
+        # Of the parts of a hop: 0 where the next window is one to be fitted.
+        self._part = 0
 
     @property
     def lost_samples(self) -> int:
@@ -129,7 +142,10 @@ class WindowAssembler:
         period = self._blocks[0].period
         length = max(round(self._window / period), 1)
         step = max(round(self._hop / period), 1)
+        parts = min(self._looks + 1, step)
         while self._count >= length:
+            to_this, to_next = (step * part // parts for part in (self._part, self._part + 1))
+            look = to_this - step * (self._part - 1) // parts if self._part else 0
             end = self._skip + length
             self._waiting.append(
                 RawWindow(
@@ -141,10 +157,12 @@ class WindowAssembler:
                     force=self._joined("force")[self._skip : end],
                     current=np.full(length, math.nan),
                     temperature=self._temperature,
+                    look=look,
                 )
             )
-            self._count -= step
-            self._skip += step
+            self._count -= to_next - to_this
+            self._skip += to_next - to_this
+            self._part = (self._part + 1) % parts
             while self._blocks and self._skip >= self._blocks[0].sample_count:
                 self._skip -= self._blocks.pop(0).sample_count
 
@@ -161,18 +179,11 @@ class WindowAssembler:
                     "the supply current is not known from the start of a window: it is left out"
                 )
                 continue
-            ready.append(
-                RawWindow(
-                    start_ns=window.start_ns,
-                    period=window.period,
-                    displacement=window.displacement,
-                    force=window.force,
-                    current=self._current.at(window.start_ns, window.period, window.force.size),
-                    temperature=window.temperature,
-                )
-            )
-        if len(self._waiting) > _WAIT_FOR_CURRENT:
-            del self._waiting[:-_WAIT_FOR_CURRENT]
+            current = self._current.at(window.start_ns, window.period, window.force.size)
+            ready.append(replace(window, current=current))
+        most = _WAIT_FOR_CURRENT * (self._looks + 1)
+        if len(self._waiting) > most:
+            del self._waiting[:-most]
             self._events.append(
                 "windows are dropped, because no supply current comes to go with them"
             )
