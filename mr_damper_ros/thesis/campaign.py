@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
@@ -74,6 +75,7 @@ class Campaign:
         if missing:
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("a", encoding="utf-8") as file:
+                file.write("\n")  # after the incomplete line of a campaign that was killed
                 for done, (place, result) in enumerate(
                     self._results(function, tasks, missing), start=1
                 ):
@@ -128,13 +130,14 @@ def _read(path: Path) -> dict[str, Any]:
             try:
                 key, result = json.loads(line)
             except ValueError:
-                continue  # the last line of a run that was killed
+                continue  # empty, or incomplete
             known[key] = result
     return known
 
 
+@lru_cache(maxsize=1)
 def _code_digest() -> str:
-    """Digest of the code that the results depend on."""
+    """Digest of the code that the results depend on, as it is when the program starts."""
     digest = hashlib.sha256(sys.version.encode() + np.__version__.encode())
     root = resources.files("mr_damper_ros")
     for folder in _CODE:

@@ -8,8 +8,9 @@ parameters A, beta, gamma and alpha hold one too many: z and alpha can be scaled
 
 so A = 1/yield_length, beta = share A, gamma = (1 - share) A, and alpha is the force of full yield.
 
-A step is an exponential Rosenbrock-Euler step: exact for an equation linear in z, stable for any
-period, of second order. Sets are integrated side by side, sample by sample.
+A step is an exponential Rosenbrock-Euler step: exact for an equation linear in z, of second order;
+that |z| never exceeds 1 is kept, so it is stable for any period. Sets are integrated side by
+side, sample by sample.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from mr_damper_ros.damper.sigmoid import Array
 
 _SMALL = 1e-12
 _STEEPEST = 60.0
-_LARGEST = 1e3
 
 
 def _relaxation(rate: Array) -> Array:
@@ -73,8 +73,8 @@ def _hysteresis_step(
     bend = power * magnitude ** (power - 1.0) * np.sign(z)
     rate = -bend * (share + (1.0 - share) * np.sign(z) * np.sign(w)) * w / length
     moved = z + period * slope * _relaxation(period * (rate + back))
-    # A set far from any damper must not overflow and spoil the others.
-    return np.asarray(np.clip(moved, -_LARGEST, _LARGEST))
+    # The exact solution never leaves this range, which a step much longer than the yield could.
+    return np.asarray(np.clip(moved, -1.0, 1.0))
 
 
 def _modified(parameters: Array, motion: MotionLike, current: Array, period: float) -> Array:

@@ -1,0 +1,231 @@
+"""The reviewed models: formulas, integration, lag, identification from a model's own force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from known import PLAUSIBLE, run
+from scipy.integrate import solve_ivp
+
+from mr_damper_ros.damper.models import MODELS
+from mr_damper_ros.damper.models.sigmoid import lagged
+from mr_damper_ros.damper.sigmoid import force
+from mr_damper_ros.thesis.model_fit import fit_model
+
+PERIOD = 1e-3
+
+EXAMPLES = {
+    "bingham": [500.0, 4000.0, -30.0],
+    "hyperbolic_tangent": [3000.0, 2000.0, 600.0, 90.0, 0.6, -20.0],
+    "nonlinear_biviscous": [4000.0, 60000.0, 500.0, 0.006, -20.0],
+    "bouc_wen": [4000.0, 3000.0, -20.0, 500.0, 3e-4, 0.4, 1.5],
+    "modified_bouc_wen": [3000.0, 500.0, 60000.0, 1500.0, -20.0, 600.0, 2e-4, 0.5, 1.5],
+    "sigmoid": PLAUSIBLE.tolist(),
+    "sigmoid_lag": [*PLAUSIBLE, 0.004, 0.003, 2000.0, -40.0],
+}
+
+
+def motion(samples: int = 1000, period: float = PERIOD):
+    """A sine that starts at rest in its centre of velocity, with its exact derivatives."""
+    return run(samples=samples, period=period, phase=0.0, noise=0.0).window.motion
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_interface(name):
+    model, w = MODELS[name], motion()
+    values = np.array(EXAMPLES[name])
+    low, high = model.bounds
+    assert len(set(model.parameter_names)) == values.size == low.size
+    assert set(model.units) == set(model.parameter_names)
+    assert np.all((low <= values) & (values <= high))
+    assert model.source
+    one = model.force(values, w, 1.0, PERIOD)
+    many = model.force(np.stack([values, 1.1 * values]), w, np.full(1000, 1.0), PERIOD)
+    assert one.shape == (1000,)
+    assert many.shape == (2, 1000)
+    np.testing.assert_allclose(many[0], one, rtol=1e-12, atol=1e-9)
+    assert not np.allclose(many[1], one)
+    with pytest.raises(ValueError, match="parameters"):
+        model.force(values[:-1], w, 1.0, PERIOD)
+    with pytest.raises(ValueError, match="period"):
+        model.force(values, w, 1.0, 0.0)
+
+
+def test_bingham():
+    w = motion()
+    f_y, c, f0 = EXAMPLES["bingham"]
+    got = MODELS["bingham"].force(EXAMPLES["bingham"], w, 0.0, PERIOD)
+    np.testing.assert_allclose(got, f_y * np.sign(w.velocity) + c * w.velocity + f0)
+
+
+def test_biviscous_is_the_published_six_pieces():
+    w = motion(777)
+    c_post, c_pre, f_y, v0, f0 = EXAMPLES["nonlinear_biviscous"]
+    v1 = (f_y - c_pre * v0) / (c_pre - c_post)
+    v2 = (f_y + c_pre * v0) / (c_pre - c_post)
+    expected = []
+    for v, a in zip(w.velocity, w.acceleration, strict=True):
+        rising = a > 0.0
+        first, last = (-v1, v2) if rising else (-v2, v1)
+        if v <= first:
+            expected.append(c_post * v - f_y)
+        elif v >= last:
+            expected.append(c_post * v + f_y)
+        else:
+            expected.append(c_pre * (v - v0 if rising else v + v0))
+    got = MODELS["nonlinear_biviscous"].force(EXAMPLES["nonlinear_biviscous"], w, 0.0, PERIOD)
+    moving = np.abs(w.acceleration) > 1e-9
+    np.testing.assert_allclose((got - f0)[moving], np.array(expected)[moving], atol=1e-9)
+
+
+def test_hyperbolic_tangent():
+    w = motion()
+    c, k, alpha, beta, delta, f0 = EXAMPLES["hyperbolic_tangent"]
+    z = np.tanh(beta * w.velocity + delta * np.sign(w.displacement))
+    expected = c * w.velocity + k * w.displacement + alpha * z + f0
+    got = MODELS["hyperbolic_tangent"].force(EXAMPLES["hyperbolic_tangent"], w, 0.0, PERIOD)
+    np.testing.assert_allclose(got, expected)
+
+
+AMPLITUDE, OMEGA = 5e-3, 2.0 * np.pi
+
+
+def u_v(t):
+    return AMPLITUDE * np.sin(OMEGA * t), AMPLITUDE * OMEGA * np.cos(OMEGA * t)
+
+
+def hysteresis_rate(z, w, length, share, power):
+    bent = np.abs(z) ** power
+    return (w - bent * (share * w + (1.0 - share) * np.abs(w) * np.sign(z))) / length
+
+
+def reference_bouc_wen(times):
+    c0, k0, f0, alpha, *shape = EXAMPLES["bouc_wen"]
+    solved = solve_ivp(
+        lambda t, z: hysteresis_rate(z, u_v(t)[1], *shape),
+        (0.0, times[-1]),
+        [0.0],
+        t_eval=times,
+        rtol=1e-9,
+        atol=1e-11,
+        max_step=2e-3,
+    )
+    u, v = u_v(times)
+    return c0 * v + k0 * u + f0 + alpha * solved.y[0]
+
+
+def reference_modified(times):
+    c0, k0, c1, k1, f0, alpha, *shape = EXAMPLES["modified_bouc_wen"]
+
+    def inner(t, z, y):
+        u, v = u_v(t)
+        return (alpha * z + c0 * v + k0 * (u - y)) / (c0 + c1)
+
+    def rates(t, state):
+        z, y = state
+        dy = inner(t, z, y)
+        return [hysteresis_rate(z, u_v(t)[1] - dy, *shape), dy]
+
+    solved = solve_ivp(
+        rates,
+        (0.0, times[-1]),
+        [0.0, 0.0],
+        method="LSODA",
+        t_eval=times,
+        rtol=1e-9,
+        atol=1e-12,
+        max_step=2e-3,
+    )
+    return c1 * inner(times, *solved.y) + k1 * u_v(times)[0] + f0
+
+
+@pytest.mark.parametrize(
+    ("name", "reference"),
+    [("bouc_wen", reference_bouc_wen), ("modified_bouc_wen", reference_modified)],
+)
+def test_integration_converges_to_solve_ivp(name, reference):
+    model = MODELS[name]
+    errors = []
+    for period in (2e-3, 1e-3, 5e-4):
+        count = round(1.0 / period)
+        times = np.arange(count) * period
+        w = motion(count, period)
+        expected = reference(times)
+        got = model.force(EXAMPLES[name], w, 0.0, period)
+        errors.append(np.sqrt(np.mean((got - expected) ** 2)) / np.std(expected))
+    assert errors[1] < 2e-3
+    # Second order: a third at least where the step is halved (a quarter in the limit).
+    assert errors[2] < errors[1] / 2.5 < errors[0] / 5.0
+
+
+@pytest.mark.parametrize("name", ["bouc_wen", "modified_bouc_wen"])
+@pytest.mark.parametrize("length", [1e-6, 1e-5, 1e-3])
+def test_integration_is_stable_at_coarse_steps(name, length):
+    model = MODELS[name]
+    values = np.array(EXAMPLES[name])
+    values[model.parameter_names.index("yield_length")] = length
+    coarse = motion(100, 0.02)
+    got = model.force(values, coarse, 0.0, 0.02)
+    alpha = values[model.parameter_names.index("alpha")]
+    speed = np.max(np.abs(coarse.velocity))
+    most = 1.2 * alpha + values[0] * speed + 5e3 * AMPLITUDE + 100.0
+    assert np.all(np.abs(got) < most)
+
+
+def test_lag_of_a_sine_has_the_amplitude_and_phase_of_theory():
+    tau, omega, period = 0.02, 2.0 * np.pi * 3.0, 1e-3
+    t = np.arange(3000) * period
+    got = lagged(np.sin(omega * t), np.full(3000, tau), period)[1000:]
+    ratio = 1.0 / np.sqrt(1.0 + (omega * tau) ** 2)
+    expected = ratio * np.sin(omega * t - np.arctan(omega * tau))[1000:]
+    np.testing.assert_allclose(got, expected, atol=1e-4)
+
+
+def test_lag_with_a_changing_time_constant_agrees_with_the_constant_one():
+    signal = np.random.default_rng(0).normal(size=(2, 200))
+    tau = np.full(200, 5e-3)
+    wobbling = tau * (1.0 + 1e-12 * np.arange(200))
+    np.testing.assert_allclose(
+        lagged(signal, wobbling, PERIOD), lagged(signal, tau, PERIOD), atol=1e-8
+    )
+    np.testing.assert_allclose(lagged(signal, np.zeros(200), PERIOD), signal, atol=1e-6)
+
+
+def test_lag_rises_with_the_current():
+    w = motion(2000)
+    values = np.array(EXAMPLES["sigmoid_lag"])
+    plain = MODELS["sigmoid"].force(PLAUSIBLE, w, 1.5, PERIOD)
+    got = MODELS["sigmoid_lag"].force(values, w, 1.5, PERIOD)
+    tau = 0.004 + 0.003 * 1.5
+    expected = lagged(plain, np.full(2000, tau), PERIOD) + 2000.0 * w.displacement - 40.0
+    np.testing.assert_allclose(got, expected)
+
+
+def test_sigmoid_is_the_package_law_and_the_extension_vanishes():
+    w = motion()
+    plain = force(PLAUSIBLE, w.displacement, w.velocity, w.acceleration, 0.5)
+    np.testing.assert_allclose(MODELS["sigmoid"].force(PLAUSIBLE, w, 0.5, PERIOD), plain)
+    extended = [*PLAUSIBLE, 0.0, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(
+        MODELS["sigmoid_lag"].force(extended, w, 0.5, PERIOD), plain, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [
+        ("bingham", 1e-3),
+        ("hyperbolic_tangent", 1e-3),
+        ("nonlinear_biviscous", 1e-3),
+        ("bouc_wen", 0.02),
+        ("modified_bouc_wen", 0.02),
+        ("sigmoid", 1e-3),
+        ("sigmoid_lag", 5e-3),
+    ],
+)
+def test_a_model_is_identified_from_its_own_force(name, most):
+    source = run(samples=400, period=5e-3, noise=0.0).window
+    values = np.array(EXAMPLES[name])
+    made = MODELS[name].force(values, source.motion, source.current, 5e-3)
+    fit = fit_model(MODELS[name], type(source)(source.motion, made, source.current), 5e-3)
+    assert fit.nrmse < most

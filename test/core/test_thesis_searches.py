@@ -1,0 +1,203 @@
+"""Repeated evolution, optimisers, observability, the report, and what keeps a campaign going."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES
+from mr_damper_ros.rig.thesis import find, parameters
+from mr_damper_ros.thesis import facts, observability, optimisers, repeated, sensitivity
+from mr_damper_ros.thesis.campaign import Campaign, Settings
+from mr_damper_ros.thesis.de import STRATEGIES, evolve
+from mr_damper_ros.thesis.report import Chapter, Compared, Table, Text, shown, write_report
+from mr_damper_ros.thesis.runs import cycle
+from mr_damper_ros.thesis.style import styled
+from mr_damper_ros.tools import reproduce
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_evolution_finds_a_minimum_and_one_on_a_bound(strategy):
+    target = np.array([0.5, -1.0, 2.0, 9.0])
+    low, high = np.full(4, -3.0), np.full(4, 3.0)
+    found = evolve(
+        lambda sets: np.sum((sets - target) ** 2, axis=1),
+        low,
+        high,
+        np.random.default_rng(1),
+        strategy=strategy,
+        generations=400,
+        population=40,
+    )
+    np.testing.assert_allclose(found.best, [0.5, -1.0, 2.0, 3.0], atol=1e-3)
+    assert found.evaluations == 40 * 401
+
+
+def test_evolution_refuses_what_it_cannot_do():
+    def cost(sets):
+        return np.zeros(len(sets))
+
+    with pytest.raises(ValueError, match="strategy"):
+        evolve(cost, np.zeros(2), np.ones(2), np.random.default_rng(0), strategy="rand/7")
+    with pytest.raises(ValueError, match="population"):
+        evolve(cost, np.zeros(2), np.ones(2), np.random.default_rng(0), population=5)
+
+
+@pytest.fixture(scope="module")
+def repeats(tmp_path_factory):
+    return repeated.compute(Campaign(Settings(tmp_path_factory.mktemp("thesis"), runs=6)))
+
+
+def test_repeated_evolution_scatters_as_in_tables_10_and_11_at_full_current(repeats):
+    found, captioned = repeats[repeated.AS_FOUND], repeats[repeated.AS_CAPTIONED]
+    # Six runs give variances to a factor of two or so.
+    assert found["variance_distance"] < 2.5
+    assert captioned["variance_distance"] > 100.0
+    variance = dict(zip(PARAMETER_NAMES, found["statistics"]["variance"], strict=True))
+    largest = sorted(variance, key=lambda name: -variance[name])[:3]
+    assert largest == ["k2", "a0", "a4"]
+    for name, factor in (("a0", 3.0), ("k2", 3.0), ("f0", 4.0), ("a4", 3.0)):
+        theirs = facts.REPEATED["variance"][PARAMETER_NAMES.index(name)]
+        assert theirs / factor < variance[name] < theirs * factor, name
+
+
+def test_repeated_evolution_fails_at_no_current(repeats):
+    captioned = repeats[repeated.AS_CAPTIONED]
+    # All runs end at one poor fit: the bounds are too narrow for this run.
+    assert min(captioned["rmse"]) > 20.0
+    assert np.ptp(captioned["rmse"]) < 0.5
+
+
+def test_results_do_not_depend_on_workers_and_are_kept(tmp_path, monkeypatch):
+    tasks = [
+        {"name": "5.0mm_1Hz_1.5A", "noise_seed": 0, "seed": [k], "generations": 5} for k in range(3)
+    ]
+    one = Campaign(Settings(tmp_path / "one", workers=1)).each("evolution", repeated.run, tasks)
+    two = Campaign(Settings(tmp_path / "two", workers=2)).each("evolution", repeated.run, tasks)
+    assert one == two
+    # The last line of a killed campaign is incomplete: only that task is done again.
+    (file,) = (tmp_path / "one" / "data").iterdir()
+    file.write_text(file.read_text()[:-40])
+    calls = []
+
+    def counted(**task):
+        calls.append(task)
+        return repeated.run(**task)
+
+    again = Campaign(Settings(tmp_path / "one")).each("evolution", counted, tasks)
+    assert again == one
+    assert len(calls) == 1
+
+
+def test_seeds_differ_between_runs_and_purposes(tmp_path):
+    campaign = Campaign(Settings(tmp_path))
+    seeds = [tuple(s) for purpose in (1, 2) for s in campaign.seeds(50, purpose)]
+    assert len(set(seeds)) == 100
+    assert campaign.seeds(50, 1)[:10] == campaign.seeds(10, 1)
+
+
+@pytest.mark.parametrize(
+    ("option", "message"), [({"runs": 1}, "runs"), ({"workers": 0}, "workers"), ({"seed": -1}, "s")]
+)
+def test_settings_out_of_range(tmp_path, option, message):
+    with pytest.raises(ValueError, match=message):
+        Settings(tmp_path, **option)
+
+
+@pytest.mark.parametrize(
+    ("wins", "count", "low", "high"),
+    [(5, 10, 0.2366, 0.7634), (0, 10, 0.0, 0.2775), (100, 100, 0.9630, 1.0)],
+)
+def test_wilson(wins, count, low, high):
+    assert optimisers.wilson(wins, count) == pytest.approx((low, high), abs=1e-4)
+
+
+@pytest.mark.parametrize("method", optimisers.available())
+def test_every_optimiser_keeps_the_budget(method):
+    result = optimisers.run(method, 0, [1, 2], 1500)
+    assert 0 < result["evaluations"] <= 1500
+    assert result["floor"] <= 1.001 * result["rmse"] < 2000.0
+    inside = np.array(result["parameters"])
+    if not method.endswith("_7"):
+        assert np.all((inside >= facts.SEARCH_LOW) & (inside <= facts.SEARCH_HIGH))
+    trace = [x for x in result["trace"] if x is not None]
+    assert trace == sorted(trace, reverse=True)
+
+
+def test_seven_unknowns_succeed_where_the_thesis_way_does_not():
+    seeds = [[k] for k in range(6)]
+
+    def successes(method):
+        results = [optimisers.run(method, 0, seed, 3000) for seed in seeds]
+        return sum(r["rmse"] <= optimisers.SUCCESS * r["floor"] for r in results)
+
+    assert successes("least_squares_7") == 6
+    assert successes("nelder_mead_7") == 6
+    assert successes("least_squares_16") >= 5
+    assert successes("de_0") == 0
+
+
+def test_one_run_determines_seven_directions():
+    truth = parameters(find(observability.CONDITION))
+    jacobian = observability.scaled_jacobian(observability.CONDITION, 0, truth)
+    singular = np.linalg.svd(jacobian, compute_uv=False)
+    assert singular[6] > 1.0
+    assert singular[7] < 1e-9 * singular[0]
+
+
+def test_equally_good_sets_differ_and_their_coefficients_do_not():
+    fits = observability.descents(0, [[k] for k in range(8)])
+    floor = min(fit["rmse"] for fit in fits)
+    good = np.array([fit["parameters"] for fit in fits if fit["rmse"] < 1.001 * floor])
+    assert len(good) >= 4
+    spread = np.ptp(good, axis=0) / (facts.SEARCH_HIGH - facts.SEARCH_LOW)
+    assert np.median(spread) > 0.2
+    residuals = cycle(observability.CONDITION, 0).residual(good)
+    assert np.max(np.ptp(residuals, axis=0)) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("ours", "thesis", "difference"), [(11.0, 10.0, 0.1), (-9.0, -10.0, 0.1), (1.0, None, None)]
+)
+def test_relative_difference(ours, thesis, difference):
+    value = Compared("x", "N", ours, thesis, "")
+    assert value.difference == (None if difference is None else pytest.approx(difference))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "–"), (3, "3"), (-0.5, "−0.5"), (1234567.0, "1.23·10^6"), (float("nan"), "–")],
+)
+def test_cells(value, text):
+    assert shown(value) == text
+
+
+def test_report_needs_nothing_from_outside_and_shows_the_numbers(tmp_path):
+    data = sensitivity.compute(Campaign(Settings(tmp_path)))
+    with styled():
+        blocks = [Text("a < b"), *sensitivity.show(data)]
+        page = write_report(tmp_path, "Title", "re-synthesised", [Chapter("s", "S", blocks)])
+    text = page.read_text("utf-8")
+    assert "a &lt; b" in text
+    assert "prefers-color-scheme:dark" in text
+    assert "@media print" in text
+    sources = re.findall(r'(?:src|href)="([^"]{0,30})', text)
+    assert sources
+    assert all(source.startswith(("data:image/svg+xml;base64,", "#")) for source in sources)
+    table = (tmp_path / "tables" / "sensitivity.csv").read_text("utf-8").splitlines()
+    first = dict(zip(table[0].split(","), table[1].split(","), strict=False))
+    assert first["Quantity"] == "f0"
+    assert float(first["Ours"]) == data[sensitivity.CONDITION]["f0"][-1]
+    assert float(first["Thesis"]) == 16e5
+    assert any(isinstance(block, Table) for block in blocks)
+
+
+def test_the_program_says_what_is_wrong(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("MR_DAMPER_DATA", str(tmp_path))
+    assert reproduce.main(["--output", str(tmp_path)]) == 2
+    assert "utfsm/processed" in capsys.readouterr().err
+    monkeypatch.delenv("MR_DAMPER_DATA")
+    assert reproduce.main(["--runs", "1", "--output", str(tmp_path)]) == 2
+    assert "runs is 1" in capsys.readouterr().err

@@ -1,0 +1,215 @@
+"""The reproduction against the thesis' own figures: errors, dependencies, errata, sensitivity."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.sigmoid import force
+from mr_damper_ros.rig.thesis import CONDITIONS, ROW_ERRATA, find, parameters
+from mr_damper_ros.thesis import dependency, errata, facts, force_error, sensitivity
+from mr_damper_ros.thesis.campaign import Campaign, Settings
+from mr_damper_ros.thesis.conditions import identified
+from mr_damper_ros.thesis.runs import CycleMisfit, cycle, window
+
+SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
+"""Its k4 has the wrong sign, but so has the factor of the current: its loop is sound."""
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    return Campaign(Settings(tmp_path_factory.mktemp("thesis"), runs=2, quick=True))
+
+
+@pytest.fixture(scope="module")
+def errors(campaign):
+    return force_error.compute(campaign)
+
+
+def test_sine(errors):
+    for name, tolerance in (("amplitude", 1e-4), ("frequency", 1e-5), ("phase", 1e-4)):
+        assert errors["sine"][name] == pytest.approx(facts.SINE[name], rel=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"),
+    [
+        ("sample_size", 0.0),
+        ("variance", 0.03),
+        ("sigma", 0.015),
+        ("sigma_low", 0.015),
+        ("sigma_high", 0.015),
+        # Single samples: their standard deviation between seeds is about 1.5 N of 21.
+        ("minimum", 0.20),
+        ("maximum", 0.20),
+    ],
+)
+def test_force_error(errors, name, tolerance):
+    ours = errors["force_statistics"][name]
+    assert ours == pytest.approx(facts.FORCE_ERROR[name], rel=tolerance)
+
+
+def test_force_error_is_normal_about_zero(errors):
+    ours = errors["force_statistics"]
+    assert ours["mu_low"] < 0.0 < ours["mu_high"]
+    assert ours["mu_high"] - ours["mu_low"] == pytest.approx(0.127839 + 0.131098, rel=0.015)
+    assert abs(ours["skewness"]) < 0.1
+    assert abs(ours["excess_kurtosis"]) < 0.2
+
+
+def test_statistics_of_a_known_sample():
+    ours = force_error.normal_statistics(np.array([1.0, 2.0, 3.0, 4.0]))
+    # Student's t with 3 degrees of freedom: 3.1824; chi square: 0.2158 and 9.3484.
+    assert ours["mu"] == 2.5
+    assert ours["variance"] == pytest.approx(5.0 / 3.0)
+    assert ours["mu_high"] - 2.5 == pytest.approx(3.18245 * np.sqrt(5.0 / 3.0) / 2.0, rel=1e-4)
+    assert ours["sigma_low"] == pytest.approx(np.sqrt(5.0 / 9.3484), rel=1e-3)
+    assert ours["sigma_high"] == pytest.approx(np.sqrt(5.0 / 0.21580), rel=1e-3)
+
+
+def test_seven_unknowns_fit_as_well_as_sixteen(errors):
+    seven, sixteen = errors["nelder_mead_7"], errors["nelder_mead_16"]
+    assert seven["rmse"] <= 1.002 * sixteen["rmse"]
+    assert seven["evaluations"] < 0.25 * sixteen["evaluations"]
+    # The literature set lies nearer with the second printed sign of k5.
+    assert errors["starts_rmse"]["k5 positive"] < 0.5 * errors["starts_rmse"]["printed"]
+
+
+@pytest.fixture(scope="module")
+def dependencies(campaign):
+    return dependency.compute(campaign)
+
+
+def test_velocity_slopes(dependencies):
+    stroke = dependencies["stroke"]["speed_per_2.5mm"]
+    assert stroke == pytest.approx(facts.VELOCITY_PER_STROKE, rel=0.06)
+    per_hertz = dependencies["frequency"]["speed_per_hertz"]
+    assert 2.0 * per_hertz == pytest.approx(facts.VELOCITY_PER_HERTZ, rel=0.06)
+    assert per_hertz == pytest.approx(2.0 * np.pi * 5e-3, rel=1e-3)
+
+
+def test_asymmetry(dependencies):
+    ours = dependencies["asymmetry"]
+    assert ours["5.0mm_1Hz_0.0A"] > 0.5
+    assert 0.0 < ours["5.0mm_1Hz_0.5A"] < facts.ASYMMETRY_LIMIT
+    assert 0.0 < ours["5.0mm_1Hz_1.5A"] < facts.ASYMMETRY_LIMIT
+
+
+def test_force_rises_with_current_and_saturates(dependencies):
+    for key, group in dependencies["groups"].items():
+        assert np.all(np.diff(group["half_span"]) > 0.0), key
+        if max(group["current"]) == 1.5:
+            assert group["pieces"][-1] < 0.6 * group["pieces"][0], key
+
+
+def test_force_falls_at_the_longest_stroke(dependencies):
+    spans = dependencies["stroke"]["half_span"]
+    assert spans[0] < spans[1] > spans[2]
+
+
+def test_temperature(dependencies):
+    ours = dependencies["temperature"]
+    assert max(map(abs, ours["cold"])) == pytest.approx(facts.PEAK_COLD, rel=0.02)
+    assert max(map(abs, ours["warm"])) == pytest.approx(facts.PEAK_WARM, rel=0.01)
+    assert ours["drop"] == pytest.approx(1.0 - facts.PEAK_WARM / facts.PEAK_COLD, abs=0.01)
+    assert max(map(abs, ours["condition"])) == pytest.approx(facts.PEAK_COLD, rel=0.01)
+
+
+def test_identified_loops_are_the_published_ones(campaign):
+    found = errata.find_errata()
+    for name, run in identified(campaign).items():
+        condition = find(name)
+        if (condition, "nelder_mead") in found:
+            continue
+        assert run["rmse"] == pytest.approx(5.53, rel=0.04), name
+        assert run["published"]["nelder_mead"]["difference"] < 0.01, name
+        if not any((condition, m) in found for m in ("nelder_mead", "differential_evolution")):
+            assert run["published"]["differential_evolution"]["difference"] < 0.08, name
+
+
+def test_errata_are_found_by_criteria():
+    found = errata.find_errata()
+    assert set(found) == set(ROW_ERRATA) - {SOUND_AFTER_ALL}
+
+
+def test_the_row_with_the_odd_sign_is_sound():
+    condition, method = SOUND_AFTER_ALL
+    odd = errata.features(parameters(condition, method), condition)
+    usual = [
+        errata.features(parameters(c), c)
+        for c in CONDITIONS
+        if c.amplitude == 7.5e-3 and c.frequency == 3.0 and c.current in (0.5, 1.0)
+    ]
+    # Hysteresis velocity, stiffness and dissipation go on as at the lower currents.
+    assert -0.2 < odd.hysteresis < -0.1
+    assert all(-0.2 < other.hysteresis < -0.1 for other in usual)
+    assert odd.stiffness > max(other.stiffness for other in usual)
+    assert odd.dissipation == pytest.approx(usual[1].dissipation, abs=0.02)
+    assert odd.half_span > max(other.half_span for other in usual)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("5.0mm_1Hz_1.0A", "copied from 5.0mm_1Hz_0.0A"),
+        ("2.5mm_5Hz_0.0A", "out of family"),
+        ("7.5mm_5Hz_1.0A", "not dissipative"),
+        ("7.5mm_1Hz_1.5A", "offset"),
+        ("7.5mm_3Hz_1.5A", "not dissipative"),
+    ],
+)
+def test_reasons_of_errata(name, reason):
+    assert reason in errata.find_errata()[find(name), "differential_evolution"]
+
+
+def test_statements_of_the_text():
+    velocity, variance, extremes, crowded, count = errata.statements()
+    assert velocity["found"] == pytest.approx(velocity["stated"] / 1.91, rel=0.01)
+    assert variance["found"] < variance["stated"]
+    assert extremes["found"] < 0.7 * extremes["stated"]
+    assert crowded["found"] == 9
+    assert count["found"] == 34
+
+
+def test_sensitivity():
+    ours = sensitivity.squared_change(sensitivity.CONDITION, 0)
+    for name, theirs in facts.SENSITIVITY.items():
+        if theirs == 0.0:
+            assert max(ours[name]) == 0.0, name
+        else:
+            # The thesis read its numbers off axes, and rounded up.
+            assert 0.84 * theirs < ours[name][-1] < 1.0 * theirs, name
+    assert sorted(ours, key=lambda n: -ours[n][-1])[:4] == ["f0", "k5", "k1e", "k1c"]
+
+
+def test_sensitivity_grows_with_the_square_of_the_change():
+    ours = sensitivity.squared_change(sensitivity.CONDITION, 0)
+    # f0 and k5 enter linearly.
+    for name in ("f0", "k5"):
+        np.testing.assert_allclose(
+            np.array(ours[name]) / ours[name][-1],
+            np.square(np.array(sensitivity.CHANGES) / 0.2),
+            rtol=1e-6,
+        )
+    active = sensitivity.squared_change(sensitivity.WITH_CURRENT, 0)
+    assert min(active[name][-1] for name in ("I0", "a2", "k2")) > 0.0
+
+
+@pytest.mark.parametrize("name", ["2.5mm_1Hz_0.0A", "5.0mm_3Hz_1.5A", "2.5mm_5Hz_1.0A"])
+def test_the_averaged_cycle_has_the_error_of_all_samples(name):
+    misfit, w = cycle(name, 0), window(name, 0)
+    m = w.motion
+    for factor in (1.0, 1.02):
+        values = parameters(find(name)) * factor
+        residual = force(values, m.displacement, m.velocity, m.acceleration, w.current) - w.force
+        ours = np.sqrt(misfit.costs(values))
+        assert ours == pytest.approx(np.sqrt(np.mean(residual**2)), rel=0.02)
+
+
+def test_a_run_that_is_no_sine_has_no_phase():
+    w = window("2.5mm_1Hz_0.0A", 0)
+    broken = dataclasses.replace(w, motion=dataclasses.replace(w.motion, sine=None))
+    with pytest.raises(ValueError, match="no steady sine"):
+        CycleMisfit(broken, 64)
