@@ -184,7 +184,10 @@ class Outlet:
 def wait_for_subscribers(
     node: Node, publishers: Iterable[Publisher], nodes: int, timeout: float, pacer: Pacer
 ) -> bool:
-    """Wait until that many nodes subscribe and are connected; False where they did not come."""
+    """Wait until that many nodes subscribe and are connected; False where they did not come.
+
+    True, too, where the sending is to end meanwhile.
+    """
     publishers = list(publishers)
     give_up = time.monotonic() + timeout
     seen: object = None
@@ -201,7 +204,7 @@ def wait_for_subscribers(
         if len(names) >= nodes and connected and time.monotonic() - since >= _SETTLE:
             return True
         time.sleep(_POLL)
-    return False
+    return pacer.stopped
 
 
 def _subscribers(node: Node, publisher: Publisher) -> list[str]:
@@ -219,7 +222,6 @@ class SendingThread:
 
     def __init__(self, node: Node, pacer: Pacer, send: Callable[[], None]) -> None:
         self._logger = node.get_logger()
-        self._context = node.context
         self._pacer = pacer
         self._send = send
         self.failure = ""
@@ -240,6 +242,5 @@ class SendingThread:
         try:
             self._send()
         except Exception as error:  # a thread that dies must not die unheard
-            if not self._pacer.stopped and self._context.ok():
-                self.failure = f"sending failed: {error}"
-                self._logger.error(self.failure)
+            self.failure = f"sending failed: {error}"
+            self._logger.error(self.failure)

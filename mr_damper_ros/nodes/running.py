@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import sys
 import threading
@@ -16,9 +15,10 @@ from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
 )
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from mr_damper_ros.nodes.parameters import ConfigurationError, Table, describe
@@ -27,7 +27,7 @@ SUCCESS = 0
 FAILURE = 1
 BAD_CONFIGURATION = 2
 
-_WAKE_UP = 0.5
+_WAKE_UP = 0.1
 """Seconds after which a spinning node looks whether it is to stop, or at its end."""
 
 N = TypeVar("N", bound=Node)
@@ -58,42 +58,37 @@ def run(
             f"unknown argument {others[0]}: parameters are set by --ros-args -p NAME:=VALUE"
         )
 
-    # rclpy's own handlers shut the context down and then call these. Without them SIGINT would
-    # also raise KeyboardInterrupt wherever the interpreter happens to be, and a signal that comes
-    # before rclpy has started would be lost or end in a traceback.
+    # rclpy's own handlers shut the context down in the midst of whatever is being done: callbacks
+    # fail, and the events executor may abort the process when that happens in its first spin. With
+    # these the node ends in good order, and a signal before rclpy has started is not lost.
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:
-        rclpy.init(args=arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
         return _reject(_without_source_position(error))
-    node: N | None = None
     try:
-        node = factory()
-        executor = _executor()
-        executor.add_node(node)
-        while not stop.is_set() and rclpy.ok():
+        return _spin(factory, ended, stop)
+    except _CONFIGURATION_ERRORS as error:
+        return _reject(str(error))
+    finally:
+        rclpy.try_shutdown()
+
+
+def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: threading.Event) -> int:
+    node = factory()
+    executor = _executor()
+    executor.add_node(node)
+    try:
+        while not stop.is_set():
             executor.spin_once(timeout_sec=_WAKE_UP)
             code = ended(node)
             if code is not None:
                 return code
-    except ExternalShutdownException:
-        pass
-    except _CONFIGURATION_ERRORS as error:
-        if node is not None:
-            raise
-        return _reject(str(error))
-    except Exception:
-        # What a callback was doing while the context was shut down under it may fail: that is the
-        # end that was asked for.
-        if rclpy.ok() and not stop.is_set():
-            raise
     finally:
-        if node is not None:
-            with contextlib.suppress(Exception):
-                node.destroy_node()
-        rclpy.try_shutdown()
+        executor.shutdown()
+        node.destroy_node()
     return SUCCESS
 
 
