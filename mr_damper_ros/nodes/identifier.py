@@ -48,7 +48,13 @@ from mr_damper_ros.nodes.running import run
 from mr_damper_ros.nodes.worker import Worker
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.streaming.state import StateDirectory, StateError, read_parameter_file
-from mr_damper_ros.streaming.tracker import Report, TrackerSettings, WindowTracker
+from mr_damper_ros.streaming.tracker import (
+    EARLY_METHOD,
+    TRACKERS,
+    Report,
+    TrackerSettings,
+    WindowTracker,
+)
 from mr_damper_ros.streaming.windows import WindowAssembler
 
 _ATTENTION_PERIOD = 0.02
@@ -174,6 +180,33 @@ class IdentifierParameters(Table):
         maximum=3600.0,
         read_only=True,
     )
+    looks: int = option(
+        3,
+        "Times within a hop that the newest samples are compared with the set in use; 0: never.",
+        minimum=0,
+        maximum=1000,
+        read_only=True,
+    )
+    smallest_change: float = option(
+        TrackerSettings.smallest_change,
+        "Relative change of the force between two windows that is worth an early fit.",
+        minimum=0.001,
+        maximum=1.0,
+        read_only=True,
+    )
+    tracker: str = option(
+        TrackerSettings.tracker,
+        "How the damper is followed: by the fit of each window, or by a recursive filter.",
+        choices=TRACKERS,
+        read_only=True,
+    )
+    drift_rate: float = option(
+        TrackerSettings.drift_rate,
+        "Random walk of the force [1/sqrt(s)] that the recursive filter reckons with.",
+        minimum=1e-9,
+        maximum=1.0,
+        read_only=True,
+    )
     method: str = option(
         TrackerSettings.method, "How a window is fitted.", choices=METHODS, read_only=True
     )
@@ -241,8 +274,11 @@ class IdentifierParameters(Table):
     def tracker_settings(self) -> TrackerSettings:
         """The settings of the identification itself."""
         return TrackerSettings(
+            tracker=self.tracker,
             method=self.method,
             robust=self.robust,
+            drift_rate=self.drift_rate,
+            smallest_change=self.smallest_change,
             global_period=self.global_period,
             screening=Screening(**dataclasses.asdict(self.screening)),
             acceptance=AcceptanceSettings(**dataclasses.asdict(self.acceptance)),
@@ -260,7 +296,9 @@ class Identifier(Node):
         self._state_fault = ""
         # Two dampers in two namespaces may share a folder.
         self._own_name = self.get_fully_qualified_name().strip("/").replace("/", ".")
-        self._assembler = WindowAssembler(self._options.window, self._options.hop)
+        self._assembler = WindowAssembler(
+            self._options.window, self._options.hop, self._options.looks
+        )
         self._tracker = WindowTracker(
             self._options.tracker_settings, _initial_set(self._options.initial_parameters)
         )
@@ -350,6 +388,8 @@ class Identifier(Node):
 
     def _publish_report(self, report: Report, duration: float) -> None:
         self._last_report = report
+        if report.method == EARLY_METHOD:
+            self.get_logger().warning(report.reason)
         self._report_publisher.publish(report_message(report, duration, self._options.frame_id))
         if report.accepted:
             self._publish_parameters()
@@ -532,6 +572,8 @@ class Identifier(Node):
             "accepted windows": self._tracker.accepted_windows,
             "operating points": self._tracker.reservoir.operating_points,
         }
+        if report.method == EARLY_METHOD:
+            return Finding(WARN, f"{report.reason} as {report.set_id}", values)
         if report.accepted:
             return Finding(OK, f"accepted as {report.set_id}", values)
         limit = self._options.acceptance.maximum_nrmse

@@ -85,7 +85,8 @@ class _Job:
 class Pipeline:
     """Windows and searches that wait, and the one that runs.
 
-    At most ``waiting_windows`` windows wait; when one more comes the oldest is dropped.
+    At most ``waiting_windows`` windows wait; when one more comes the oldest is dropped, and with
+    it the looks before the next.
     """
 
     def __init__(
@@ -104,8 +105,8 @@ class Pipeline:
 
     @property
     def waiting_windows(self) -> int:
-        """Number of windows that wait for the worker."""
-        return len(self._windows)
+        """Number of windows, looks not counted, that wait for the worker."""
+        return sum(not window.look for window in self._windows)
 
     @property
     def running(self) -> str:
@@ -115,11 +116,14 @@ class Pipeline:
         return "fit" if self._job.search is None else "search"
 
     def add_window(self, window: RawWindow) -> None:
-        """Queue a window."""
+        """Queue a window or a look."""
         self._windows.append(window)
-        if len(self._windows) > self._limit:
-            self._windows.popleft()
+        if self.waiting_windows > self._limit:
+            while self._windows.popleft().look:
+                pass
             self.dropped_windows += 1
+            while self._windows[0].look:
+                self._windows.popleft()
         self._next()
 
     def add_search(self, search: Search) -> None:
@@ -182,6 +186,9 @@ class Pipeline:
         if isinstance(result, FitResult):
             if overtaken:
                 return []
+            if result.task.window.look:
+                early = self._tracker.complete_look(result)
+                return [] if early is None else [WindowEnded(early, duration)]
             report = self._tracker.complete(result)
             if report.global_due:
                 self._searches.append(Search())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from mr_damper_ros.nodes.pipeline import (
     WindowEnded,
 )
 from mr_damper_ros.nodes.worker import Done, Failed, Outcome, Progress
-from mr_damper_ros.streaming.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.streaming.tracker import EARLY_METHOD, TrackerSettings, WindowTracker
 from mr_damper_ros.streaming.windows import RawWindow
 
 PERIOD = 1.0 / 512.0
@@ -260,3 +260,38 @@ def test_a_new_set_makes_the_running_fit_start_again_from_it() -> None:
     for number in range(2):
         reference.pipeline.add_window(window(number))
     assert results(b.work_off()) == results(reference.work_off())
+
+
+def test_a_look_that_sees_nothing_is_no_event_and_no_waiting_window() -> None:
+    b = bench()
+    b.pipeline.add_window(window(0))
+    b.pipeline.add_window(replace(window(0), look=200))
+    assert (b.pipeline.running, b.pipeline.waiting_windows) == ("fit", 0)
+    assert len(b.work_off()) == 1
+
+
+def test_a_look_that_sees_a_change_ends_in_an_early_set() -> None:
+    b = bench()
+    b.pipeline.add_window(window(0))
+    b.pipeline.add_window(replace(window(4), look=COUNT))
+    ended = b.work_off()
+    assert [e.report.method for e in ended if isinstance(e, WindowEnded)][1] == EARLY_METHOD
+    assert b.tracker.parameters.set_id.startswith("early-")
+
+
+def test_a_look_whose_worker_died_is_no_event() -> None:
+    b = bench()
+    b.pipeline.add_window(window(0))
+    b.work_off()
+    b.worker.failing = True
+    b.pipeline.add_window(replace(window(0), look=200))
+    assert b.work_off() == []
+
+
+def test_a_window_that_makes_room_takes_its_looks_along() -> None:
+    b = bench(waiting_windows=1)
+    for number in range(4):
+        b.pipeline.add_window(window(number))
+        b.pipeline.add_window(replace(window(number), look=200))
+    assert (b.pipeline.waiting_windows, b.pipeline.dropped_windows) == (1, 2)
+    assert starts(b.work_off()) == [0, 3]
