@@ -23,7 +23,7 @@ _GENERATOR_KEYWORD = (
 )
 
 
-_WORST = 1e300
+_WORST = 1e150  # SciPy squares it
 _REPORT_PERIOD = 0.2
 
 

@@ -137,6 +137,7 @@ def identify_global(
     message = "converged"
     try:
         search.run(method)
+        message = search.shortcoming or message
     except StopRequestedError:
         message = "stopped before it converged: this is the best so far"
     return _result(search, method, message)
@@ -177,6 +178,7 @@ class _GlobalSearch:
         self._report = report
         self.free: frozenset[str] = frozenset()
         self.best = start
+        self.shortcoming = ""
 
     def run(self, method: str) -> None:
         # The laws from two starts, and once more if the samples leave parameters open.
@@ -196,6 +198,7 @@ class _GlobalSearch:
             candidates = self._candidates(determined)
         if method == "differential_evolution":
             self.best = min(candidates, key=self.pooled.mean_square)
+            known = self.pooled.mean_square(self.best)
             candidates = [self._evolve_samples()]
         if self._clock.stopped:
             raise StopRequestedError
@@ -208,6 +211,11 @@ class _GlobalSearch:
         self.best = polished[best if costs[best] < _CLEARLY_BETTER * costs[0] else 0]
         whole = PooledMisfit(self.windows, [fit.rmse for fit in self.fits])
         self.best = self._local(whole, self.best, False)
+        if method == "differential_evolution" and self.pooled.mean_square(self.best) > known:
+            self.shortcoming = (
+                "differential evolution ended in a poorer minimum than the laws of the method "
+                "global give: allow more generations, or use that method"
+            )
 
     def _candidates(self, free: frozenset[str]) -> list[Array]:
         """Where to start on the samples.

@@ -104,7 +104,7 @@ ROW_ERRATA = {
         (
             "7.5mm_3Hz_1.5A",
             "nelder_mead",
-            "k4 is +0.1405 where every other row has it negative: the loop runs the wrong way",
+            "k4 is +0.1405 where every other row has it negative",
         ),
         ("7.5mm_3Hz_1.5A", "differential_evolution", _MIRRORED),
         (

@@ -9,6 +9,9 @@ import numpy as np
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.streaming.blocks import NANOSECONDS
 
+_LATE_NS = NANOSECONDS // 2
+"""A stamp this much before the newest one is late; further back, time itself was set back."""
+
 
 class HeldCurrent:
     """Stamped values of the supply current, held from each stamp to the next."""
@@ -26,15 +29,21 @@ class HeldCurrent:
         return self._stamps[-1] if self._stamps else None
 
     def add(self, stamp_ns: int, current: float) -> None:
-        """Add a value [A]; one that jumps back in time takes the place of all that came after."""
-        # One topic keeps its order: an earlier stamp means that time was set back.
+        """Add a value [A]; one that jumps back in time takes the place of all that came after.
+
+        A value that is only late takes its place among the others.
+        """
         place = bisect_left(self._stamps, stamp_ns)
-        self._jumped |= bool(self._stamps) and stamp_ns < self._stamps[-1]
-        del self._stamps[place:], self._values[place:]
-        self._stamps.append(stamp_ns)
-        self._values.append(current)
+        back_ns = self._stamps[-1] - stamp_ns if self._stamps else 0
+        if back_ns > _LATE_NS:
+            self._jumped = True
+            del self._stamps[place:], self._values[place:]
+        elif place < len(self._stamps) and self._stamps[place] == stamp_ns:
+            del self._stamps[place], self._values[place]
+        self._stamps.insert(place, stamp_ns)
+        self._values.insert(place, current)
         # One value older than the horizon stays: it holds up to the next.
-        surplus = bisect_right(self._stamps, stamp_ns - self._keep_ns) - 1
+        surplus = bisect_right(self._stamps, self._stamps[-1] - self._keep_ns) - 1
         if surplus > 0:
             del self._stamps[:surplus], self._values[:surplus]
 

@@ -274,9 +274,6 @@ def test_after_a_jump_back_no_current_of_the_time_before_is_used() -> None:
     assert [float(w.current[0]) for w in windows] == [2.0]
 
 
-@pytest.mark.xfail(
-    reason="one value out of order counts as the current's own jump, for ever", strict=True
-)
 def test_a_value_out_of_order_does_not_hide_a_later_jump() -> None:
     made = WindowAssembler(1.0, 1.0)
     for stamp, value in ((0.0, 1.0), (0.2, 1.0), (0.1, 1.0), (3.0, 1.0)):
@@ -334,9 +331,15 @@ def test_two_values_with_one_stamp_count_as_the_later() -> None:
 
 
 def test_a_value_that_jumps_back_replaces_what_came_after() -> None:
-    made = held((0.0, 0.5), (1.0, 1.0), (2.0, 1.5), (1.5, 0.7))
+    made = held((0.0, 0.5), (1.0, 1.0), (2.0, 1.5), (1.4, 0.7))
     assert made.at(at(0.0), 0.5, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 0.7, 0.7]
-    assert made.last_stamp_ns == at(1.5)
+    assert made.last_stamp_ns == at(1.4)
+
+
+def test_a_value_that_is_late_takes_its_place() -> None:
+    made = held((0.0, 0.5), (0.5, 1.0), (1.0, 1.5), (0.75, 0.7))
+    assert made.at(at(0.0), 0.25, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 1.5, 1.5]
+    assert made.last_stamp_ns == at(1.0)
 
 
 def test_before_the_first_value_nothing_is_known() -> None:
