@@ -1,0 +1,229 @@
+"""The figures' own functions, on inputs so small that nothing is timed."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import known
+import numpy as np
+import pytest
+
+from benchmarks import (
+    bench,
+    drift,
+    following,
+    force_step,
+    noise_limit,
+    recordings,
+    repeated_evolution,
+    utfsm_sixteen,
+    whole_damper,
+    window_refit,
+)
+from benchmarks.dampers import clean_windows, steady_window
+from benchmarks.figure import Figure, table
+from benchmarks.timing import interleaved_medians
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES
+from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.rig.emulator import scaled
+from mr_damper_ros.rig.thesis import find, parameters
+from mr_damper_ros.streaming.tracker import TRACKERS, TrackerSettings
+
+CONDITION = "5.0mm_1Hz_1.5A"
+
+KEYS = [
+    *("window_nm_speedup", "window_nm_ms", "window_ls_speedup", "global_speedup", "global_s"),
+    *("de100_s", "crlb_ratio", "coverage_percent"),
+    *("drift_scale_error_p95_percent", "drift_nrmse_ratio", "step_windows"),
+    *("ukf_drift_scale_error_p95_percent", "ukf_step_windows"),
+    *("utfsm_sixteen_nrmse", "utfsm_extended_nrmse"),
+    *("earthquake_online_fit", "earthquake_static_fit"),
+]
+FAST = TrackerSettings(method="least_squares", global_period=0)
+
+
+# -- figures and the program -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "bar", "reached"),
+    [
+        (1.0, (0.0, 1.1), "yes"),
+        (1.2, (0.0, 1.1), "no"),
+        (95.0, (93.0, 97.0), "yes"),
+        (25.0, (20.0, math.inf), "yes"),
+        (math.inf, (0.0, 2.0), "no"),
+        ([81.0, 79.0], (80.0, 100.0), "no"),
+        (None, (0.0, 1.0), "-"),
+        (3.0, None, "-"),
+    ],
+)
+def test_a_figure_knows_whether_it_reaches_its_bar(
+    value: float | list[float] | None, bar: tuple[float, float] | None, reached: str
+) -> None:
+    assert Figure("key", value, "what", bar).reached == reached
+
+
+def test_the_table_shows_every_figure_with_its_definition() -> None:
+    figures = [
+        Figure("one", 1.5, "first thing", (0.0, 2.0)),
+        Figure("two", None, "second thing", note="no data"),
+        Figure("three", [1.0, 2.0], "third thing", (1.0, math.inf)),
+    ]
+    lines = table(figures).splitlines()
+    assert lines[1].split()[:5] == ["one", "1.5", "<=", "2", "yes"]
+    assert "not measured" in lines[2]
+    assert lines[2].endswith("second thing no data")
+    assert "1, 2" in lines[3]
+
+
+def test_the_program_writes_one_flat_object_and_prints_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = [Figure("a", 1.0, "x"), Figure("b", math.inf, "y"), Figure("c", [1.0], "z")]
+    monkeypatch.setattr(bench, "FULL", {"some": lambda: figures})
+    output = tmp_path / "build" / "bench.json"
+    assert bench.main(["--output", str(output)]) == 0
+    assert json.loads(output.read_text()) == {"a": 1.0, "b": None, "c": [1.0]}
+    assert "not the figures" not in capsys.readouterr().out
+
+
+def test_a_quick_run_says_that_it_is_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench, "FULL", {"some": lambda: [Figure("a", 1.0, "x")]})
+    monkeypatch.setattr(bench, "QUICK", {"some": lambda: [Figure("a", 2.0, "x")]})
+    bench.main(["--quick", "--output", str(tmp_path / "bench.json")])
+    assert "these are not the figures" in capsys.readouterr().out
+
+
+def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Without recordings, and with the long measurements replaced by short ones.
+    monkeypatch.delenv("MR_DAMPER_DATA", raising=False)
+    short = {
+        **bench.FULL,
+        "window_refit": lambda: window_refit.figures(1, (CONDITION,), 1000),
+        "whole_damper": lambda: whole_damper.figures(1, 1, clean_windows()[:2]),
+        "repeated_evolution": lambda: repeated_evolution.figures(1, 1, 1),
+        "noise_limit": lambda: noise_limit.figures(2, 1000),
+        "drift": lambda: drift.figures(8.0),
+        "force_step": lambda: force_step.figures((0.5,)),
+    }
+    found = [figure for name in bench.FULL for figure in short[name]()]
+    assert sorted(figure.key for figure in found) == sorted(KEYS)
+    assert all(figure.definition for figure in found)
+    assert all(figure.note for figure in found if figure.value is None)
+
+
+def test_medians_are_taken_of_works_that_ran_in_turn() -> None:
+    calls: list[str] = []
+    medians = interleaved_medians((lambda: calls.append("a"), lambda: calls.append("b")), (2, 6))
+    assert "".join(calls) == "abbbabbb"
+    assert all(value >= 0.0 for value in medians)
+
+
+# -- what is measured ------------------------------------------------------------------------
+
+
+def test_the_reference_reaches_the_noise_from_a_near_start() -> None:
+    truth = parameters(find(CONDITION))
+    window = steady_window(scaled(truth, 0.99), find(CONDITION), samples=300, seed=2)
+    found, norm = window_refit.reference_fit(window, np.array(truth))
+    assert found.shape == (16,)
+    assert norm / math.sqrt(300) == pytest.approx(5.53, rel=0.15)
+
+
+def test_a_refit_is_compared_at_the_same_residual() -> None:
+    refit = window_refit.measure(CONDITION, repetitions=1, samples=1000)
+    assert max(refit.residual_ratios) < window_refit.RESIDUAL_LIMIT
+
+
+def test_the_reference_search_stays_within_the_bounds_it_is_given() -> None:
+    windows = clean_windows()[:2]
+    found = known.PLAUSIBLE
+    bounds = dict(zip(PARAMETER_NAMES, whole_damper.search_bounds(windows, found), strict=True))
+    assert bounds["f0"] == (-120.0, 120.0)
+    assert bounds["k2"] == (-100.0, 100.0)
+    assert all(low < high for low, high in bounds.values())
+
+
+def test_the_thirty_clean_conditions_are_whole() -> None:
+    windows = clean_windows()
+    assert [window.sample_count for window in windows] == [7001] * 30
+
+
+def test_repeated_searches_do_not_depend_on_the_number_of_workers() -> None:
+    assert repeated_evolution.all_runs(3, 2, 1) == repeated_evolution.all_runs(3, 2, 2)
+
+
+def test_the_scatter_is_that_of_the_bound() -> None:
+    found = noise_limit.scatter(60, 500)
+    assert found.errors.shape == (60, 7)
+    assert np.mean(found.ratios) == pytest.approx(1.0, abs=0.4)
+    assert 0.88 < found.coverage < 1.0
+
+
+def test_the_thermal_model_reaches_71_degrees_in_the_time_given() -> None:
+    run = drift.bag(60.0)
+    assert run.temperature is not None
+    assert run.temperature[0] == pytest.approx(28.0)
+    assert run.temperature[-1] == pytest.approx(71.0, abs=0.3)
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_a_drift_is_followed_and_compared_with_the_truth(tracker: str) -> None:
+    settings = TrackerSettings(tracker=tracker, method="least_squares", global_period=0)
+    found = drift.measure(drift.bag(60.0), settings)
+    assert found.scale_errors.size > 40
+    assert found.scale_error_p95 < 0.02
+    assert found.predicted.shape == found.fitted.shape
+    assert np.all(found.fitted < 0.02)
+    assert 0.9 < found.nrmse_ratio < 3.0
+
+
+def test_a_step_is_counted_in_windows_from_when_it_comes() -> None:
+    assert 0.0 < force_step.windows_until_right(0.5, FAST) < 2.0
+
+
+def test_a_step_that_is_never_followed_counts_as_infinite(monkeypatch: pytest.MonkeyPatch) -> None:
+    wrong = following.follow(following.recording(drift.DAMPER, 4.0, seed=0), FAST)[:1]
+    monkeypatch.setattr(following, "follow", lambda run, settings: wrong)
+    assert force_step.windows_until_right(0.0, FAST) == math.inf
+
+
+def test_scale_of_a_loop_against_another() -> None:
+    loop = np.sin(np.arange(50.0))
+    assert following.scale_of(0.8 * loop, loop) == pytest.approx(0.8)
+    assert math.isnan(following.scale_of(loop, np.zeros(50)))
+
+
+# -- recordings ------------------------------------------------------------------------------
+
+
+def test_without_recordings_the_figure_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MR_DAMPER_DATA", raising=False)
+    (figure,) = utfsm_sixteen.figures()
+    assert figure.value is None
+    assert "MR_DAMPER_DATA is not set" in figure.note
+
+
+def test_records_are_read_with_the_current_in_their_name(tmp_path: Path) -> None:
+    folder = tmp_path / "processed"
+    folder.mkdir()
+    run = known.run(samples=1000)
+    columns = (np.arange(1000) * 1e-3, 1e3 * run.displacement, 1e3 * run.velocity, run.force)
+    np.savetxt(folder / "5mm1Hz0x25A.txt", np.column_stack(columns))
+    (window,) = recordings.processed_windows(tmp_path)
+    assert set(window.current) == {0.25}
+    assert np.ptp(window.motion.displacement) == pytest.approx(0.01, rel=0.05)
+    (folder / "unknown.txt").write_text("1 2 3 4\n")
+    with pytest.raises(ValueError, match="does not end with a current"):
+        recordings.processed_windows(tmp_path)
+
+
+def test_the_median_error_of_one_set_for_all_windows() -> None:
+    windows = [known.run(current=i, samples=500).window for i in (0.3, 1.2)]
+    quick = EvolutionSettings(generations=20, population=8)
+    assert utfsm_sixteen.median_nrmse_percent(windows, quick) < 3.0
