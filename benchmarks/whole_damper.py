@@ -15,7 +15,7 @@ from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, Array
 from mr_damper_ros.identification.evolution import EvolutionSettings
 from mr_damper_ros.identification.fit import fit_window
-from mr_damper_ros.identification.global_fit import identify_global, neutral_shape
+from mr_damper_ros.identification.global_fit import identify_global
 from mr_damper_ros.identification.laws import shape_bounds
 from mr_damper_ros.identification.pooled import PooledMisfit
 from mr_damper_ros.identification.window import Window
