@@ -84,8 +84,7 @@ def contest(windows: Sequence[Window], generations: int, repetitions: int) -> Co
 
     found = identify()
     (seconds,) = interleaved_medians((identify,), (repetitions,))
-    start = neutral_shape(LITERATURE, max(float(window.current.max()) for window in windows))
-    noise = [fit_window(window, start, method="least_squares").rmse for window in windows]
+    noise = [fit_window(window, LITERATURE, method="least_squares").rmse for window in windows]
     misfit = PooledMisfit(windows, noise)
     costs: list[float] = []
     bounds = search_bounds(windows, found)
