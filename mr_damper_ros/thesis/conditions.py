@@ -20,7 +20,7 @@ from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.errata import METHOD_TITLES, find_errata
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import loop, window
-from mr_damper_ros.thesis.style import DASHES, INK, panels
+from mr_damper_ros.thesis.style import DASHES, INK, legend_above, panels
 
 COEFFICIENT_UNITS = ("N", "s/m", "s/m", "s/m", "m/s", "m/s", "N")
 
@@ -69,6 +69,19 @@ def compute(campaign: Campaign) -> dict[str, Any]:
         "runs": identified(campaign),
         "errata": {f"{c.name} {m}": reasons for (c, m), reasons in found.items()},
     }
+
+
+def headline(data: dict[str, Any]) -> str:
+    """The result in a sentence."""
+    sound = [
+        run["published"][METHODS[0]]["difference"]
+        for name, run in data["runs"].items()
+        if not _mark(data, name, METHODS[0])
+    ]
+    return (
+        f"in {len(sound)} sound conditions our loop is within {100 * max(sound):.2f} % of the "
+        "published Nelder–Mead loop."
+    )
 
 
 def show(data: dict[str, Any]) -> list[Block]:
@@ -221,8 +234,7 @@ def _loops(data: dict[str, Any], current: float, against: str) -> Picture:
         a.set_xlabel(label)
     for a in axes[:, 0]:
         a.set_ylabel("Force [N]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    legend_above(figure, axes[0, 0], 3)
     return Picture(
         f"loops_{against}_{current:.1f}A",
         f"Force over {against} at {current:.1f} A.",

@@ -86,6 +86,15 @@ def _peaks(values: Array) -> list[float]:
     return [float(turn.force.max()), float(turn.force.min())]
 
 
+def headline(data: dict[str, Any]) -> str:
+    """The result in a sentence."""
+    heat, stroke = data["temperature"], data["stroke"]["speed_per_2.5mm"]
+    return (
+        f"the peak force falls by {100 * heat['drop']:.1f} % from 28 to 71 °C (thesis 26 %), the "
+        f"velocity rises by {stroke:.4f} m/s per 2.5 mm (thesis 0.015 m/s)."
+    )
+
+
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     frequency, stroke, temperature = data["frequency"], data["stroke"], data["temperature"]

@@ -212,6 +212,15 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     return {"rows": rows, "statements": statements()}
 
 
+def headline(data: dict[str, Any]) -> str:
+    """The result in a sentence."""
+    wrong = sum(bool(row["criteria"]) for row in data["rows"])
+    return (
+        f"{wrong} of {len(CONDITIONS) * len(METHODS)} rows are in error, and "
+        f"{len(data['statements'])} statements contradict the thesis' own numbers."
+    )
+
+
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figure of the section."""
     rows = [
@@ -281,7 +290,8 @@ def _figure() -> Picture:
                 label=METHOD_TITLES[method],
             )
         axes[0, place].set(title=name.replace("_", " "), xlabel="Velocity [m/s]")
-        axes[0, place].locator_params(axis="both", nbins=4)
+        axes[0, place].locator_params(axis="x", nbins=3)
+        axes[0, place].locator_params(axis="y", nbins=5)
     axes[0, 0].set_ylabel("Force [N]")
     axes[0, 0].legend(loc="upper left", fontsize=6.5, handlelength=1.6)
     return Picture(

@@ -118,6 +118,16 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     return dict(data)
 
 
+def headline(data: dict[str, Any]) -> str:
+    """The result in a sentence."""
+    ours, theirs = data["force_statistics"], facts.FORCE_ERROR
+    return (
+        f"the force error has σ = {ours['sigma']:.2f} N (thesis {theirs['sigma']:.2f} N) and is "
+        f"normal; seven unknowns fit as well as sixteen, in {data['nelder_mead_7']['evaluations']} "
+        f"evaluations instead of {data['nelder_mead_16']['evaluations']}."
+    )
+
+
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     sine, errors = data["sine"], data["force_statistics"]

@@ -17,7 +17,7 @@ from mr_damper_ros.thesis.de import evolve
 from mr_damper_ros.thesis.nelder_mead import fminsearch
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import cycle
-from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels
+from mr_damper_ros.thesis.style import DASHES, INK, MARKS, legend_above, panels
 
 CONDITIONS = tuple(f"2.5mm_1Hz_{current:.1f}A" for current in (0.0, 0.5, 1.0, 1.5))
 CURRENTS = tuple(find(name).current for name in CONDITIONS)
@@ -75,6 +75,19 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     ]
     results = campaign.each("two_methods", identify, tasks)
     return dict(zip(CONDITIONS, results, strict=True))
+
+
+def headline(data: dict[str, Any]) -> str:
+    """The result in a sentence."""
+    worst = max(
+        data[name][method]["residual"] / data[name]["floor"]
+        for name in CONDITIONS
+        for method in ("nelder_mead", "differential_evolution")
+    )
+    return (
+        "begun near the published sets, both methods end within "
+        f"{100 * (worst - 1):.1f} % of the noise."
+    )
 
 
 def show(data: dict[str, Any]) -> list[Block]:
@@ -221,8 +234,7 @@ def _evolution_figure(data: dict[str, Any]) -> Picture:
         a.locator_params(axis="y", nbins=4)
     for a in axes[-1]:
         a.set_xlabel("Current [A]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4)
+    legend_above(figure, axes[0, 0], 4)
     return Picture(
         "parameters_over_current",
         "The sixteen parameters over the current, 2.5 mm, 1 Hz (thesis Fig. 53, 54), in the units "

@@ -36,7 +36,7 @@ class ModelFit:
     seconds_per_sample: float
 
 
-def fit_model(model: Model, record: Window, period: float, evaluations: int = 60) -> ModelFit:
+def fit_model(model: Model, record: Window, period: float, evaluations: int = 40) -> ModelFit:
     """Least-squares fit of a model to a record sampled every ``period`` [s].
 
     ``evaluations``: of the residual from each start, at most.

@@ -24,7 +24,7 @@ SAMPLES = 500
 
 _CYCLES = 2.0
 _SHOWN = "5.0mm_1Hz_0.5A"
-_QUICK = ("2.5mm_1Hz_0.0A", "7.5mm_3Hz_0.0A", "5.0mm_1Hz_0.5A", "2.5mm_3Hz_1.5A")
+_QUICK = ("7.5mm_3Hz_0.0A", "5.0mm_1Hz_0.5A", "2.5mm_3Hz_1.5A")
 
 
 def _judged(part: Window, stride: int, whole: Window, period: float) -> dict[str, Any]:
@@ -100,11 +100,26 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     if settings.recordings is not None:
         paths = sorted(settings.recordings.glob("*.txt"))
         if settings.quick:
-            paths = paths[::6]
+            paths = paths[::7]
         tasks = [{"path": str(path), "current": current_of(path)} for path in paths]
         results = campaign.each("models_recorded", recorded, tasks)
         data["records"] = dict(zip([path.stem for path in paths], results, strict=True))
     return data
+
+
+def headline(data: dict[str, Any]) -> str:
+    """The result in a sentence."""
+    group = data["records"] or data["runs"]
+    kind = "real" if data["records"] else "re-synthesised"
+    errors = {
+        model.title: float(np.median([100.0 * e["models"][name]["nrmse"] for e in group.values()]))
+        for name, model in MODELS.items()
+    }
+    best, worst = min(errors, key=lambda t: errors[t]), max(errors, key=lambda t: errors[t])
+    return (
+        f"on {len(group)} {kind} records the {best} model is best (median NRMSE "
+        f"{errors[best]:.1f} %), {worst} worst ({errors[worst]:.1f} %)."
+    )
 
 
 def show(data: dict[str, Any]) -> list[Block]:

@@ -332,6 +332,16 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+def headline(data: dict[str, Any]) -> str:
+    """The result in a sentence."""
+    rates = [
+        f"{METHODS[name][0]} {100 * data['methods'][name]['success']:.0f} %"
+        for name in ("nelder_mead_16", "de_0", "cma_es", "least_squares_16", "nelder_mead_7")
+        if name in data["methods"]
+    ]
+    return f"success within {data['budget']} evaluations: {', '.join(rates)}."
+
+
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figure of the section."""
     rows = []

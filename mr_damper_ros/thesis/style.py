@@ -53,3 +53,10 @@ def panels(rows: int, columns: int, width: float, height: float, **options: Any)
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def legend_above(figure: Any, axes: Any, columns: int) -> None:
+    """One legend for all panels, above them; the entries are those of ``axes``."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.25 / figure.get_figheight()))
+    figure.legend(handles, labels, loc="upper center", ncols=columns)

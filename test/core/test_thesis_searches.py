@@ -178,7 +178,9 @@ def test_report_needs_nothing_from_outside_and_shows_the_numbers(tmp_path):
     data = sensitivity.compute(Campaign(Settings(tmp_path)))
     with styled():
         blocks = [Text("a < b"), *sensitivity.show(data)]
-        page = write_report(tmp_path, "Title", "re-synthesised", [Chapter("s", "S", blocks)])
+        page = write_report(
+            tmp_path, "Title", "not original", ["found"], [Chapter("s", "S", blocks)]
+        )
     text = page.read_text("utf-8")
     assert "a &lt; b" in text
     assert "prefers-color-scheme:dark" in text
