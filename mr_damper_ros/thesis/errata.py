@@ -217,7 +217,7 @@ def headline(data: dict[str, Any]) -> str:
     wrong = sum(bool(row["criteria"]) for row in data["rows"])
     return (
         f"{wrong} of {len(CONDITIONS) * len(METHODS)} rows are in error, and "
-        f"{len(data['statements'])} statements contradict the thesis' own numbers."
+        f"{len(data['statements'])} statements do not agree with the thesis' own numbers."
     )
 
 
@@ -263,7 +263,7 @@ def show(data: dict[str, Any]) -> list[Block]:
         _figure(),
         Table(
             "errata_statements",
-            "Statements that the thesis' own numbers contradict.",
+            "Statements that do not agree with the thesis' own numbers.",
             ("Statement", "Stated", "Found", "Verdict"),
             [(s["statement"], s["stated"], s["found"], s["verdict"]) for s in data["statements"]],
         ),

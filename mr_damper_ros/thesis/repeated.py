@@ -106,7 +106,7 @@ def headline(data: dict[str, Any]) -> str:
     near, far = (data[name]["variance_distance"] for name in (AS_FOUND, AS_CAPTIONED))
     return (
         f"the scatter of tables 10 and 11 comes out to a median factor of {near:.2f} on the run of "
-        f"1.5 A, and not at all on that of 0 A which the captions name (factor {far:.0e})."
+        f"1.5 A, and not at all on that of 0 A which the captions name (factor {far:.0f})."
     )
 
 

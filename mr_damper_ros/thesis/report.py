@@ -68,6 +68,12 @@ class Compared:
         return (self.ours - self.thesis) / abs(self.thesis)
 
 
+def percent(difference: float) -> str:
+    """A relative difference as text, in %."""
+    rounded = round(100.0 * difference, 1)
+    return "0.0 %" if rounded == 0.0 else f"{rounded:+.1f} %".replace("-", "−")
+
+
 def comparison(name: str, caption: str, values: Sequence[Compared]) -> Table:
     """Table of ours, the thesis' and the relative difference."""
     rows = [
@@ -76,7 +82,7 @@ def comparison(name: str, caption: str, values: Sequence[Compared]) -> Table:
             v.unit,
             v.ours,
             "not stated" if v.thesis is None else v.thesis,
-            "" if v.difference is None else f"{100.0 * v.difference:+.1f} %".replace("-", "−"),
+            "" if v.difference is None else percent(v.difference),
             v.where,
         )
         for v in values
