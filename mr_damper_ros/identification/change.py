@@ -136,6 +136,23 @@ class ChangeWatch:
         )
 
 
+def change_point(predicted: Array, measured: Array, fewest: int) -> int:
+    """Index from which on another force scale explains the samples (n,) best.
+
+    Least squares over the two parts: the running set before, the best factor on it from there on,
+    which has at least ``fewest`` samples. The detector itself knows the begin to a block only.
+    """
+
+    def to_the_end(products: Array) -> Array:
+        return np.asarray(np.cumsum(products[::-1])[::-1])
+
+    power = to_the_end(predicted * predicted)
+    explained = to_the_end(predicted * measured) ** 2 / np.maximum(power, 1e-300)
+    # Squared error without a change, less what the change explains of it from an index on.
+    gain = explained - power - 2.0 * to_the_end(predicted * (measured - predicted))
+    return int(np.argmax(gain[: max(predicted.size - fewest, 0) + 1]))
+
+
 @dataclass(frozen=True)
 class ScaleFit:
     """Factor on the force of the running set, with its standard error [1]."""

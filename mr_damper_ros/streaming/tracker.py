@@ -22,7 +22,7 @@ from mr_damper_ros.identification.acceptance import (
     Evidence,
     Gatekeeper,
 )
-from mr_damper_ros.identification.change import ChangeWatch, fit_scale
+from mr_damper_ros.identification.change import ChangeWatch, change_point, fit_scale
 from mr_damper_ros.identification.drift import Baselines, ForceScale, force_scale
 from mr_damper_ros.identification.evolution import EvolutionSettings
 from mr_damper_ros.identification.fit import WindowFit, fit_window
@@ -290,6 +290,8 @@ def _look(task: FitTask, window: Window) -> FitResult:
     if not watch.changed or count < _FEWEST_EARLY:
         return FitResult(task, "", watch=watch)
     since = slice(window.sample_count - count, None)
+    count -= change_point(predicted[since], window.force[since], _FEWEST_EARLY)
+    since = slice(window.sample_count - count, None)
     changed, predicted = window.part(since), predicted[since]
     held_back = held_back_samples(count)
     trained = fit_scale(predicted[~held_back], changed.force[~held_back]).factor
@@ -443,7 +445,7 @@ class WindowTracker:
         self._windows += 1
         self._state = result.state
         self._watch = watch.quiet()
-        length = round(watch.samples_since_change * raw.period * NANOSECONDS)
+        length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
         self._changed_ns = raw.end_ns - length
         errors = self.parameters.standard_errors.copy()
         # The other scales keep what is known of them.

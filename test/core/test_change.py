@@ -16,6 +16,7 @@ from mr_damper_ros.identification.change import (
     THRESHOLD,
     ChangeWatch,
     average_run_length,
+    change_point,
     fit_scale,
 )
 from mr_damper_ros.identification.unscented import METHOD
@@ -119,6 +120,13 @@ def test_the_factor_comes_with_its_standard_error() -> None:
     assert np.std(scores) == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.parametrize("begin", [0, 30, 130, 300])
+def test_the_begin_of_a_change_is_found_to_the_sample(begin: int) -> None:
+    predicted = 100.0 + 50.0 * np.sin(np.arange(400) * 0.03)
+    measured = np.where(np.arange(400) >= begin, 0.9, 1.0) * predicted + noise(0, 400, 2.0)
+    assert change_point(predicted, measured, 40) == pytest.approx(begin, abs=2)
+
+
 # -- looks -----------------------------------------------------------------------------------
 
 
@@ -209,7 +217,7 @@ def test_a_step_is_fitted_before_the_hop_is_over(factor: float, tracker: str) ->
     assert f"the force changed by {factor - 1.0:+.0%} at t = " in report.reason
     assert report.reason.endswith("fitted early")
     told = float(report.reason.split("t = ")[1].split()[0]) - known.T0 * 1e-9
-    assert told == pytest.approx(STEP, abs=0.1)
+    assert told == pytest.approx(STEP, abs=0.02)
     assert report.scale.value == pytest.approx(factor, rel=0.01)
     assert np.isnan(report.coefficient_errors).all()
 
