@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "mr_damper_ros"
-NODES = ("bridge", "demo", "identifier", "model", "replay")
+NODES = ("bridge", "identifier", "model", "replay")
 TOOLS = ("identify", "import_record", "reproduce", "thesis_bags", "validate")
 
 
@@ -38,7 +38,8 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     entry_points={
-        "console_scripts": [f"{name} = {NAME}.nodes.{name}:main" for name in NODES]
-        + [f"{name} = {NAME}.tools.{name}:main" for name in TOOLS],
+        "console_scripts": [f"{name} = {NAME}.start:{name}" for name in NODES]
+        + [f"{name} = {NAME}.tools.{name}:main" for name in TOOLS]
+        + [f"demo = {NAME}.nodes.demo:main"],
     },
 )

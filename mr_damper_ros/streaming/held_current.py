@@ -9,6 +9,10 @@ import numpy as np
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.streaming.blocks import NANOSECONDS
 
+KEEP_CURRENT = 3600.0
+"""Seconds of values that a stream keeps: where a bag is played as fast as it goes, the current may
+come far ahead of the samples that it belongs to."""
+
 _LATE_NS = NANOSECONDS // 2
 """A stamp this much before the newest one is late; further back, time itself was set back."""
 

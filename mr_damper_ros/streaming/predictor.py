@@ -12,7 +12,7 @@ from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandw
 from mr_damper_ros.kinematics.sine_follower import SineFollower
 from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.streaming.centre import MotionCentre
-from mr_damper_ros.streaming.held_current import HeldCurrent
+from mr_damper_ros.streaming.held_current import KEEP_CURRENT, HeldCurrent
 
 _REVERSALS_FOR_CENTRE = 3
 """The centre of a motion is known once its ends have been seen, the first of them surely whole."""
@@ -56,7 +56,7 @@ class ForcePredictor:
     def __init__(self, settings: PredictorSettings) -> None:
         self._settings = settings
         self._parameters: ParameterSet | None = None
-        self._current = HeldCurrent(keep=60.0)
+        self._current = HeldCurrent(keep=KEEP_CURRENT)
         self._sequence = BlockSequence()
         self._differentiator: CausalDifferentiator | None = None
         self._centre: MotionCentre | None = None

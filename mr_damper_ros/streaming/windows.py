@@ -9,7 +9,7 @@ import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
-from mr_damper_ros.streaming.held_current import HeldCurrent
+from mr_damper_ros.streaming.held_current import KEEP_CURRENT, HeldCurrent
 
 _WAIT_FOR_CURRENT = 64
 """At most this many complete windows wait for the current to become known."""
@@ -60,7 +60,7 @@ class WindowAssembler:
         self._hop = hop
         self._looks = looks
         self._sequence = BlockSequence()
-        self._current = HeldCurrent(keep=4.0 * window + 60.0)
+        self._current = HeldCurrent(keep=max(KEEP_CURRENT, 2.0 * window))
         self._temperature = math.nan
         self._events: list[str] = []
         self._waiting: list[RawWindow] = []

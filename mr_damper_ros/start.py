@@ -1,0 +1,44 @@
+"""Starts the nodes: loads them with a stop signal already heard.
+
+Loading rclpy and SciPy takes a second or two. A signal that comes meanwhile ends the program as it
+does later: with exit code 0, no traceback.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from importlib import import_module
+from types import FrameType
+
+
+def bridge() -> int:
+    """Run the node bridge."""
+    return _run("bridge")
+
+
+def identifier() -> int:
+    """Run the node identifier."""
+    return _run("identifier")
+
+
+def model() -> int:
+    """Run the node model."""
+    return _run("model")
+
+
+def replay() -> int:
+    """Run the node replay."""
+    return _run("replay")
+
+
+def _run(name: str) -> int:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _leave)
+    code: int = import_module(f"mr_damper_ros.nodes.{name}").main()
+    return code
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    # Nothing has been started that would have to be ended; modules half loaded are best left so.
+    os._exit(0)
