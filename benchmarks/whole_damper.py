@@ -13,7 +13,7 @@ from benchmarks.figure import Figure
 from benchmarks.timing import cpu_seconds, interleaved_medians
 from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, Array
-from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.identification.evolution import _GENERATOR_KEYWORD, EvolutionSettings
 from mr_damper_ros.identification.fit import fit_window
 from mr_damper_ros.identification.global_fit import identify_global
 from mr_damper_ros.identification.laws import shape_bounds
