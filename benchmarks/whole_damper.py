@@ -71,7 +71,7 @@ def reference_search(
         polish=False,
         vectorized=True,
         updating="deferred",
-        rng=np.random.default_rng(0),
+        **{_GENERATOR_KEYWORD: np.random.default_rng(0)},
     )
     return float(found.fun)
 
