@@ -12,7 +12,6 @@ import json
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -58,7 +57,6 @@ class Campaign:
 
     settings: Settings
     say: Callable[[str], None] = field(default=lambda text: None)
-    timings: dict[str, float] = field(default_factory=dict)
 
     def seeds(self, count: int, purpose: int) -> list[list[int]]:
         """Independent seeds (as entropy lists) for ``count`` runs of one purpose."""
@@ -67,7 +65,6 @@ class Campaign:
 
     def each(self, name: str, function: Callable[..., Any], tasks: Sequence[Task]) -> list[Any]:
         """``function(**task)`` for every task, in order; those done earlier are read from disk."""
-        began = time.monotonic()
         keys = [json.dumps(task, sort_keys=True) for task in tasks]
         path = self.settings.folder / "data" / f"{name}-{_code_digest()}.jsonl"
         known = _read(path)
@@ -85,7 +82,6 @@ class Campaign:
                     # Ten lines at most for a log.
                     if done % max(len(missing) // 10, 1) == 0:
                         self.say(f"{name}: {len(tasks) - len(missing) + done} of {len(tasks)}")
-        self.timings[name] = time.monotonic() - began
         return [known[key] for key in keys]
 
     def _results(

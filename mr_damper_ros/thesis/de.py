@@ -1,9 +1,10 @@
-"""Differential evolution as the thesis describes it: a whole generation at a time, bounds by
-clipping (Storn and Price, Journal of Global Optimization 11, 1997; thesis 2.7.2).
+"""Differential evolution as the thesis describes it, a whole generation at a time.
 
-That the thesis clipped is read off its tables 10 and 11: the variances of a0, I1, a3, a4 and k2
-exceed that of a uniform distribution over the whole range, so most results lie on the bounds.
-"""  # noqa: D205
+Storn and Price, Journal of Global Optimization 11, 1997; thesis 2.7.2. Trial values beyond a bound
+are clipped to it. That the thesis did so is read off its tables 10 and 11: the variances of a0, I1,
+a3, a4 and k2 exceed that of a uniform distribution over the whole range, so most results lie on
+the bounds.
+"""
 
 from __future__ import annotations
 

@@ -226,14 +226,14 @@ def run(method: str, noise_seed: int, seed: list[int], budget: int) -> dict[str,
         while True:
             search(meter, rng)
             if first is None:
-                first = {"evaluations": meter.used, "rmse": math.sqrt(meter.best_cost)}
+                first = {"rmse": math.sqrt(meter.best_cost)}
             if meter.best_cost <= SUCCESS**2 * floor:
                 break
     except BudgetSpentError:
         pass
     seconds = time.process_time() - began
     if first is None:
-        first = {"evaluations": meter.used, "rmse": math.sqrt(meter.best_cost)}
+        first = {"rmse": math.sqrt(meter.best_cost)}
     reached = [used for used, cost in meter.trace if cost <= SUCCESS**2 * floor]
     return {
         "parameters": meter.best.tolist(),
@@ -314,13 +314,7 @@ def summary(results: list[dict[str, Any]]) -> dict[str, Any]:
         "success": wins / len(results),
         "interval": wilson(wins, len(results)),
         "first_success": first_wins / len(results),
-        "first_interval": wilson(first_wins, len(results)),
-        "first_evaluations": float(np.median([r["first"]["evaluations"] for r in results])),
         "reached": float(np.median(reached)) if reached else None,
-        "evaluations": float(np.median([r["evaluations"] for r in results])),
-        "microseconds": float(
-            1e6 * np.median([r["seconds"] / max(r["evaluations"], 1) for r in results])
-        ),
         "seconds": float(np.median([r["seconds"] for r in results])),
         "rmse": [float(x) for x in np.percentile([r["rmse"] for r in results], [10, 50, 90])],
         "parameter_spread": float(np.median(sets.std(axis=0) / _SPAN)),
