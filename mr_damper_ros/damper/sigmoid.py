@@ -41,7 +41,6 @@ SHAPE_PARAMETER_NAMES = tuple(n for n in PARAMETER_NAMES if n not in SCALE_PARAM
 _INDEX = {name: position for position, name in enumerate(PARAMETER_NAMES)}
 
 SCALE_INDICES = np.array([_INDEX[name] for name in SCALE_PARAMETER_NAMES])
-SHAPE_INDICES = np.array([_INDEX[name] for name in SHAPE_PARAMETER_NAMES])
 
 _COEFFICIENT_LIMIT = 1e100
 """Coefficients and inputs saturate here, so that no product of them overflows to infinity."""

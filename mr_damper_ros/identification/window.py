@@ -23,8 +23,7 @@ from mr_damper_ros.damper.sigmoid import (
 )
 from mr_damper_ros.kinematics.motion import Motion, window_motion
 
-F0 = PARAMETER_NAMES.index("f0")
-K5 = PARAMETER_NAMES.index("k5")
+_K5 = PARAMETER_NAMES.index("k5")
 
 _STEADY = 1e-9
 """Relative spread of the base coefficients below which they are taken as constant."""
@@ -145,7 +144,7 @@ class ScaleMisfit:
         """The sixteen parameters with these scales and the frozen shape, shape (16,)."""
         values = self._start.copy()
         values[SCALE_INDICES] = scales
-        values[K5] = scales[6] / scales[0] if scales[0] != 0.0 else 0.0
+        values[_K5] = scales[6] / scales[0] if scales[0] != 0.0 else 0.0
         return values
 
 
