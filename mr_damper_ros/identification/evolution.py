@@ -86,20 +86,27 @@ class ProgressClock:
         self._total = generations
         self._done = 0
         self._report = report
-        self._began = self._last_report = time.monotonic()
+        self._last_report = time.monotonic()
+        # Generations of one stage take the same time, those of another may not.
+        self._stage = ""
+        self._stage_began = self._last_report
+        self._stage_done = 0
         self.stopped = False
 
     def tick(self, stage: str, best_cost: float) -> None:
         """One generation more."""
+        if stage != self._stage:
+            self._stage, self._stage_began, self._stage_done = stage, time.monotonic(), 0
         self._done += 1
+        self._stage_done += 1
         self._tell(stage, best_cost)
 
     def _tell(self, stage: str, best_cost: float) -> None:
         if self._report is None or self.stopped:
             return
         self._last_report = time.monotonic()
-        elapsed = self._last_report - self._began
-        left = max(self._total - self._done, 0) * elapsed / max(self._done, 1)
+        pace = (self._last_report - self._stage_began) / max(self._stage_done, 1)
+        left = max(self._total - self._done, 0) * pace
         progress = GlobalProgress(stage, self._done, self._total, best_cost, left)
         self.stopped = not self._report(progress)
 

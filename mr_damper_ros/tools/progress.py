@@ -47,7 +47,7 @@ class ProgressLine:
             sys.stderr.write(
                 f"\r{progress.stage}: generation {progress.generation} of at most "
                 f"{progress.generations}, best cost {progress.best_cost:.5g}, "
-                f"at most {progress.time_left:.0f} s left\033[K"
+                f"about {progress.time_left:.0f} s left\033[K"
             )
             sys.stderr.flush()
         return not self.stopped
