@@ -51,8 +51,10 @@ __all__ = ["METHODS", "GlobalFit", "GlobalProgress", "identify_global"]
 
 METHODS = ("global", "nelder_mead", "least_squares", "differential_evolution")
 
-_SEARCH_SAMPLES = 1000
-"""Samples per window in the search; the last polish uses all."""
+_SEARCH_SAMPLES = 8000
+_FEWEST_SEARCH_SAMPLES = 250
+"""The search thins the windows to so many samples in all, and each to no fewer than that; the
+last polish uses all samples."""
 
 _EVOLUTION_SAMPLES = 200
 """Samples per window where differential evolution evaluates thousands of sets."""
@@ -158,7 +160,8 @@ class _GlobalSearch:
         self.windows = windows
         self._start = start
         self._settings = settings
-        self._thinned = [_thinned(window, _SEARCH_SAMPLES) for window in windows]
+        most = max(_SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
+        self._thinned = [_thinned(window, most) for window in windows]
         top_current = max(float(np.max(np.abs(window.current))) for window in windows)
         self._neutral = neutral_shape(start, top_current)
         self.fits = [
