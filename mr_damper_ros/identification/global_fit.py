@@ -20,7 +20,6 @@ from mr_damper_ros.damper.sigmoid import (
     PARAMETER_NAMES,
     Array,
     coefficient_parameter_jacobian,
-    force,
     operating_point_coefficients,
 )
 from mr_damper_ros.identification.evolution import (
@@ -353,9 +352,8 @@ def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
         errors[places] = np.sqrt(np.diag(covariance[block]))
     nrmse = []
     for window in search.windows:
-        m = window.motion
-        predicted = force(best, m.displacement, m.velocity, m.acceleration, window.current)
-        error = float(np.sqrt(np.mean((predicted - window.force) ** 2)))
+        residual = window.predicted_force(best) - window.force
+        error = float(np.sqrt(np.mean(residual**2)))
         nrmse.append(error / float(np.std(window.force)))
     speeds = np.concatenate([window.motion.peak_velocity for window in search.windows])
     currents = np.concatenate([window.current for window in search.windows])

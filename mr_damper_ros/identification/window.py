@@ -70,6 +70,12 @@ class Window:
         )
         return Window(motion, self.force[chosen], self.current[chosen])
 
+    def predicted_force(self, parameters: Array) -> Array:
+        """Force [N] of parameters (16,) over the window, shape (n,)."""
+        m = self.motion
+        coefficients = operating_point_coefficients(parameters, m.peak_velocity, self.current)
+        return force_from_coefficients(coefficients, m.velocity, m.acceleration)
+
     @property
     def sample_count(self) -> int:
         """Number of samples."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_INDICES, Array, force
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_INDICES, Array
 from mr_damper_ros.identification.acceptance import (
     NO_BETTER,
     AcceptanceSettings,
@@ -338,23 +338,18 @@ def held_back_samples(count: int) -> np.ndarray:
     return np.asarray(chunk % _HELD_BACK_EVERY == _HELD_BACK_EVERY - 1)
 
 
-def _predicted(window: Window, parameters: Array) -> Array:
-    m = window.motion
-    return force(parameters, m.displacement, m.velocity, m.acceleration, window.current)
-
-
 def _nrmse(window: Window, parameters: Array) -> float:
-    residual = _predicted(window, parameters) - window.force
+    residual = window.predicted_force(parameters) - window.force
     return float(np.sqrt(np.mean(residual**2)) / np.std(window.force))
 
 
 def _evidence(held_back: Window, whole: Window, before: Array, after: Array) -> Evidence:
     spread = float(np.std(whole.force))
     rmse_before, rmse_after = (
-        float(np.sqrt(np.mean((_predicted(held_back, set_) - held_back.force) ** 2)))
+        float(np.sqrt(np.mean((held_back.predicted_force(set_) - held_back.force) ** 2)))
         for set_ in (before, after)
     )
-    old, new = _predicted(whole, before), _predicted(whole, after)
+    old, new = whole.predicted_force(before), whole.predicted_force(after)
     power = float(old @ old)
     change = float(new @ old) / power - 1.0 if power > 0.0 else math.inf
     return Evidence(rmse_before / spread, rmse_after / spread, rmse_after, change)

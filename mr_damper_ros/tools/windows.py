@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array, force
+from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.identification.screening import (
     Screening,
     fault_of_samples,
@@ -58,16 +58,10 @@ def bag_windows(path: Path) -> BagWindows:
     return BagWindows(path, tuple(windows))
 
 
-def predicted_force(parameters: Array, window: Window) -> Array:
-    """Force [N] of a parameter set (16,) over a window, shape (n,)."""
-    m = window.motion
-    return force(parameters, m.displacement, m.velocity, m.acceleration, window.current)
-
-
 def metrics(parameters: Array, windows: Sequence[Window]) -> Metrics:
     """Error of a parameter set (16,) on windows taken together."""
     measured = np.concatenate([window.force for window in windows])
-    residual = np.concatenate([predicted_force(parameters, w) for w in windows]) - measured
+    residual = np.concatenate([w.predicted_force(parameters) for w in windows]) - measured
     rmse = float(np.sqrt(np.mean(residual**2)))
     nrmse = rmse / float(np.std(measured))
     return Metrics(rmse=rmse, nrmse=nrmse, r2=1.0 - nrmse**2, n_samples=int(measured.size))
