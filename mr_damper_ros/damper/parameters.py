@@ -1,4 +1,4 @@
-"""An identified set of the sixteen parameters with what is known about it, and its YAML form."""
+"""An identified set of parameters of a model with what is known about it, and its YAML form."""
 
 from __future__ import annotations
 
@@ -9,67 +9,68 @@ from typing import Any
 import numpy as np
 import yaml
 
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
+from mr_damper_ros.damper.models import MODELS, Model
+from mr_damper_ros.damper.sigmoid import Array
 
-MODEL_NAME = "sigmoid"
-
-UNITS = {
-    **dict.fromkeys(("a0", "a1", "a4", "k0", "k1c", "k1e"), "s/m"),
-    **dict.fromkeys(("k2", "k3", "k4", "k5", "k6"), "1"),
-    **dict.fromkeys(("a2", "a3"), "1/A"),
-    **dict.fromkeys(("I0", "I1"), "A"),
-    "f0": "N",
-}
-"""Unit of each parameter. The thesis prints (m/s)^-1 for a3, which multiplies a current."""
+DEFAULT_MODEL = "sigmoid"
+"""The law that is meant where none is named."""
 
 
 class ParameterError(ValueError):
     """A parameter set that cannot be used; the message says what to change."""
 
 
+_UNKNOWN = np.empty(0)
+"""Stands for "of none of the parameters" until the number of parameters is known."""
+
+
 def _unknown() -> Array:
-    return np.full(len(PARAMETER_NAMES), np.nan)
+    return _UNKNOWN
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterSet:
-    """Sixteen parameters of the sigmoid law, and how well and from what they are known.
+    """Parameters of a model, and how well and from what they are known.
 
-    ``values`` and ``standard_errors`` have shape (16,), in the order of ``PARAMETER_NAMES`` and
-    the units of ``UNITS``; a standard error is NaN where it is unknown. ``observable`` tells
-    which parameters the data determined (the others kept the value of the start).
-    ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were used;
-    ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
+    ``values`` and ``standard_errors`` have shape (p,), in the order and the units of the
+    parameters of ``model``, a name in ``MODELS``; a standard error is NaN where it is unknown.
+    ``observable`` (p,) tells which parameters the data determined (the others kept the value of
+    the start). ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
+    used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
 
-    Raises ParameterError where shapes are wrong, a value is not finite, or a range is reversed.
+    Raises ParameterError where the model is not known, shapes are wrong, a value is not finite,
+    or a range is reversed.
     """
 
     values: Array
     standard_errors: Array = field(default_factory=_unknown)
-    observable: np.ndarray = field(
-        default_factory=lambda: np.zeros(len(PARAMETER_NAMES), dtype=bool)
-    )
+    observable: np.ndarray = field(default_factory=_unknown)
     set_id: str = "unnamed"
     source: str = "unknown"
     peak_velocity_range: tuple[float, float] = (0.0, math.inf)
     current_range: tuple[float, float] = (-math.inf, math.inf)
     nrmse: float = math.nan
     stamp_ns: int = 0
+    model: str = DEFAULT_MODEL
 
     def __post_init__(self) -> None:
-        count = len(PARAMETER_NAMES)
-        for name, dtype in (("values", float), ("standard_errors", float), ("observable", bool)):
-            array = np.array(getattr(self, name), dtype=dtype)
+        names = known_model(self.model).parameter_names
+        count = len(names)
+        for name, dtype, unknown in (
+            ("values", float, None),
+            ("standard_errors", float, math.nan),
+            ("observable", bool, False),
+        ):
+            given = getattr(self, name)
+            array = np.full(count, unknown) if given is _UNKNOWN else np.array(given, dtype=dtype)
             if array.shape != (count,):
                 raise ParameterError(
-                    f"{name} must hold {count} numbers, one for each of "
-                    f"{', '.join(PARAMETER_NAMES)} (got shape {array.shape})"
+                    f"{name} of model '{self.model}' must hold {count} numbers, one for each of "
+                    f"{', '.join(names)} (got shape {array.shape})"
                 )
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        for name, value, error in zip(
-            PARAMETER_NAMES, self.values, self.standard_errors, strict=True
-        ):
+        for name, value, error in zip(names, self.values, self.standard_errors, strict=True):
             if not math.isfinite(value):
                 raise ParameterError(f"parameter {name} is {value}: give a finite number")
             if error < 0.0:
@@ -82,14 +83,28 @@ class ParameterSet:
             if not low <= high:
                 raise ParameterError(f"{name} is [{low}, {high}]: give the lower bound first")
 
+    @property
+    def law(self) -> Model:
+        """The model that the parameters belong to."""
+        return MODELS[self.model]
+
+    def of_model(self, model: str) -> ParameterSet:
+        """The set itself; raises ParameterError where it is not of ``model``."""
+        if self.model != model:
+            raise ParameterError(
+                f"the parameters are those of model '{self.model}': give a set of model '{model}'"
+            )
+        return self
+
     def as_dict(self) -> dict[str, float]:
         """Values by parameter name."""
-        return dict(zip(PARAMETER_NAMES, self.values.tolist(), strict=True))
+        return dict(zip(self.law.parameter_names, self.values.tolist(), strict=True))
 
     def to_yaml(self) -> str:
         """Text that :meth:`from_yaml` reads back to the last digit."""
+        units = self.law.units
         document: dict[str, Any] = {
-            "model": MODEL_NAME,
+            "model": self.model,
             "id": self.set_id,
             "source": self.source,
             "stamp_ns": int(self.stamp_ns),
@@ -99,12 +114,12 @@ class ParameterSet:
             "parameters": {
                 name: {
                     "value": float(value),
-                    "unit": UNITS[name],
+                    "unit": units[name],
                     "standard_error": None if math.isnan(error) else float(error),
                     "observable": bool(observable),
                 }
                 for name, value, error, observable in zip(
-                    PARAMETER_NAMES,
+                    self.law.parameter_names,
                     self.values,
                     self.standard_errors,
                     self.observable,
@@ -118,8 +133,10 @@ class ParameterSet:
     def from_yaml(cls, text: str) -> ParameterSet:
         """Parameter set from text written by :meth:`to_yaml`, or by hand.
 
-        By hand, ``parameters`` with the sixteen names is enough, each a plain number or a mapping
-        with ``value``. Raises ParameterError with one sentence that says what to change.
+        By hand, ``parameters`` with all names of the sigmoid law is enough, each a plain number or
+        a mapping with ``value``; those of another law need its name as ``model``.
+
+        Raises ParameterError with one sentence that says what to change.
         """
         try:
             document = yaml.load(text, _UniqueKeyLoader)
@@ -139,7 +156,7 @@ class ParameterSet:
         }
         if not isinstance(document, dict) or "parameters" not in document:
             raise ParameterError(
-                "the parameter file has no mapping 'parameters': give the sixteen values by name"
+                "the parameter file has no mapping 'parameters': give the values by name"
             )
         unknown = [str(key) for key in document if key not in known]
         if unknown:
@@ -147,25 +164,23 @@ class ParameterSet:
                 f"the parameter file has unknown entries {', '.join(unknown)}: "
                 f"remove them (known are {', '.join(sorted(known))})"
             )
-        if document.get("model", MODEL_NAME) != MODEL_NAME:
-            raise ParameterError(
-                f"the parameter file is for model '{document['model']}': "
-                f"give one for '{MODEL_NAME}'"
-            )
+        model = document.get("model", DEFAULT_MODEL)
+        law = known_model(model)
+        names, units = law.parameter_names, law.units
         entries = document["parameters"]
         if not isinstance(entries, dict):
-            raise ParameterError("'parameters' must map the sixteen names to numbers")
-        unknown = [str(name) for name in entries if name not in PARAMETER_NAMES]
+            raise ParameterError("'parameters' must map the names of the parameters to numbers")
+        unknown = [str(name) for name in entries if name not in names]
         if unknown:
             raise ParameterError(
-                f"unknown parameter {', '.join(unknown)}: the names are "
-                f"{', '.join(PARAMETER_NAMES)}"
+                f"model '{model}' has no parameter {', '.join(unknown)}: "
+                f"the names are {', '.join(names)}"
             )
-        missing = [name for name in PARAMETER_NAMES if name not in entries]
+        missing = [name for name in names if name not in entries]
         if missing:
             raise ParameterError(f"parameter {', '.join(missing)} is missing: give its value")
         values, errors, observable = [], [], []
-        for name in PARAMETER_NAMES:
+        for name in names:
             entry = entries[name]
             if not isinstance(entry, dict):
                 entry = {"value": entry}
@@ -176,9 +191,9 @@ class ParameterSet:
                 raise ParameterError(
                     f"parameter {name} has unknown entries {', '.join(stray)}: remove them"
                 )
-            if entry.get("unit", UNITS[name]) != UNITS[name]:
+            if entry.get("unit", units[name]) != units[name]:
                 raise ParameterError(
-                    f"parameter {name} is given in {entry['unit']}: convert it to {UNITS[name]}"
+                    f"parameter {name} is given in {entry['unit']}: convert it to {units[name]}"
                 )
             values.append(_number(entry.get("value"), f"parameter {name}"))
             error = entry.get("standard_error")
@@ -207,7 +222,15 @@ class ParameterSet:
             ),
             nrmse=math.nan if nrmse is None else _number(nrmse, "nrmse"),
             stamp_ns=stamp,
+            model=model,
         )
+
+
+def known_model(name: Any) -> Model:
+    """The model of this name; raises ParameterError where there is none."""
+    if not isinstance(name, str) or name not in MODELS:
+        raise ParameterError(f"model {name!r} is unknown: the models are {', '.join(MODELS)}")
+    return MODELS[name]
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

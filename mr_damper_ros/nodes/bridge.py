@@ -15,7 +15,7 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState, Temperature
 
-from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import current_message, header, samples_message
@@ -495,7 +495,8 @@ def _damper(rig: EmulatedParameters) -> Damper:
             THESIS_28_CELSIUS, scaled(THESIS_71_CELSIUS, rig.hot_force)
         )
     if rig.damper.endswith((".yaml", ".yml")):
-        values = ParameterSet.from_yaml(Path(rig.damper).read_text(encoding="utf-8")).values
+        given = ParameterSet.from_yaml(Path(rig.damper).read_text(encoding="utf-8"))
+        values = given.of_model(DEFAULT_MODEL).values
     else:
         values = thesis.parameters(thesis.find(rig.damper))
     return TemperatureDependentDamper(values, scaled(values, rig.hot_force))

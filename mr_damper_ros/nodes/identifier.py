@@ -18,7 +18,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterError, ParameterSet
 from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.identification.acceptance import AcceptanceSettings
 from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
@@ -632,8 +632,8 @@ def _initial_set(source: str) -> ParameterSet:
             current_range=(0.0, 0.0),
         )
     try:
-        return read_parameter_file(source)
-    except StateError as error:
+        return read_parameter_file(source).of_model(DEFAULT_MODEL)
+    except (StateError, ParameterError) as error:
         raise ConfigurationError(f"initial_parameters: {error}") from error
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 
-from mr_damper_ros.damper.parameters import MODEL_NAME, UNITS, ParameterError, ParameterSet
-from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, PARAMETER_NAMES
+from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterError, ParameterSet, known_model
+from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES
 from mr_damper_ros.nodes.messages import header, to_field, to_nanoseconds, to_stamp
 from mr_damper_ros.streaming.predictor import Prediction
 from mr_damper_ros.streaming.tracker import Report
@@ -17,9 +17,9 @@ def parameters_message(parameters: ParameterSet, frame_id: str) -> DamperParamet
     return DamperParameters(
         header=header(parameters.stamp_ns, frame_id),
         id=parameters.set_id,
-        model=MODEL_NAME,
-        names=list(PARAMETER_NAMES),
-        units=[UNITS[name] for name in PARAMETER_NAMES],
+        model=parameters.model,
+        names=list(parameters.law.parameter_names),
+        units=list(parameters.law.units.values()),
         values=to_field(parameters.values),
         standard_errors=to_field(parameters.standard_errors),
         observable=parameters.observable.tolist(),
@@ -37,12 +37,12 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
 
     Raises ParameterError, with a sentence, where the message cannot be used.
     """
-    if message.model != MODEL_NAME:
+    law = known_model(message.model)
+    if tuple(message.names) != law.parameter_names:
         raise ParameterError(
-            f"the parameters are for the model '{message.model}': publish those of '{MODEL_NAME}'"
+            f"the parameters of model '{law.name}' must be {', '.join(law.parameter_names)}, "
+            "in this order"
         )
-    if tuple(message.names) != PARAMETER_NAMES:
-        raise ParameterError(f"the parameters must be {', '.join(PARAMETER_NAMES)}, in this order")
     return ParameterSet(
         values=np.array(message.values),
         standard_errors=np.array(message.standard_errors),
@@ -53,7 +53,8 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
         current_range=(message.current_min, message.current_max),
         nrmse=message.nrmse,
         stamp_ns=to_nanoseconds(message.header.stamp),
-    )
+        model=message.model,
+    ).of_model(DEFAULT_MODEL)
 
 
 def report_message(report: Report, duration: float, frame_id: str) -> FitReport:

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from mr_damper_ros.damper.parameters import UNITS, ParameterSet
+from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, PARAMETER_NAMES
 from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
@@ -72,7 +72,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _identify(options: argparse.Namespace) -> int:
     start = (
-        LITERATURE if options.start == "literature" else read_parameter_file(options.start).values
+        LITERATURE
+        if options.start == "literature"
+        else read_parameter_file(options.start).of_model(DEFAULT_MODEL).values
     )
     settings = EvolutionSettings(
         strategy=options.strategy, generations=options.generations, seed=options.seed
@@ -131,11 +133,12 @@ def _bag_entry(fit: GlobalFit, bag: BagWindows) -> dict[str, Any]:
 
 def _table(found: ParameterSet, document: dict[str, Any]) -> str:
     lines = ["parameter        value  standard error  unit"]
+    units = found.law.units
     for name, value, error, observable in zip(
         PARAMETER_NAMES, found.values, found.standard_errors, found.observable, strict=True
     ):
         shown = f"{error:14.3g}" if observable else "not observable"
-        lines.append(f"{name:>9} {value:12.6g}  {shown}  {UNITS[name]}")
+        lines.append(f"{name:>9} {value:12.6g}  {shown}  {units[name]}")
     lines.append("")
     for bag in document["bags"]:
         error = bag["metrics"]

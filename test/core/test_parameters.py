@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from typing import Any
 
 import known
 import numpy as np
@@ -13,13 +14,13 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.damper.parameters import UNITS, ParameterError, ParameterSet
+from mr_damper_ros.damper.models import MODELS, Model
+from mr_damper_ros.damper.parameters import ParameterError, ParameterSet
 from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NUMBER = st.floats(allow_nan=False)
-SIXTEEN = st.lists(FINITE, min_size=16, max_size=16)
 
 
 def ordered_pair() -> st.SearchStrategy[tuple[float, float]]:
@@ -28,10 +29,17 @@ def ordered_pair() -> st.SearchStrategy[tuple[float, float]]:
 
 @st.composite
 def parameter_sets(draw: st.DrawFn) -> ParameterSet:
+    model = draw(st.sampled_from(list(MODELS)))
+    count = len(MODELS[model].parameters)
+
+    def one_for_each(entries: st.SearchStrategy[Any]) -> np.ndarray:
+        return np.array(draw(st.lists(entries, min_size=count, max_size=count)))
+
     return ParameterSet(
-        values=np.array(draw(SIXTEEN)),
-        standard_errors=np.array(draw(st.lists(st.floats(0.0), min_size=16, max_size=16))),
-        observable=np.array(draw(st.lists(st.booleans(), min_size=16, max_size=16))),
+        model=model,
+        values=one_for_each(FINITE),
+        standard_errors=one_for_each(st.floats(0.0)),
+        observable=one_for_each(st.booleans()),
         set_id=draw(st.text()),
         source=draw(st.text()),
         peak_velocity_range=draw(ordered_pair()),
@@ -57,10 +65,13 @@ def test_unknown_standard_errors_and_nrmse_stay_unknown() -> None:
     assert math.isnan(read.nrmse)
 
 
-def test_the_text_names_value_and_unit_of_every_parameter() -> None:
-    entries = yaml.safe_load(ParameterSet(LITERATURE).to_yaml())["parameters"]
-    assert list(entries) == list(PARAMETER_NAMES)
-    assert {name: entry["unit"] for name, entry in entries.items()} == UNITS
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_the_text_names_value_and_unit_of_every_parameter(model: Model) -> None:
+    values = np.arange(len(model.parameters))
+    entries = yaml.safe_load(ParameterSet(values, model=model.name).to_yaml())["parameters"]
+    assert list(entries) == list(model.parameter_names)
+    assert {name: entry["unit"] for name, entry in entries.items()} == model.units
+    assert [entry["value"] for entry in entries.values()] == values.tolist()
 
 
 def by_hand(**changes: object) -> str:
@@ -99,13 +110,18 @@ FAULTS = {
     "not yaml": ("parameters: [1, 2\nfoo: {", r"not valid YAML at line \d"),
     "control characters": ("\x00\x01", "not valid YAML"),
     "code": ("!!python/object/apply:os.getcwd []", "not valid YAML at line 1"),
-    "empty": ("", "no mapping 'parameters': give the sixteen values"),
+    "empty": ("", "no mapping 'parameters': give the values"),
     "a list": ("- 1\n- 2\n", "no mapping 'parameters'"),
     "no parameters": ("id: x\n", "no mapping 'parameters'"),
-    "parameters as list": (by_hand(parameters=[1, 2]), "'parameters' must map the sixteen names"),
+    "parameters as list": (by_hand(parameters=[1, 2]), "'parameters' must map the names"),
     "stray entry": (by_hand(comment="x"), "unknown entries comment: remove them"),
-    "other model": (by_hand(model="bouc_wen"), "is for model 'bouc_wen': give one for 'sigmoid'"),
-    "unknown parameter": (with_parameter("f1", 3.0), "unknown parameter f1: the names are f0, I0"),
+    "unknown model": (by_hand(model="magic"), "model 'magic' is unknown: the models are bingham, "),
+    "list of models": (by_hand(model=["sigmoid"]), r"model \['sigmoid'\] is unknown"),
+    "names of another model": (by_hand(model="bingham"), "model 'bingham' has no parameter I0, "),
+    "unknown parameter": (
+        with_parameter("f1", 3.0),
+        "model 'sigmoid' has no parameter f1: the names are f0, I0",
+    ),
     "missing parameter": (without_parameter("k6"), "parameter k6 is missing: give its value"),
     "no value": (with_parameter("k6", {"unit": "1"}), "parameter k6 is None: give a number"),
     "null": (with_parameter("k6", None), "parameter k6 is None: give a number"),
@@ -168,7 +184,7 @@ def test_an_unusual_fault_is_one_sentence_too(text: str, sentence: str) -> None:
 @pytest.mark.parametrize("name", ["values", "standard_errors", "observable"])
 def test_a_wrong_number_of_values_is_refused(name: str) -> None:
     arrays = {"values": LITERATURE, name: np.ones(15)}
-    with pytest.raises(ParameterError, match=rf"{name} must hold 16 numbers.*\(15,\)"):
+    with pytest.raises(ParameterError, match=rf"{name} of .* must hold 16 numbers.*\(15,\)"):
         ParameterSet(**arrays)
 
 
@@ -179,6 +195,13 @@ def test_the_arrays_of_a_set_are_its_own_and_cannot_be_changed() -> None:
     assert made.values[0] == LITERATURE[0]
     with pytest.raises(ValueError, match="read-only"):
         made.values[0] = -1.0
+
+
+def test_a_set_of_another_model_than_needed_is_refused() -> None:
+    extended = ParameterSet(np.zeros(20), model="sigmoid_lag")
+    assert extended.of_model("sigmoid_lag") is extended
+    with pytest.raises(ParameterError, match=r"those of model 'sigmoid_lag': give .* 'sigmoid'"):
+        extended.of_model("sigmoid")
 
 
 def test_values_by_name() -> None:

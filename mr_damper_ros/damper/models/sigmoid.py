@@ -11,7 +11,6 @@ import numpy as np
 from scipy.signal import lfilter
 
 from mr_damper_ros.damper.models.base import Model, MotionLike, Parameter
-from mr_damper_ros.damper.parameters import UNITS
 from mr_damper_ros.damper.sigmoid import (
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
@@ -92,7 +91,16 @@ def _extended_starts(half_span: float, middle: float, speed: float, amplitude: f
     return np.hstack([plain, np.tile([lag, 0.0, 0.0, 0.0], (len(plain), 1))])
 
 
-_SIGMOID_PARAMETERS = tuple(Parameter(name, UNITS[name]) for name in PARAMETER_NAMES)
+_UNITS = {
+    **dict.fromkeys(("a0", "a1", "a4", "k0", "k1c", "k1e"), "s/m"),
+    **dict.fromkeys(("k2", "k3", "k4", "k5", "k6"), "1"),
+    # The thesis prints (m/s)^-1 for a3, which multiplies a current.
+    **dict.fromkeys(("a2", "a3"), "1/A"),
+    **dict.fromkeys(("I0", "I1"), "A"),
+    "f0": "N",
+}
+
+_SIGMOID_PARAMETERS = tuple(Parameter(name, _UNITS[name]) for name in PARAMETER_NAMES)
 _WANG = (
     "Wang, Ma, Rakheja and Su, 43rd IEEE Conference on Decision and Control, 2004; "
     "thesis eq. 7-11 and appendix D"
