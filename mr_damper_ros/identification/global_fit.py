@@ -64,6 +64,9 @@ _CLEARLY_BETTER = 0.98
 _GAIN_RANGE = 100.0
 """Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
 
+_MEANINGLESS = 0.01
+"""A step that lowers the misfit by so many of its variances is a tenth of a standard error."""
+
 _RIDGE = 1e-4
 """Weight that keeps a flat direction from running away: no more than a trace of the misfit."""
 
@@ -241,8 +244,7 @@ class _GlobalSearch:
 
     def _determined(self, parameters: Array) -> frozenset[str]:
         residual = self.pooled.residual(parameters)
-        # Correlated samples count once per correlation length.
-        spread = float(np.sqrt(np.mean(residual**2) * max(correlation_length(residual), 1)))
+        spread = math.sqrt(float(np.mean(residual**2)) * residual.size / _independent(residual))
         jacobian = self.pooled.jacobian(parameters) / spread
         return determined_parameters(jacobian, self._varied, self._ranges)
 
@@ -281,7 +283,8 @@ class _GlobalSearch:
         try:
             if nelder_mead:
                 search.nelder_mead()
-            search.least_squares()
+            independent = _independent(pooled.residual(start))
+            search.least_squares(tolerance=_MEANINGLESS / independent)
         except StopRequestedError:
             self.best = problem.parameters(search.best)
             raise
@@ -327,9 +330,14 @@ class _FreeProblem:
         )
 
     def jacobian(self, unknowns: Array) -> Array:
-        derivatives = self._pooled.jacobian(self.parameters(unknowns))[:, self._places]
-        ridge = self._ridge * np.eye(len(self._places))
-        return np.concatenate((derivatives * self._sizes, ridge))
+        derivatives = self._pooled.jacobian(self.parameters(unknowns), self._places)
+        derivatives *= self._sizes
+        return np.concatenate((derivatives, self._ridge * np.eye(len(self._places))))
+
+
+def _independent(residual: Array) -> float:
+    """How many independent samples (n,) amount to: correlated ones count once together."""
+    return residual.size / max(correlation_length(residual), 1)
 
 
 def _thinned(window: Window, most: int) -> Window:
@@ -347,7 +355,7 @@ def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
         misfit = PooledMisfit(search.windows, [fit.rmse for fit in search.fits])
         block = np.ix_(places, places)
         covariance[block] = least_squares_covariance(
-            misfit.jacobian(best)[:, places], misfit.residual(best)
+            misfit.jacobian(best, places), misfit.residual(best)
         )
         errors[places] = np.sqrt(np.diag(covariance[block]))
     nrmse = []

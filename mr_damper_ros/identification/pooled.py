@@ -69,13 +69,15 @@ class PooledMisfit:
         """Mean of the squared weighted residual: 1 where nothing but the noise is left."""
         return float(np.mean(np.square(self.residual(parameters))))
 
-    def jacobian(self, parameters: Array) -> Array:
-        """Derivatives of :meth:`residual`, shape (n, 16)."""
+    def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
+        """Derivatives of :meth:`residual`, shape (n, 16), or only the given columns of it."""
         coefficients = self._coefficients(parameters)
         inner = coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
+        if columns is not None:
+            inner = inner[..., columns]
         return np.concatenate(
             [
-                weight * part.jacobian(c, inner[place])
+                part.jacobian(c, weight * inner[place])
                 for weight, part, c, place in zip(
                     self._weights, self._parts, coefficients, self._places, strict=True
                 )
@@ -108,9 +110,9 @@ class _Part:
         return force_from_coefficients(coefficients, self._velocity, self._branch) - self._force
 
     def jacobian(self, coefficients: Coefficients, inner: Array) -> Array:
-        """Derivatives (n, 16); ``inner`` (1 or n, 7, 16) are those of the coefficients."""
+        """Derivatives (n, p); ``inner`` (1 or n, 7, p) are those of the coefficients."""
         by_coefficient = coefficient_jacobian(coefficients, self._velocity, self._branch)
         if inner.shape[0] == 1:
             return np.asarray(by_coefficient @ inner[0])
-        # Row by row, seven times sixteen: as a batched product of vectors and matrices.
+        # Row by row: as a batched product of vectors and matrices.
         return np.asarray((by_coefficient[:, np.newaxis, :] @ inner)[:, 0, :])

@@ -16,13 +16,17 @@ from scipy.optimize import leastsq, minimize
 
 from mr_damper_ros.damper.sigmoid import Array
 
-_SIMPLEX_TOLERANCE = 0.3
-"""Nelder-Mead stops where the simplex is this many standard errors wide: less has no meaning."""
+_SIMPLEX_TOLERANCE = 1.0
+"""Nelder-Mead stops where the simplex is this many standard errors wide: in the valley of the
+minimum, at whose bottom least squares then ends."""
 
 _FAR = 30.0
 """A search that moved by more standard errors than this starts again with new axes."""
 
 _MOST_RESTARTS = 5
+
+_LAST_DIGITS = 1.5e-8
+"""Relative tolerance of MINPACK: half of the digits there are."""
 
 
 class Problem(Protocol):
@@ -101,8 +105,11 @@ class LocalSearch:
             if np.max(np.abs(result.x)) < _FAR:
                 return
 
-    def least_squares(self, weights: Array | None = None) -> None:
-        """Levenberg-Marquardt (MINPACK) from the best so far; ``weights`` (n,) on the squares."""
+    def least_squares(self, weights: Array | None = None, tolerance: float = _LAST_DIGITS) -> None:
+        """Levenberg-Marquardt (MINPACK) from the best so far; ``weights`` (n,) on the squares.
+
+        It ends where a step lowers the sum of squares by less than the part ``tolerance`` of it.
+        """
         root = None if weights is None else np.sqrt(weights)
 
         def residual(unknowns: Array) -> Array:
@@ -113,7 +120,15 @@ class LocalSearch:
             plain = self.problem.jacobian(unknowns)
             return plain if root is None else plain * root[:, np.newaxis]
 
-        found, *_ = leastsq(residual, self.best, Dfun=jacobian, full_output=True, maxfev=300)
+        found, *_ = leastsq(
+            residual,
+            self.best,
+            Dfun=jacobian,
+            full_output=True,
+            ftol=tolerance,
+            xtol=_LAST_DIGITS,
+            maxfev=300,
+        )
         if weights is not None:
             self.best = found
             return

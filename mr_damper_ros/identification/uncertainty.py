@@ -23,7 +23,9 @@ def normal_inverse(jacobian: Array, relative_cutoff: float = 1e-10) -> Array:
     """
     lengths = np.linalg.norm(jacobian, axis=0)
     safe = np.where(lengths > 0.0, lengths, 1.0)
-    _, singular, vt = np.linalg.svd(jacobian / safe, full_matrices=False)
+    # The triangular factor has the singular values of the whole Jacobian, and is small.
+    triangular = np.linalg.qr(jacobian / safe, mode="r")
+    _, singular, vt = np.linalg.svd(triangular, full_matrices=False)
     determined = singular > relative_cutoff * max(float(singular[0]), 1e-300)
     inverse = np.asarray((vt[determined].T / singular[determined] ** 2) @ vt[determined])
     inverse = inverse / np.outer(safe, safe)
