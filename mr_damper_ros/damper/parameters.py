@@ -38,8 +38,8 @@ class ParameterSet:
     the start). ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
     used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
 
-    Raises ParameterError where the model is not known, shapes are wrong, a value is not finite,
-    or a range is reversed.
+    Raises ParameterError where the model is not known, shapes are wrong, a value is not finite
+    or out of its bounds, or a range is reversed.
     """
 
     values: Array
@@ -70,9 +70,16 @@ class ParameterSet:
                 )
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        for name, value, error in zip(names, self.values, self.standard_errors, strict=True):
+        bounds = zip(*self.law.bounds, strict=True)
+        for name, value, error, (low, high) in zip(
+            names, self.values, self.standard_errors, bounds, strict=True
+        ):
             if not math.isfinite(value):
                 raise ParameterError(f"parameter {name} is {value}: give a finite number")
+            if not low <= value <= high:
+                raise ParameterError(
+                    f"parameter {name} is {value}: it must lie in {low:g} to {high:g}"
+                )
             if error < 0.0:
                 raise ParameterError(f"the standard error of {name} is {error}: it is negative")
         for name, low_high in (

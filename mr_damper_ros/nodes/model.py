@@ -10,7 +10,7 @@ from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from mr_damper_msgs.msg import DamperParameters, PredictedForce
 from rclpy.node import Node
 
-from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterError, ParameterSet
+from mr_damper_ros.damper.parameters import ParameterError, ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
@@ -196,6 +196,7 @@ class Model(Node):
             f"predicting with {parameters.set_id}",
             {
                 "id": parameters.set_id,
+                "model": parameters.model,
                 "source": parameters.source,
                 "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
                 "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
@@ -224,8 +225,8 @@ class Model(Node):
 
 def _read(path: str) -> ParameterSet:
     try:
-        return read_parameter_file(path).of_model(DEFAULT_MODEL)
-    except (StateError, ParameterError) as error:
+        return read_parameter_file(path)
+    except StateError as error:
         raise ConfigurationError(f"parameter_file: {error}") from error
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 
-from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterError, ParameterSet, known_model
+from mr_damper_ros.damper.parameters import ParameterError, ParameterSet, known_model
 from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES
 from mr_damper_ros.nodes.messages import header, to_field, to_nanoseconds, to_stamp
 from mr_damper_ros.streaming.predictor import Prediction
@@ -54,7 +54,7 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
         nrmse=message.nrmse,
         stamp_ns=to_nanoseconds(message.header.stamp),
         model=message.model,
-    ).of_model(DEFAULT_MODEL)
+    )
 
 
 def report_message(report: Report, duration: float, frame_id: str) -> FitReport:

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.damper.models.base import ForceStream
 from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import Array, force, peak_velocity
+from mr_damper_ros.damper.sigmoid import Array, peak_velocity
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.sine_follower import SineFollower
 from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.streaming.centre import MotionCentre
@@ -61,6 +63,9 @@ class ForcePredictor:
         self._differentiator: CausalDifferentiator | None = None
         self._centre: MotionCentre | None = None
         self._sine: SineFollower | None = None
+        self._stream: ForceStream | None = None
+        # Reversals of the motion when the model began to follow it.
+        self._begun_at = 0
 
     @property
     def lost_samples(self) -> int:
@@ -73,7 +78,12 @@ class ForcePredictor:
         return self._parameters
 
     def set_parameters(self, parameters: ParameterSet) -> None:
-        """Predict with this set from the next block on."""
+        """Predict with this set from the next block on.
+
+        What the model remembers of the motion stays, unless the set is of another model.
+        """
+        if self._stream is not None and self._stream.model.name != parameters.model:
+            self._stream = None
         self._parameters = parameters
 
     def add_current(self, stamp_ns: int, current: float) -> None:
@@ -97,11 +107,19 @@ class ForcePredictor:
             self._differentiator = CausalDifferentiator(block.period, bandwidth)
             self._centre = MotionCentre(self._settings.centre_memory, block.period)
             self._sine = SineFollower(block.period, self._settings.centre_memory)
+            self._stream = None
         displacement, velocity, acceleration = self._differentiator.follow(block.displacement)
         centred = displacement - self._centre.follow(block.displacement)
         sine = self._sine.follow(block.displacement, self._centre.half_cycle)
         if sine is not None:
             centred, velocity, acceleration = sine
+        motion = Motion(
+            displacement=centred,
+            velocity=velocity,
+            acceleration=acceleration,
+            peak_velocity=peak_velocity(centred, velocity, acceleration),
+            sine=None,
+        )
         reason = ""
         if self._parameters is None:
             reason = "no parameters yet: start the identifier or give parameter_file"
@@ -110,9 +128,18 @@ class ForcePredictor:
         if reason or self._parameters is None:
             return self._invalid(block, reason, verdict.sentence)
         current = self._current.at(block.start_ns, block.period, block.sample_count)
-        predicted = force(self._parameters.values, centred, velocity, acceleration, current)
-        reason = self._doubt_of_motion(steady=sine is not None) or self._doubt(
-            block, peak_velocity(centred, velocity, acceleration), current, self._parameters
+        if self._stream is None:
+            self._stream = self._parameters.law.stream(block.period)
+            self._begun_at = self._centre.reversals
+        predicted = self._stream.follow(self._parameters.values, motion, current)
+        if not np.isfinite(predicted).all():
+            self._stream = None
+            reason = f"the force of {self._parameters.set_id} is beyond what a number can hold"
+            return self._invalid(block, reason, verdict.sentence)
+        reason = (
+            self._doubt_of_motion(steady=sine is not None)
+            or self._doubt_of_memory()
+            or self._doubt(block, motion.peak_velocity, current, self._parameters)
         )
         return Prediction(
             start_ns=block.start_ns,
@@ -137,6 +164,14 @@ class ForcePredictor:
             return (
                 "the centre of the motion is not known before the motion has reversed three times"
             )
+        return ""
+
+    def _doubt_of_memory(self) -> str:
+        """Why the model does not know its past yet; empty where it does, or needs none."""
+        assert self._stream is not None
+        assert self._centre is not None
+        if self._stream.remembers and self._centre.reversals == self._begun_at:
+            return "the model does not know its past before the motion has reversed"
         return ""
 
     def _doubt(

@@ -42,6 +42,17 @@ PLAUSIBLE = np.array(
 )
 """Sixteen parameters of a damper whose laws all show within 0.01 to 0.25 m/s and 0 to 1.5 A."""
 
+EXAMPLES = {
+    "bingham": np.array([500.0, 4000.0, -30.0]),
+    "hyperbolic_tangent": np.array([3000.0, 2000.0, 600.0, 90.0, 0.6, -20.0]),
+    "nonlinear_biviscous": np.array([4000.0, 60000.0, 500.0, 0.006, -20.0]),
+    "bouc_wen": np.array([4000.0, 3000.0, -20.0, 500.0, 3e-4, 0.4, 1.5]),
+    "modified_bouc_wen": np.array([3000.0, 500.0, 60000.0, 1500.0, -20.0, 600.0, 2e-4, 0.5, 1.5]),
+    "sigmoid": PLAUSIBLE,
+    "sigmoid_lag": np.array([*PLAUSIBLE, 0.004, 0.003, 2000.0, -40.0]),
+}
+"""Parameters of a damper by the name of its model."""
+
 SHAPE = np.array([PARAMETER_NAMES.index(name) for name in SHAPE_PARAMETER_NAMES])
 
 

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from known import PLAUSIBLE, run
+from hypothesis import given
+from hypothesis import strategies as st
+from known import EXAMPLES, PLAUSIBLE, fixed, run
 from scipy.integrate import solve_ivp
 
+from mr_damper_ros.damper.extension import lagged
 from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.models.sigmoid import lagged
 from mr_damper_ros.damper.sigmoid import force
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.thesis.model_fit import fit_model
 
 PERIOD = 1e-3
-
-EXAMPLES = {
-    "bingham": [500.0, 4000.0, -30.0],
-    "hyperbolic_tangent": [3000.0, 2000.0, 600.0, 90.0, 0.6, -20.0],
-    "nonlinear_biviscous": [4000.0, 60000.0, 500.0, 0.006, -20.0],
-    "bouc_wen": [4000.0, 3000.0, -20.0, 500.0, 3e-4, 0.4, 1.5],
-    "modified_bouc_wen": [3000.0, 500.0, 60000.0, 1500.0, -20.0, 600.0, 2e-4, 0.5, 1.5],
-    "sigmoid": PLAUSIBLE.tolist(),
-    "sigmoid_lag": [*PLAUSIBLE, 0.004, 0.003, 2000.0, -40.0],
-}
 
 
 def motion(samples: int = 1000, period: float = PERIOD):
@@ -33,7 +26,7 @@ def motion(samples: int = 1000, period: float = PERIOD):
 @pytest.mark.parametrize("name", MODELS)
 def test_interface(name):
     model, w = MODELS[name], motion()
-    values = np.array(EXAMPLES[name])
+    values = EXAMPLES[name].copy()
     low, high = model.bounds
     assert len(set(model.parameter_names)) == values.size == low.size
     assert set(model.units) == set(model.parameter_names)
@@ -85,6 +78,62 @@ def test_hyperbolic_tangent():
     expected = c * w.velocity + k * w.displacement + alpha * z + f0
     got = MODELS["hyperbolic_tangent"].force(EXAMPLES["hyperbolic_tangent"], w, 0.0, PERIOD)
     np.testing.assert_allclose(got, expected)
+
+
+def cut(w, first, last):
+    """Samples of a motion."""
+    return Motion(
+        w.displacement[first:last],
+        w.velocity[first:last],
+        w.acceleration[first:last],
+        w.peak_velocity[first:last],
+        None,
+    )
+
+
+@pytest.mark.parametrize("name", MODELS)
+@fixed(10)
+@given(st.lists(st.integers(1, 90), min_size=1, max_size=5))
+def test_the_force_does_not_depend_on_how_the_motion_is_cut_into_blocks(name, sizes):
+    w = motion(400, 5e-3)
+    # A current that changes within blocks makes the lag change too.
+    current = np.where(np.arange(400) // 37 % 2, 0.5, 1.5)
+    stream = MODELS[name].stream(5e-3)
+    parts, first, place = [], 0, 0
+    while first < 400:
+        last = first + sizes[place % len(sizes)]
+        parts.append(stream.follow(EXAMPLES[name], cut(w, first, last), current[first:last]))
+        first, place = last, place + 1
+    whole = MODELS[name].force(EXAMPLES[name], w, current, 5e-3)
+    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0.0, atol=1e-9)
+
+
+def changed_on_the_way(name, parameter, factor):
+    """Force of a motion whose parameter changes in its middle, and its last value before."""
+    w, model = motion(1000), MODELS[name]
+    changed = EXAMPLES[name].copy()
+    changed[model.parameter_names.index(parameter)] *= factor
+    stream = model.stream(PERIOD)
+    before = stream.follow(EXAMPLES[name], cut(w, 0, 400), 1.0)
+    return before[-1], stream.follow(changed, cut(w, 400, 1000), 1.0), changed
+
+
+@pytest.mark.parametrize("name", ["bouc_wen", "modified_bouc_wen"])
+def test_hysteresis_goes_on_where_the_parameters_change(name):
+    # c0 of the one and k1 of the other play no part in the hysteresis.
+    parameter = {"bouc_wen": "c0", "modified_bouc_wen": "k1"}[name]
+    _, after, changed = changed_on_the_way(name, parameter, 2.0)
+    whole = MODELS[name].force(changed, motion(1000), 1.0, PERIOD)
+    np.testing.assert_allclose(after, whole[400:], rtol=0.0, atol=1e-9)
+
+
+def test_a_lagging_force_does_not_jump_where_the_parameters_change():
+    last, after, changed = changed_on_the_way("sigmoid_lag", "f0", 2.0)
+    settled = MODELS["sigmoid_lag"].force(changed, motion(1000), 1.0, PERIOD)[400:]
+    step = settled[0] - last
+    # tau is 7 ms, a sample 1 ms: the first sample has come a ninth of the way or so.
+    assert 0.0 < (after[0] - last) / step < 0.2
+    np.testing.assert_allclose(after[100:], settled[100:], atol=1e-3)
 
 
 AMPLITUDE, OMEGA = 5e-3, 2.0 * np.pi
@@ -162,7 +211,7 @@ def test_integration_converges_to_solve_ivp(name, reference):
 @pytest.mark.parametrize("length", [1e-6, 1e-5, 1e-3])
 def test_integration_is_stable_at_coarse_steps(name, length):
     model = MODELS[name]
-    values = np.array(EXAMPLES[name])
+    values = EXAMPLES[name].copy()
     values[model.parameter_names.index("yield_length")] = length
     coarse = motion(100, 0.02)
     got = model.force(values, coarse, 0.0, 0.02)
@@ -193,7 +242,7 @@ def test_lag_with_a_changing_time_constant_agrees_with_the_constant_one():
 
 def test_lag_rises_with_the_current():
     w = motion(2000)
-    values = np.array(EXAMPLES["sigmoid_lag"])
+    values = EXAMPLES["sigmoid_lag"]
     plain = MODELS["sigmoid"].force(PLAUSIBLE, w, 1.5, PERIOD)
     got = MODELS["sigmoid_lag"].force(values, w, 1.5, PERIOD)
     tau = 0.004 + 0.003 * 1.5
@@ -225,7 +274,7 @@ def test_sigmoid_is_the_package_law_and_the_extension_vanishes():
 )
 def test_a_model_is_identified_from_its_own_force(name, most):
     source = run(samples=400, period=5e-3, noise=0.0).window
-    values = np.array(EXAMPLES[name])
+    values = EXAMPLES[name].copy()
     made = MODELS[name].force(values, source.motion, source.current, 5e-3)
     fit = fit_model(MODELS[name], type(source)(source.motion, made, source.current), 5e-3)
     assert fit.nrmse < most

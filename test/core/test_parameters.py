@@ -29,15 +29,15 @@ def ordered_pair() -> st.SearchStrategy[tuple[float, float]]:
 
 @st.composite
 def parameter_sets(draw: st.DrawFn) -> ParameterSet:
-    model = draw(st.sampled_from(list(MODELS)))
-    count = len(MODELS[model].parameters)
+    model = draw(st.sampled_from(list(MODELS.values())))
+    count = len(model.parameters)
 
     def one_for_each(entries: st.SearchStrategy[Any]) -> np.ndarray:
         return np.array(draw(st.lists(entries, min_size=count, max_size=count)))
 
     return ParameterSet(
-        model=model,
-        values=one_for_each(FINITE),
+        model=model.name,
+        values=np.clip(one_for_each(FINITE), *model.bounds),
         standard_errors=one_for_each(st.floats(0.0)),
         observable=one_for_each(st.booleans()),
         set_id=draw(st.text()),
@@ -67,7 +67,7 @@ def test_unknown_standard_errors_and_nrmse_stay_unknown() -> None:
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 def test_the_text_names_value_and_unit_of_every_parameter(model: Model) -> None:
-    values = np.arange(len(model.parameters))
+    values = np.clip(np.arange(len(model.parameters)), *model.bounds)
     entries = yaml.safe_load(ParameterSet(values, model=model.name).to_yaml())["parameters"]
     assert list(entries) == list(model.parameter_names)
     assert {name: entry["unit"] for name, entry in entries.items()} == model.units
@@ -179,6 +179,14 @@ UNCAUGHT = {
 def test_an_unusual_fault_is_one_sentence_too(text: str, sentence: str) -> None:
     with pytest.raises(ParameterError, match=sentence):
         ParameterSet.from_yaml(text)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_a_value_out_of_its_bounds_is_refused(share: float) -> None:
+    values = known.EXAMPLES["bouc_wen"].copy()
+    values[MODELS["bouc_wen"].parameter_names.index("share")] = share
+    with pytest.raises(ParameterError, match=f"parameter share is {share}: it must lie in 0 to 1"):
+        ParameterSet(values, model="bouc_wen")
 
 
 @pytest.mark.parametrize("name", ["values", "standard_errors", "observable"])

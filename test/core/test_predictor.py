@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
@@ -217,6 +218,62 @@ def test_a_wider_margin_of_velocity_is_a_setting() -> None:
 def test_a_set_of_unlimited_range_is_valid_everywhere() -> None:
     anywhere = ParameterSet(known.PLAUSIBLE)
     assert last_reason(predictor(anywhere), stream(2.5 * RUN.displacement)) == ""
+
+
+# -- models ----------------------------------------------------------------------------------
+
+
+def set_of(model: str) -> ParameterSet:
+    return ParameterSet(known.EXAMPLES[model], set_id=model, model=model)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_force_of_every_model_is_predicted(model: str) -> None:
+    predictions = predicted(predictor(set_of(model)), stream())
+    motion = RUN.window.motion
+    truth = MODELS[model].force(known.EXAMPLES[model], motion, RUN.current, PERIOD)
+    late = slice(SAMPLES // 2, None)
+    assert nrmse(forces(predictions)[late], truth[late]) < PREDICTED
+    assert predictions[-1].valid, predictions[-1].reason
+
+
+def test_a_newer_set_of_the_same_model_goes_on_with_its_state() -> None:
+    blocks = stream()
+    made = predictor(set_of("bouc_wen"))
+    first = predicted(made, blocks[:333])
+    made.set_parameters(dataclasses.replace(set_of("bouc_wen"), set_id="newer"))
+    rest = predicted(made, blocks[333:])
+    usual = forces(predicted(predictor(set_of("bouc_wen")), blocks))
+    np.testing.assert_array_equal(forces(first + rest), usual)
+    assert {p.reason for p in rest} == {""}
+
+
+def test_another_model_is_doubtful_until_it_knows_its_past() -> None:
+    made, blocks = predictor(), stream()
+    predicted(made, blocks[:333])
+    made.set_parameters(set_of("bouc_wen"))
+    rest = predicted(made, blocks[333:])
+    assert "does not know its past" in rest[0].reason
+    assert rest[-1].valid, rest[-1].reason
+
+
+def test_after_a_gap_the_memory_of_a_model_is_empty() -> None:
+    made, blocks = predictor(set_of("bouc_wen")), stream()
+    predicted(made, blocks[:400])
+    again = predicted(made, blocks[410:])
+    fresh = predicted(predictor(set_of("bouc_wen")), blocks[410:])
+    np.testing.assert_array_equal(forces(again), forces(fresh))
+
+
+def test_a_force_beyond_all_numbers_is_no_force() -> None:
+    huge = known.EXAMPLES["bouc_wen"].copy()
+    huge[:4] = 1.7e308
+    made = predictor(ParameterSet(huge, set_id="huge", model="bouc_wen"))
+    beyond = [p for p in predicted(made, stream()[:300]) if "beyond what a number" in p.reason]
+    assert beyond
+    assert np.isnan(forces(beyond)).all()
+    made.set_parameters(set_of("bouc_wen"))
+    assert predicted(made, stream()[300:])[-1].valid
 
 
 # -- gaps and repeats ------------------------------------------------------------------------

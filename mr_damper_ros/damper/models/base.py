@@ -35,7 +35,13 @@ class MotionLike(Protocol):
         """Shape (n,) [m/s]."""
 
 
-Force = Callable[[Array, MotionLike, Array, float], Array]
+State = tuple[Array, ...]
+"""What a law remembers of the past: arrays of the shape of the sets, none for a law without memory.
+
+None stands for a start: at rest, or settled.
+"""
+
+Law = Callable[[Array, MotionLike, Array, float, State | None], tuple[Array, State]]
 
 
 @dataclass(frozen=True)
@@ -52,8 +58,9 @@ class Parameter:
 class Model:
     """A force model.
 
-    ``law`` takes parameters (..., p), a motion and currents (n,) [A], and the period [s] between
-    samples, and returns the force (..., n) [N]; ``source`` is where it is published.
+    ``law`` takes parameters (..., p), a motion and currents (n,) [A], the period [s] between
+    samples and the state after the sample before, and returns the force (..., n) [N] and the state
+    after the last sample; ``source`` is where it is published.
     ``free_in_one_run`` names the parameters that one run at one current determines; the others
     keep the values of a start. ``scale_starts`` gives starts (k, p) from what can be read off a
     run: half the span of the force [N] and its middle [N], the peak velocity [m/s] and the
@@ -63,7 +70,7 @@ class Model:
     name: str
     title: str
     parameters: tuple[Parameter, ...]
-    law: Force
+    law: Law
     source: str
     scale_starts: Callable[[float, float, float, float], Array]
     free_in_one_run: tuple[str, ...] = field(default=())
@@ -94,18 +101,50 @@ class Model:
     def force(
         self, parameters: ArrayLike, motion: MotionLike, current: ArrayLike, period: float
     ) -> Array:
-        """Force [N], shape (..., n), for parameters of shape (..., p).
+        """Force [N], shape (..., n), for parameters of shape (..., p), from a start.
 
         ``current`` [A] is a number or has shape (n,). Raises ValueError where the number of
         parameters is wrong or the period is not positive.
         """
-        values = np.asarray(parameters, dtype=float)
-        if values.shape[-1:] != (len(self.parameters),):
-            raise ValueError(
-                f"model '{self.name}' has {len(self.parameters)} parameters "
-                f"({', '.join(self.parameter_names)}): got shape {values.shape}"
-            )
+        return self.stream(period).follow(parameters, motion, current)
+
+    def stream(self, period: float) -> ForceStream:
+        """Force of samples ``period`` [s] apart, block by block; ValueError as for the force."""
+        return ForceStream(self, period)
+
+
+class ForceStream:
+    """Force of a motion that goes on: the same as in one piece, however it is cut into blocks.
+
+    The state is that of the damper, not of the parameters, and goes on where these change.
+    """
+
+    def __init__(self, model: Model, period: float) -> None:
         if not period > 0.0:
             raise ValueError(f"the sample period is {period} s: it must be positive")
+        self.model = model
+        self._period = period
+        self._state: State | None = None
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the force so far depends on the samples before."""
+        return bool(self._state)
+
+    def follow(self, parameters: ArrayLike, motion: MotionLike, current: ArrayLike) -> Array:
+        """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).
+
+        ``current`` [A] is a number or has shape (n,). Raises ValueError where the number of
+        parameters is wrong.
+        """
+        values = np.asarray(parameters, dtype=float)
+        count = len(self.model.parameters)
+        if values.shape[-1:] != (count,):
+            raise ValueError(
+                f"model '{self.model.name}' has {count} parameters "
+                f"({', '.join(self.model.parameter_names)}): got shape {values.shape}"
+            )
         amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
-        return self.law(values, motion, amperes, period)
+        with np.errstate(over="ignore", invalid="ignore"):
+            force, self._state = self.model.law(values, motion, amperes, self._period, self._state)
+        return force

@@ -9,103 +9,134 @@ parameters A, beta, gamma and alpha hold one too many: z and alpha can be scaled
 so A = 1/yield_length, beta = share A, gamma = (1 - share) A, and alpha is the force of full yield.
 
 A step is an exponential Rosenbrock-Euler step: exact for an equation linear in z, of second order;
-that |z| never exceeds 1 is kept, so it is stable for any period. Sets are integrated side by
-side, sample by sample.
+that |z| never exceeds 1 is kept, so it is stable for any period.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 
-from mr_damper_ros.damper.models.base import Model, MotionLike, Parameter
+from mr_damper_ros.damper.models.base import Model, MotionLike, Parameter, State
 from mr_damper_ros.damper.sigmoid import Array
 
-_SMALL = 1e-12
 _STEEPEST = 60.0
 
 
-def _relaxation(rate: Array) -> Array:
+def _relaxation(rate: float) -> float:
     """(e^x - 1)/x, 1 at x = 0; growth within a step is bounded."""
-    x = np.clip(rate, -_STEEPEST, 1.0)
-    safe = np.where(np.abs(x) < _SMALL, _SMALL, x)
-    return np.asarray(np.expm1(safe) / safe)
+    x = min(max(rate, -_STEEPEST), 1.0)
+    return math.expm1(x) / x if x != 0.0 else 1.0
 
 
-def _midpoint_steps(velocity: Array) -> Array:
-    """Mean velocity within each step between samples, shape (n - 1,)."""
-    return 0.5 * (velocity[1:] + velocity[:-1])
-
-
-def _slope(z: Array, w: Array, length: Array, share: Array, power: Array) -> tuple[Array, Array]:
-    """dz/dt, and its derivative by w for the sign that w has."""
-    bent = np.abs(z) ** power
-    gain = (1.0 - bent * (share + (1.0 - share) * np.sign(z) * np.sign(w))) / length
-    return gain * w, gain
-
-
-def _bouc_wen(parameters: Array, motion: MotionLike, current: Array, period: float) -> Array:
-    c0, k0, f0, alpha, length, share, power = (parameters[..., k] for k in range(7))
-    v, u = motion.velocity, motion.displacement
-    z = np.zeros(parameters.shape[:-1])
-    states = np.empty((v.size, *z.shape))
-    states[0] = z
-    for step, w in enumerate(_midpoint_steps(v), start=1):
-        slope, _ = _slope(z, np.asarray(w), length, share, power)
-        z = _hysteresis_step(z, slope, np.asarray(w), 0.0, length, share, power, period)
-        states[step] = z
-    columns = (x[..., np.newaxis] for x in (c0, k0, f0, alpha))
-    damping, stiffness, offset, strength = columns
-    return np.asarray(damping * v + stiffness * u + offset + strength * np.moveaxis(states, 0, -1))
+def _sign(x: float) -> float:
+    return float((x > 0.0) - (x < 0.0))
 
 
 def _hysteresis_step(
-    z: Array,
-    slope: Array,
-    w: Array,
-    back: Array | float,
-    length: Array,
-    share: Array,
-    power: Array,
+    z: float,
+    w: float,
+    back: float,
+    length: float,
+    share: float,
+    power: float,
     period: float,
-) -> Array:
-    """State z after one step; ``back`` is the derivative of dz/dt by z through the velocity."""
-    magnitude = np.maximum(np.abs(z), 1e-9)
-    bend = power * magnitude ** (power - 1.0) * np.sign(z)
-    rate = -bend * (share + (1.0 - share) * np.sign(z) * np.sign(w)) * w / length
-    moved = z + period * slope * _relaxation(period * (rate + back))
+) -> float:
+    """State z after one step at the velocity w; ``back`` is minus the derivative of w by z."""
+    sign = _sign(z)
+    towards = share + (1.0 - share) * sign * _sign(w)
+    gain = (1.0 - abs(z) ** power * towards) / length
+    bend = power * abs(z) ** (power - 1.0) * sign * towards / length
+    moved = z + period * gain * w * _relaxation(-period * (bend * w + gain * back))
     # The exact solution never leaves this range, which a step much longer than the yield could.
-    return np.asarray(np.clip(moved, -1.0, 1.0))
+    return min(max(moved, -1.0), 1.0)
 
 
-def _modified(parameters: Array, motion: MotionLike, current: Array, period: float) -> Array:
-    c0, k0, c1, k1, f0, alpha, length, share, power = (parameters[..., k] for k in range(9))
-    v, u = motion.velocity, motion.displacement
+def _each_set(
+    integrate: Callable[[list[float], MotionLike, float, list[float]], Array],
+    parameters: Array,
+    motion: MotionLike,
+    period: float,
+    state: State | None,
+    size: int,
+) -> tuple[Array, State]:
+    """Integrate the sets one after the other, which beats arrays up to some thirty of them.
+
+    ``integrate`` returns the integrated quantity (n,) and leaves its last state in the list given;
+    at a start all ``size`` numbers of it are NaN.
+    """
+    shape = parameters.shape[:-1]
+    result = np.empty((*shape, motion.velocity.size))
+    kept = np.full((size, *shape), math.nan) if state is None else np.array(state)
+    for place in np.ndindex(shape):
+        memory = kept[(slice(None), *place)].tolist()
+        result[place] = integrate(parameters[place].tolist(), motion, period, memory)
+        kept[(slice(None), *place)] = memory
+    return result, tuple(kept)
+
+
+def _yielded(values: list[float], motion: MotionLike, period: float, memory: list[float]) -> Array:
+    """State z at the samples, shape (n,); the memory holds the last z and the last velocity."""
+    *_, length, share, power = values
+    z, last = memory
+    states = []
+    for v in motion.velocity.tolist():
+        if math.isnan(z):
+            z = 0.0
+        else:
+            z = _hysteresis_step(z, 0.5 * (v + last), 0.0, length, share, power, period)
+        last = v
+        states.append(z)
+    memory[:] = z, last
+    return np.array(states)
+
+
+def _bouc_wen(
+    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
+) -> tuple[Array, State]:
+    z, state = _each_set(_yielded, parameters, motion, period, state, 2)
+    damping, stiffness, offset, strength = (parameters[..., k, np.newaxis] for k in range(4))
+    viscous = damping * motion.velocity + stiffness * motion.displacement
+    return np.asarray(viscous + offset + strength * z), state
+
+
+def _inner_velocity(
+    values: list[float], motion: MotionLike, period: float, memory: list[float]
+) -> Array:
+    """Velocity [m/s] of the inner point, shape (n,).
+
+    The memory holds z, the displacement s of the rod against the inner point, and the velocity of
+    the last sample. Only s enters the equations, so the centre of the motion may move.
+    """
+    c0, k0, c1, _, _, alpha, length, share, power = values
     both = c0 + c1
-    z = np.zeros(parameters.shape[:-1])
-    y = np.broadcast_to(u[0], z.shape).astype(float)
-    half = -0.5 * period * k0 / both
-    inner = np.empty((v.size, *z.shape))
+    z, s, last = memory
+    easing = 0.5 * period * _relaxation(-0.5 * period * k0 / both)
+    inner = []
+    for v in motion.velocity.tolist():
+        if math.isnan(z):
+            z = s = 0.0
+        else:
+            # Strang's splitting: half a step of s, a step of z, half a step of s.
+            w = 0.5 * (v + last)
+            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
+            slip = w - (alpha * z + c0 * w + k0 * s) / both
+            z = _hysteresis_step(z, slip, alpha / both, length, share, power, period)
+            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
+        last = v
+        inner.append((alpha * z + c0 * v + k0 * s) / both)
+    memory[:] = z, s, last
+    return np.array(inner)
 
-    def inner_velocity(z: Array, y: Array, u: float, v: float) -> Array:
-        return np.asarray((alpha * z + c0 * v + k0 * (u - y)) / both)
 
-    def drift(y: Array, z: Array, u: float, v: float) -> Array:
-        return np.asarray(y + 0.5 * period * inner_velocity(z, y, u, v) * _relaxation(half))
-
-    inner[0] = inner_velocity(z, y, u[0], v[0])
-    middle_u = 0.5 * (u[1:] + u[:-1])
-    for step, speed in enumerate(_midpoint_steps(v), start=1):
-        place = middle_u[step - 1]
-        # Strang's splitting: half a step of y, a step of z, half a step of y.
-        y = drift(y, z, place, speed)
-        w = speed - inner_velocity(z, y, place, speed)
-        slope, gain = _slope(z, w, length, share, power)
-        z = _hysteresis_step(z, slope, w, -gain * alpha / both, length, share, power, period)
-        y = drift(y, z, place, speed)
-        inner[step] = inner_velocity(z, y, u[step], v[step])
-    columns = (x[..., np.newaxis] for x in (c1, k1, f0))
-    outer_damping, stiffness, offset = columns
-    return np.asarray(outer_damping * np.moveaxis(inner, 0, -1) + stiffness * u + offset)
+def _modified(
+    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
+) -> tuple[Array, State]:
+    inner, state = _each_set(_inner_velocity, parameters, motion, period, state, 3)
+    outer_damping, stiffness, offset = (parameters[..., k, np.newaxis] for k in (2, 3, 4))
+    return np.asarray(outer_damping * inner + stiffness * motion.displacement + offset), state
 
 
 def _starts(force: float, middle: float, speed: float, amplitude: float) -> Array:

@@ -1,71 +1,41 @@
-"""The sigmoid law as a model, and its extension by a lag, a stiffness and an offset.
-
-The extension: F_s is the sigmoid force, and tau dF_l/dt + F_l = F_s with tau = tau0 + tau1 |i|;
-the force is F_l + stiffness u + offset. The lag is the coil's and the fluid's, the stiffness and
-the offset are those of the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
-"""
+"""The sigmoid law as a model, and the law extended by a lag, a stiffness and an offset."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
-from mr_damper_ros.damper.models.base import Model, MotionLike, Parameter
+from mr_damper_ros.damper.extension import (
+    EXTENSION_NAMES,
+    LAG_NAMES,
+    SIGMOID_COUNT,
+    Extension,
+    lagged,
+)
+from mr_damper_ros.damper.models.base import Model, MotionLike, Parameter, State
 from mr_damper_ros.damper.sigmoid import (
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
     Array,
-    force,
+    force_from_coefficients,
+    operating_point_coefficients,
 )
 
-_SIGMOID_COUNT = len(PARAMETER_NAMES)
+
+def _sigmoid(
+    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
+) -> tuple[Array, State]:
+    coefficients = operating_point_coefficients(parameters, motion.peak_velocity, current)
+    return force_from_coefficients(coefficients, motion.velocity, motion.acceleration), ()
 
 
-def _sigmoid(parameters: Array, motion: MotionLike, current: Array, period: float) -> Array:
-    return force(parameters, motion.displacement, motion.velocity, motion.acceleration, current)
-
-
-def lagged(values: Array, time_constant: Array, period: float) -> Array:
-    """First-order lag of a signal of shape (..., n), which starts settled.
-
-    ``time_constant`` [s] has the shape (..., n) or broadcasts to it. Exact where the signal is
-    linear between samples, whatever the period; a time constant of 0 changes nothing.
-    """
-    tau = np.maximum(np.broadcast_to(time_constant, values.shape), 1e-9 * period)
-    ratio = period / tau
-    decay = np.exp(-ratio)
-    mean = -np.expm1(-ratio) / ratio  # weight of the line between two samples
-    before, now = mean - decay, 1.0 - mean
-    if np.ptp(tau, axis=-1).max(initial=0.0) == 0.0:
-        flat = values.reshape(-1, values.shape[-1])
-        rows = [
-            lfilter([b1, b0], [1.0, -d], row, zi=[row[0] * (1.0 - b1)])[0]
-            for row, b1, b0, d in zip(
-                flat,
-                now[..., 0].ravel(),
-                before[..., 0].ravel(),
-                decay[..., 0].ravel(),
-                strict=True,
-            )
-        ]
-        return np.asarray(np.reshape(rows, values.shape))
-    result = np.array(values)
-    for step in range(1, values.shape[-1]):
-        result[..., step] = (
-            decay[..., step] * result[..., step - 1]
-            + before[..., step] * values[..., step - 1]
-            + now[..., step] * values[..., step]
-        )
-    return result
-
-
-def _extended(parameters: Array, motion: MotionLike, current: Array, period: float) -> Array:
-    plain = _sigmoid(parameters[..., :_SIGMOID_COUNT], motion, current, period)
-    tau0, tau1, stiffness, offset = (
-        parameters[..., _SIGMOID_COUNT + place, np.newaxis] for place in range(4)
-    )
-    late = lagged(plain, tau0 + tau1 * np.abs(current), period)
-    return np.asarray(late + stiffness * motion.displacement + offset)
+def _extended(
+    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
+) -> tuple[Array, State]:
+    plain, _ = _sigmoid(parameters[..., :SIGMOID_COUNT], motion, current, period, None)
+    extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:, np.newaxis], -2, 0))
+    late = lagged(plain, extension.time_constant(current), period, state)
+    force = np.asarray(late + extension.stiffness * motion.displacement + extension.offset)
+    return force, (plain[..., -1], late[..., -1])
 
 
 def _starts(half_span: float, middle: float, speed: float, amplitude: float) -> Array:
@@ -121,10 +91,10 @@ EXTENDED_SIGMOID = Model(
     "sigmoid with lag, stiffness, offset",
     (
         *_SIGMOID_PARAMETERS,
-        Parameter("tau0", "s", 0.0, 1.0),
-        Parameter("tau1", "s/A", 0.0, 1.0),
-        Parameter("stiffness", "N/m"),
-        Parameter("offset", "N"),
+        *(
+            Parameter(name, unit, *((0.0, 1.0) if name in LAG_NAMES else ()))
+            for name, unit in zip(EXTENSION_NAMES, ("s", "s/A", "N/m", "N"), strict=True)
+        ),
     ),
     _extended,
     f"{_WANG}; the extension is this package's",

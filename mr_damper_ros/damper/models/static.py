@@ -1,14 +1,14 @@
 """Models without memory: Bingham, hyperbolic tangent, nonlinear hysteretic biviscous.
 
-All have a constant force ``f0``, the gas pressure's. They describe one current; ``current`` and
-``period`` are not used.
+All have a constant force ``f0``, the gas pressure's. They describe one current; ``current``,
+``period`` and ``state`` are not used.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mr_damper_ros.damper.models.base import Model, MotionLike, Parameter
+from mr_damper_ros.damper.models.base import Model, MotionLike, Parameter, State
 from mr_damper_ros.damper.sigmoid import Array
 
 
@@ -16,20 +16,24 @@ def _columns(parameters: Array) -> tuple[Array, ...]:
     return tuple(parameters[..., place, np.newaxis] for place in range(parameters.shape[-1]))
 
 
-def _bingham(parameters: Array, motion: MotionLike, current: Array, period: float) -> Array:
+def _bingham(
+    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
+) -> tuple[Array, State]:
     f_y, c0, f0 = _columns(parameters)
     v = motion.velocity
-    return np.asarray(f_y * np.sign(v) + c0 * v + f0)
+    return np.asarray(f_y * np.sign(v) + c0 * v + f0), ()
 
 
 def _bingham_starts(force: float, middle: float, speed: float, amplitude: float) -> Array:
     return np.array([[0.8 * force, 0.2 * force / speed, middle]])
 
 
-def _tangent(parameters: Array, motion: MotionLike, current: Array, period: float) -> Array:
+def _tangent(
+    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
+) -> tuple[Array, State]:
     c, k, alpha, beta, delta, f0 = _columns(parameters)
     v, u = motion.velocity, motion.displacement
-    return np.asarray(c * v + k * u + alpha * np.tanh(beta * v + delta * np.sign(u)) + f0)
+    return np.asarray(c * v + k * u + alpha * np.tanh(beta * v + delta * np.sign(u)) + f0), ()
 
 
 def _tangent_starts(force: float, middle: float, speed: float, amplitude: float) -> Array:
@@ -42,12 +46,14 @@ def _tangent_starts(force: float, middle: float, speed: float, amplitude: float)
     )
 
 
-def _biviscous(parameters: Array, motion: MotionLike, current: Array, period: float) -> Array:
+def _biviscous(
+    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
+) -> tuple[Array, State]:
     c_post, c_pre, f_y, v0, f0 = _columns(parameters)
     v = motion.velocity
     # Between the two post-yield lines the force follows the pre-yield line of its branch.
     pre = c_pre * (v - np.sign(motion.acceleration) * v0)
-    return np.asarray(np.minimum(np.maximum(pre, c_post * v - f_y), c_post * v + f_y) + f0)
+    return np.asarray(np.minimum(np.maximum(pre, c_post * v - f_y), c_post * v + f_y) + f0), ()
 
 
 def _biviscous_starts(force: float, middle: float, speed: float, amplitude: float) -> Array:
