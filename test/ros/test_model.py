@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +12,22 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import WrenchStamped
-from mr_damper_msgs.msg import DamperParameters, PredictedForce
+from mr_damper_msgs.msg import DamperParameters, MtsSamples, PredictedForce
 from press import BAD_BLOCKS, BLOCK, Press, block_message
 from support import Listener, assert_one_sentence
 
+from mr_damper_ros.damper.models import MODELS
+from mr_damper_ros.damper.models import Model as ForceModel
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
+from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds
 from mr_damper_ros.nodes.model import ModelParameters
 from mr_damper_ros.nodes.parameters import options
 from mr_damper_ros.nodes.results import parameter_set, parameters_message
 from mr_damper_ros.rig.bags import read_bag
 from mr_damper_ros.rig.recording import Recording
 from mr_damper_ros.rig.thesis import CONDITIONS, parameters
+from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
 
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"
@@ -48,34 +52,54 @@ def recording() -> Recording:
     return read_bag(BAG)[0]
 
 
-@pytest.fixture
-def forces(listener: Listener) -> list[PredictedForce]:
-    return listener.listen(PredictedForce, "damper/predicted_force", quality.lossless())
+class Rig:
+    """A model node, the press whose samples it hears, and the forces it predicts for them."""
+
+    def __init__(self, start: Any, listener: Listener, listeners: int = 1, **options: Any) -> None:
+        self._listener = listener
+        self._forces = listener.listen(PredictedForce, "damper/predicted_force", quality.lossless())
+        self._listeners = listeners
+        start("model", **options)
+
+    @cached_property
+    def press(self) -> Press:
+        """The press; it begins to exist where it is first asked for."""
+        self._listener.until(
+            lambda: self._listener.node.count_publishers("damper/predicted_force"),
+            "the model's topic",
+        )
+        return Press(self._listener, self._listeners)
+
+    def run(self, recording: Recording, **how: Any) -> list[PredictedForce]:
+        """Publish a recording and wait for the predictions of all its blocks."""
+        self._forces.clear()
+        blocks = self.press.run(recording, **how)
+        forces = self._predictions(len(blocks))
+        assert [f.seq for f in forces] == [b.seq for b in blocks]
+        assert [f.header for f in forces] == [b.header for b in blocks]
+        assert [len(f.force) for f in forces] == [len(b.force) for b in blocks]
+        assert {f.period for f in forces} == {recording.period}
+        assert all(f.valid == (not f.reason) for f in forces)
+        return forces
+
+    def send(self, *blocks: MtsSamples) -> list[PredictedForce]:
+        """Publish these blocks and wait for their predictions."""
+        self._forces.clear()
+        for block in blocks:
+            self.press.samples.publish(block)
+        return self._predictions(len(blocks))
+
+    def _predictions(self, count: int) -> list[PredictedForce]:
+        self._listener.until(lambda: len(self._forces) >= count, "a prediction for every block")
+        return list(self._forces)
 
 
 @pytest.fixture
-def parameter_file(tmp_path: Path) -> Path:
+def rig(start: Any, listener: Listener, tmp_path: Path) -> Rig:
+    """A rig whose model predicts with the true parameters, from a file."""
     path = tmp_path / "true.yaml"
     path.write_text(TRUE_SET.to_yaml())
-    return path
-
-
-def run(
-    listener: Listener, press: Press, forces: list[PredictedForce], recording: Recording, **how: Any
-) -> list[PredictedForce]:
-    """Publish a recording and wait for the predictions of all its blocks."""
-    forces.clear()
-    listener.until(
-        lambda: listener.node.count_publishers("damper/predicted_force"), "the model's topic"
-    )
-    blocks = press.run(recording, **how)
-    listener.until(lambda: len(forces) >= len(blocks), "a prediction for every block")
-    assert [f.seq for f in forces] == [b.seq for b in blocks]
-    assert [f.header for f in forces] == [b.header for b in blocks]
-    assert [len(f.force) for f in forces] == [len(b.force) for b in blocks]
-    assert {f.period for f in forces} == {recording.period}
-    assert all(f.valid == (not f.reason) for f in forces)
-    return list(forces)
+    return Rig(start, listener, parameter_file=path, wrench_rate=5.0)
 
 
 def test_the_configuration_file_has_every_parameter_with_its_default() -> None:
@@ -85,21 +109,26 @@ def test_the_configuration_file_has_every_parameter_with_its_default() -> None:
     }
 
 
-def test_a_parameter_set_passes_through_its_message_unchanged() -> None:
-    again = parameter_set(parameters_message(TRUE_SET, "damper"))
-    assert again.to_yaml() == TRUE_SET.to_yaml()
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_a_parameter_set_passes_through_its_message_unchanged(model: ForceModel) -> None:
+    count = len(model.parameters)
+    original = replace(
+        TRUE_SET,
+        model=model.name,
+        values=np.clip(np.arange(1.0, count + 1.0), *model.bounds),
+        standard_errors=np.linspace(0.1, 1.6, count),
+        observable=np.arange(count) % 2 == 0,
+    )
+    message = parameters_message(original, "damper")
+    assert (message.model, message.names) == (model.name, list(model.parameter_names))
+    assert parameter_set(message).to_yaml() == original.to_yaml()
 
 
 def test_with_a_parameter_file_it_works_alone(
-    start: Any,
-    listener: Listener,
-    forces: list[PredictedForce],
-    recording: Recording,
-    parameter_file: Path,
+    rig: Rig, listener: Listener, recording: Recording
 ) -> None:
     wrenches = listener.listen(WrenchStamped, "damper/predicted_wrench", quality.lossless())
-    start("model", parameter_file=parameter_file, wrench_rate=5.0)
-    predicted = run(listener, Press(listener), forces, recording)
+    predicted = rig.run(recording)
     assert {f.parameter_set for f in predicted} == {"true"}
 
     first = int(SETTLED / recording.period) // BLOCK
@@ -122,8 +151,27 @@ def test_with_a_parameter_file_it_works_alone(
     assert (np.diff(stamps) >= 200_000_000).all()
 
 
+def test_another_model_is_predicted_with_as_well(
+    start: Any, listener: Listener, recording: Recording, tmp_path: Path
+) -> None:
+    values = [4000.0, 3000.0, -20.0, 900.0, 3e-4, 0.4, 1.5]
+    hysteresis = ParameterSet(np.array(values), model="bouc_wen", set_id="hysteresis")
+    path = tmp_path / "hysteresis.yaml"
+    path.write_text(hysteresis.to_yaml())
+    rig = Rig(start, listener, parameter_file=path)
+    forces = rig.run(recording)
+    assert forces[-1].valid, forces[-1].reason
+
+    alone = ForcePredictor(PredictorSettings())
+    alone.set_parameters(hysteresis)
+    alone.add_current(recording.start_ns, 1.5)
+    for message in forces:
+        expected = alone.predict(sample_block(block_message(recording, message.seq)))
+        np.testing.assert_array_equal(from_field(message.force), expected.force)
+
+
 def test_what_is_missing_makes_the_force_invalid_with_the_reason(
-    start: Any, listener: Listener, forces: list[PredictedForce], recording: Recording
+    start: Any, listener: Listener, recording: Recording
 ) -> None:
     latched = listener.node.create_publisher(
         DamperParameters, "damper/parameters", quality.latched()
@@ -133,11 +181,10 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
         latched.publish(parameters_message(parameters, "damper"))
         listener.wait_for_finding("model: parameters", f"predicting with {parameters.set_id}")
 
-    start("model")
+    rig = Rig(start, listener)
     listener.wait_for_finding("model: input", "nobody publishes mts/samples")
     listener.wait_for_finding("model: parameters", "no parameters yet")
-    press = Press(listener)
-    nothing = run(listener, press, forces, recording)
+    nothing = rig.run(recording)
     assert {(f.valid, f.parameter_set) for f in nothing} == {(False, "")}
     assert "no parameters yet" in nothing[-1].reason
     assert np.isnan(nothing[-1].force).all()
@@ -145,53 +192,49 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
 
     use(TRUE_SET)
     later = replace(recording, start_ns=recording.start_ns + 10**10)
-    fresh = run(listener, press, forces, later)
+    fresh = rig.run(later)
     assert fresh[-1].valid
     assert fresh[-1].parameter_set == "true"
 
     stale = replace(recording, start_ns=recording.start_ns + 3 * 10**10)
-    old = run(listener, press, forces, stale, with_current=False)
+    old = rig.run(stale, with_current=False)
     assert not any(f.valid for f in old)
     assert "current is" in old[-1].reason
     assert "old" in old[-1].reason
 
     use(replace(TRUE_SET, set_id="other current", current_range=(0.0, 0.5)))
     again = replace(recording, start_ns=recording.start_ns + 5 * 10**10)
-    outside = run(listener, press, forces, again)
+    outside = rig.run(again)
     assert not any(f.valid for f in outside)
     assert "current of 1.50 A is outside of the identified 0.00 to 0.50 A" in outside[-1].reason
     use(replace(TRUE_SET, set_id="other speed", peak_velocity_range=(0.1, 0.2)))
     again = replace(recording, start_ns=recording.start_ns + 7 * 10**10)
-    outside = run(listener, press, forces, again)
+    outside = rig.run(again)
     assert not any(f.valid for f in outside)
     assert "outside of the identified 0.1 to 0.2 m/s" in outside[-1].reason
 
 
 def test_without_a_current_the_force_is_invalid(
-    start: Any,
-    listener: Listener,
-    forces: list[PredictedForce],
-    recording: Recording,
-    parameter_file: Path,
+    rig: Rig, listener: Listener, recording: Recording
 ) -> None:
-    start("model", parameter_file=parameter_file)
-    predicted = run(listener, Press(listener), forces, recording, with_current=False)
+    predicted = rig.run(recording, with_current=False)
     assert not any(f.valid for f in predicted)
     assert "no supply current yet" in predicted[-1].reason
 
 
 def test_parameters_that_cannot_be_used_are_refused(
-    start: Any, listener: Listener, forces: list[PredictedForce], recording: Recording
+    start: Any, listener: Listener, recording: Recording
 ) -> None:
     latched = listener.node.create_publisher(
         DamperParameters, "damper/parameters", quality.latched()
     )
-    start("model")
+    rig = Rig(start, listener)
     good = parameters_message(TRUE_SET, "damper")
     latched.publish(good)
     listener.wait_for_finding("model: parameters", "predicting with true")
     for field, value, sentence in (
-        ("model", "bouc_wen", "for the model 'bouc_wen'"),
+        ("model", "magic", "model 'magic' is unknown: the models are bingham, "),
+        ("model", "bouc_wen", "the parameters of model 'bouc_wen' must be c0, k0, "),
         ("names", ["f0"], "in this order"),
         ("values", [float("nan")] * 16, "give a finite number"),
         ("values", [1.0], "must hold 16 numbers"),
@@ -204,63 +247,47 @@ def test_parameters_that_cannot_be_used_are_refused(
         status = listener.wait_for_finding("model: parameters", "are not used")
         listener.wait_for_finding("model: parameters", sentence)
         assert status.level != b"\x00"
-    predicted = run(listener, Press(listener), forces, recording)
+    predicted = rig.run(recording)
     assert {f.parameter_set for f in predicted} == {"true"}
     assert predicted[-1].valid
 
 
 def test_blocks_that_cannot_be_used_are_counted(
-    start: Any,
-    listener: Listener,
-    forces: list[PredictedForce],
-    recording: Recording,
-    parameter_file: Path,
+    rig: Rig, listener: Listener, recording: Recording
 ) -> None:
-    start("model", parameter_file=parameter_file)
-    press = Press(listener)
     for sentence, changes in BAD_BLOCKS.items():
-        press.samples.publish(block_message(recording, 0, **changes))
+        rig.press.samples.publish(block_message(recording, 0, **changes))
         listener.wait_for_finding("model: input", sentence)
-    press.send_current(recording.start_ns, float("inf"))
+    rig.press.send_current(recording.start_ns, float("inf"))
     listener.wait_for_finding("model: current", "the current is inf")
-    assert run(listener, press, forces, recording)[-1].valid
+    assert rig.run(recording)[-1].valid
 
 
 def test_lost_samples_are_reported_and_the_prediction_starts_again(
-    start: Any,
-    listener: Listener,
-    forces: list[PredictedForce],
-    recording: Recording,
-    parameter_file: Path,
+    rig: Rig, listener: Listener, recording: Recording
 ) -> None:
-    start("model", parameter_file=parameter_file)
-    press = Press(listener)
-    assert run(listener, press, forces, recording)[-1].valid
+    assert rig.run(recording)[-1].valid
     count = recording.sample_count
     pause = 50
-    forces.clear()
     late = replace(recording, start_ns=recording.stamp_ns(count - 1) + (pause + 1) * 1_000_000)
-    press.send_current(late.start_ns, 1.5)
-    press.samples.publish(block_message(late, 0, seq=count + pause))
-    listener.until(lambda: forces, "a prediction")
-    assert not forces[0].valid
+    rig.press.send_current(late.start_ns, 1.5)
+    assert not rig.send(block_message(late, 0, seq=count + pause))[0].valid
     listener.wait_for_finding("model: input", "50 samples were lost")
 
 
 def test_it_predicts_with_what_the_identifier_finds(
-    start: Any, listener: Listener, forces: list[PredictedForce], recording: Recording
+    start: Any, listener: Listener, recording: Recording
 ) -> None:
     sets = listener.listen(DamperParameters, "damper/parameters", quality.latched())
     start("identifier")
-    start("model")
+    rig = Rig(start, listener, listeners=2)
     listener.until(lambda: sets, "the initial set")
-    press = Press(listener, listeners=2)
-    first = run(listener, press, forces, recording)
+    first = rig.run(recording)
     assert not any(f.valid for f in first if f.parameter_set == "literature")
     listener.until(lambda: len(sets) > 1, "an accepted set")
     listener.wait_for_finding("model: parameters", "predicting with window-")
     later = replace(recording, start_ns=recording.start_ns + 10**10)
-    second = run(listener, press, forces, later)
+    second = rig.run(later)
     assert second[-1].valid
     assert second[-1].parameter_set.startswith("window-")
 
