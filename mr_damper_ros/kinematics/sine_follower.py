@@ -37,7 +37,9 @@ _LARGEST_STEP = 0.1
 class SineFollower:
     """Fits a sine to the latest samples of a displacement, ``period`` [s] apart.
 
-    ``memory`` [s] is the longest stretch that is kept.
+    ``memory`` [s] is the longest stretch that is kept. Fitting takes several times as long as
+    carrying the sine on, so they are two calls: a block is followed at once, by the sine of the
+    samples before it, and learned when there is time.
     """
 
     def __init__(self, period: float, memory: float) -> None:
@@ -45,47 +47,62 @@ class SineFollower:
         self._samples = np.empty(0)
         self._most = max(round(memory / period), 2)
         self._omega = 0.0
+        # Weights of sine, cosine and offset about the newest sample, None without a steady sine;
+        # and the residual [m] that it is allowed.
+        self._weights: Array | None = None
+        self._allowed = 0.0
 
-    def follow(self, displacement: Array, half_cycle: float) -> tuple[Array, Array, Array] | None:
+    def follow(self, displacement: Array) -> tuple[Array, Array, Array] | None:
         """Displacement about the centre, velocity and acceleration at the samples, shape (n,).
 
+        The samples are those after the last ones learned. None where the motion is no steady sine,
+        or not yet.
+        """
+        if self._weights is None:
+            return None
+        by_sine, by_cosine, offset = self._weights.tolist()
+        angle = self._omega * self._period * np.arange(1, displacement.size + 1)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        centred = by_sine * sine + by_cosine * cosine
+        if float(np.abs(centred + offset - displacement).max()) > _LEAVING * self._allowed:
+            return None
+        velocity = self._omega * (by_sine * cosine - by_cosine * sine)
+        return centred, velocity, -(self._omega**2) * centred
+
+    def learn(self, displacement: Array, half_cycle: float) -> None:
+        """Fit the sine to these samples too.
+
         ``half_cycle`` [s] is the time between the last two reversals, NaN while unknown: the
-        start of the frequency. None where the motion is no steady sine, or not yet.
+        start of the frequency.
         """
         self._samples = np.concatenate((self._samples, displacement))[-self._most :]
+        self._weights = None
         steps = 1
         if self._omega == 0.0:
             if math.isnan(half_cycle):
-                return None
+                return
             self._omega = math.pi / half_cycle
             steps = _FIRST_STEPS
         cycle = 2.0 * math.pi / self._omega / self._period
-        length = round(_CYCLES * cycle)
         if self._samples.size < round(_FEWEST_CYCLES * cycle):
-            return None
-        recent = self._samples[-length:]
+            return
+        recent = self._samples[-round(_CYCLES * cycle) :]
         stride = max(recent.size // _POINTS, 1)
         # Time counts back from the newest sample.
         time: Array = self._period * np.arange(1.0 - recent.size, 1.0, stride)
-        points = recent[recent.size - 1 + np.round(time / self._period).astype(int)]
+        points = recent[::stride]
         for _ in range(steps):
             weights, residual = self._fit(time, points)
         amplitude = math.hypot(weights[0], weights[1])
-        allowed = max(
+        self._allowed = max(
             SINE_TOLERANCE * amplitude / math.sqrt(2.0),
             _NOISE_FACTOR * displacement_noise(recent[-_NOISE_SAMPLES:]),
         )
-        if math.sqrt(float(np.mean(residual**2))) > allowed:
+        if math.sqrt(float(residual @ residual) / residual.size) > self._allowed:
             # Perhaps the frequency has been lost: start again from the reversals.
             self._omega = 0.0
-            return None
-        angle = self._omega * self._period * np.arange(1 - displacement.size, 1)
-        sine, cosine = np.sin(angle), np.cos(angle)
-        centred = weights[0] * sine + weights[1] * cosine
-        if float(np.max(np.abs(centred + weights[2] - displacement))) > _LEAVING * allowed:
-            return None
-        velocity = self._omega * (weights[0] * cosine - weights[1] * sine)
-        return centred, velocity, -(self._omega**2) * centred
+            return
+        self._weights = weights
 
     def _fit(self, time: Array, points: Array) -> tuple[Array, Array]:
         """One step of Gauss and Newton: weights of sine, cosine and offset; residual."""
@@ -95,7 +112,7 @@ class SineFollower:
         weights = _solve(columns, points)
         by_frequency = time * (weights[0] * cosine - weights[1] * sine)
         step = _solve(np.column_stack((columns, by_frequency)), points - columns @ weights)
-        correction = float(np.clip(step[3] / self._omega, -_LARGEST_STEP, _LARGEST_STEP))
+        correction = min(max(float(step[3]) / self._omega, -_LARGEST_STEP), _LARGEST_STEP)
         self._omega *= 1.0 + correction
         residual = points - columns @ (weights + step[:3]) - step[3] * by_frequency
         # The weights belong to the corrected frequency: the basis turns about the newest sample.
@@ -104,7 +121,8 @@ class SineFollower:
 
 def _solve(columns: Array, values: Array) -> Array:
     """Least squares by the normal equations: a handful of well-scaled columns."""
-    size = np.linalg.norm(columns, axis=0)
-    scaled = columns / np.where(size > 0.0, size, 1.0)
-    gram = scaled.T @ scaled + 1e-12 * np.eye(columns.shape[1])
-    return np.asarray(np.linalg.solve(gram, scaled.T @ values) / np.where(size > 0.0, size, 1.0))
+    gram = columns.T @ columns
+    size = np.sqrt(gram.diagonal())
+    size[size == 0.0] = 1.0
+    scaled = gram / (size * size[:, np.newaxis]) + 1e-12 * np.eye(size.size)
+    return np.asarray(np.linalg.solve(scaled, values @ columns / size) / size)

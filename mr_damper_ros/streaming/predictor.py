@@ -63,6 +63,7 @@ class ForcePredictor:
         self._differentiator: CausalDifferentiator | None = None
         self._centre: MotionCentre | None = None
         self._sine: SineFollower | None = None
+        self._unlearned: Array | None = None
         self._stream: ForceStream | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
@@ -90,8 +91,20 @@ class ForcePredictor:
         """Add a value of the supply current [A]."""
         self._current.add(stamp_ns, current)
 
+    def catch_up(self) -> None:
+        """Learn from the last block what only the predictions after it need.
+
+        It takes as long as a prediction, so call it once that is on its way; the next
+        :meth:`predict` does it otherwise, with the same results.
+        """
+        if self._unlearned is None or self._sine is None or self._centre is None:
+            return
+        self._sine.learn(self._unlearned, self._centre.half_cycle)
+        self._unlearned = None
+
     def predict(self, block: SampleBlock) -> Prediction:
         """Force at the samples of a block; NaN, and not valid, where it cannot be computed."""
+        self.catch_up()
         verdict = self._sequence.follow(block)
         if verdict.kind == "repeat":
             return self._invalid(block, verdict.sentence, verdict.sentence)
@@ -110,7 +123,8 @@ class ForcePredictor:
             self._stream = None
         displacement, velocity, acceleration = self._differentiator.follow(block.displacement)
         centred = displacement - self._centre.follow(block.displacement)
-        sine = self._sine.follow(block.displacement, self._centre.half_cycle)
+        sine = self._sine.follow(block.displacement)
+        self._unlearned = block.displacement
         if sine is not None:
             centred, velocity, acceleration = sine
         motion = Motion(
@@ -187,12 +201,12 @@ class ForcePredictor:
         margin = self._settings.current_margin
         if current.min() < low - margin or current.max() > high + margin:
             return (
-                f"the current of {float(np.median(current)):.2f} A is outside of the identified "
+                f"the current of {_middle(current):.2f} A is outside of the identified "
                 f"{low:.2f} to {high:.2f} A"
             )
         low, high = parameters.peak_velocity_range
         margin = self._settings.velocity_margin
-        middle = float(np.median(speed))
+        middle = _middle(speed)
         if not low * (1.0 - margin) <= middle <= high * (1.0 + margin):
             return (
                 f"the peak velocity of {middle:.3g} m/s is outside of the identified "
@@ -211,3 +225,9 @@ class ForcePredictor:
             reason=reason,
             continuity=continuity,
         )
+
+
+def _middle(values: Array) -> float:
+    """Upper median: of a few values in a tenth of the time that NumPy's median takes."""
+    half = values.size // 2
+    return float(np.partition(values, half)[half])
