@@ -1,4 +1,4 @@
-"""Misfit of many windows as a function of all sixteen parameters.
+"""Misfit of many windows as a function of all parameters of the law.
 
 Every window counts the same, whatever its length: its samples are weighted by what the window's
 own best seven coefficients leave of the force. Where only sensor noise is left this is the
@@ -9,10 +9,17 @@ drowning all others.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
+from mr_damper_ros.damper.extension import (
+    SIGMOID_COUNT,
+    Extension,
+    extension_of,
+    is_extended,
+)
 from mr_damper_ros.damper.sigmoid import (
     Array,
     Coefficients,
@@ -22,16 +29,21 @@ from mr_damper_ros.damper.sigmoid import (
     operating_point_coefficients,
 )
 from mr_damper_ros.identification.window import Window
+from mr_damper_ros.kinematics.motion import Motion
 
 
 class PooledMisfit:
-    """Weighted residual of windows and its Jacobian for parameters of shape (16,)."""
+    """Weighted residual of windows and its Jacobian for parameters of shape (16,) or (20,)."""
 
-    def __init__(self, windows: Sequence[Window], noise: Sequence[float]) -> None:
-        """``noise`` [N]: what each window's own best fit leaves (RMSE).
+    def __init__(
+        self, windows: Sequence[Window], noise: Sequence[float], slowest_lag: float = 0.0
+    ) -> None:
+        """``noise`` [N]: what each window's own best fit leaves (RMSE). ``slowest_lag`` [s]:
+        samples so early that a lag this slow may not have settled count for nothing, in the
+        extended law.
 
         Raises ValueError where there are no windows.
-        """
+        """  # noqa: D205
         if not windows:
             raise ValueError("there are no windows to identify from")
         self.windows = tuple(windows)
@@ -41,27 +53,17 @@ class PooledMisfit:
             float(np.sqrt(share / window.sample_count)) / max(sigma, 1e-12)
             for window, sigma in zip(self.windows, noise, strict=True)
         ]
-        self._parts = [_Part(window) for window in self.windows]
-        # All windows in one evaluation of the laws: with one at a time, a third of the time of a
-        # search goes into calls.
-        edges = np.cumsum([0, *(part.peak_velocity.size for part in self._parts)]).tolist()
-        self._places = [slice(*pair) for pair in pairwise(edges)]
-        self._peak_velocity = np.concatenate([part.peak_velocity for part in self._parts])
-        self._current = np.concatenate([part.current for part in self._parts])
+        self._own = _Motions([(w.motion, w.current, w.steady) for w in self.windows])
+        self._slowest_lag = slowest_lag
         self.sample_count = total
-
-    def _coefficients(self, parameters: Array) -> list[Coefficients]:
-        """Coefficients of each window, for parameters of shape (..., 16)."""
-        together = operating_point_coefficients(parameters, self._peak_velocity, self._current)
-        return [Coefficients(*(c[..., place] for c in together)) for place in self._places]
 
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
-        coefficients = self._coefficients(parameters)
+        forces = self._forces(parameters)
         return np.concatenate(
             [
-                weight * part.residual(c)
-                for weight, part, c in zip(self._weights, self._parts, coefficients, strict=True)
+                weight * (force - window.force)
+                for weight, force, window in zip(self._weights, forces, self.windows, strict=True)
             ]
         )
 
@@ -69,50 +71,135 @@ class PooledMisfit:
         """Mean of the squared weighted residual: 1 where nothing but the noise is left."""
         return float(np.mean(np.square(self.residual(parameters))))
 
+    def population_cost(self, parameters: Array) -> Array:
+        """:meth:`mean_square` of many sets, shape (s, 16) or (s, 20) to (s,)."""
+        total = np.zeros(parameters.shape[0])
+        forces = self._forces(parameters)
+        for weight, force, window in zip(self._weights, forces, self.windows, strict=True):
+            total += weight**2 * np.sum(np.square(force - window.force), axis=-1)
+        return total / self.sample_count
+
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
-        """Derivatives of :meth:`residual`, shape (n, 16), or only the given columns of it."""
+        """Derivatives of :meth:`residual`, shape (n, p), or only the given columns of it."""
+        if not is_extended(parameters):
+            return np.concatenate(self._own.jacobians(parameters, columns, self._weights))
+        everything = self._extended_jacobian(parameters)
+        return everything if columns is None else everything[:, columns]
+
+    def _forces(self, parameters: Array) -> list[Array]:
+        """Force [N] of each window, shape (..., n)."""
+        if not is_extended(parameters):
+            return self._own.forces(parameters)
+        plain = self._own.forces(parameters[..., :SIGMOID_COUNT])
+        past = self._past(plain, self._histories.forces(parameters[..., :SIGMOID_COUNT]))
+        if parameters.ndim == 1:
+            return self._extended(plain, past, extension_of(parameters))
+        sets = [
+            self._extended([p[k] for p in plain], [p[k] for p in past], extension_of(values))
+            for k, values in enumerate(parameters)
+        ]
+        return [np.stack(forces) for forces in zip(*sets, strict=True)]
+
+    @cached_property
+    def _histories(self) -> _Motions:
+        """Of the windows that are not their own history."""
+        histories = (window.history for window in self.windows)
+        return _Motions([(h.motion, h.current, h.periodic) for h in histories if not h.is_window])
+
+    @cached_property
+    def _history_weights(self) -> list[float]:
+        pairs = zip(self._weights, self.windows, strict=True)
+        return [weight for weight, window in pairs if not window.history.is_window]
+
+    @cached_property
+    def _unsettled(self) -> list[np.ndarray]:
+        return [window.history.unsettled(self._slowest_lag) for window in self.windows]
+
+    def _past(self, own: list[Array], histories: list[Array]) -> list[Array]:
+        """Of each window what belongs to its history, which may be the window itself."""
+        rest = iter(histories)
+        return [
+            values if window.history.is_window else next(rest)
+            for window, values in zip(self.windows, own, strict=True)
+        ]
+
+    def _extended(self, plain: list[Array], past: list[Array], extension: Extension) -> list[Array]:
+        forces = []
+        for place, window in enumerate(self.windows):
+            displacement, unsettled = window.motion.displacement, self._unsettled[place]
+            force = window.history.force(plain[place], past[place], displacement, extension)
+            force[unsettled] = window.force[unsettled]
+            forces.append(force)
+        return forces
+
+    def _extended_jacobian(self, parameters: Array) -> Array:
+        """All twenty columns."""
+        sixteen, extension = parameters[:SIGMOID_COUNT], extension_of(parameters)
+        plain = self._own.jacobians(sixteen, None, self._weights)
+        past = self._past(plain, self._histories.jacobians(sixteen, None, self._history_weights))
+        forces = self._past(self._own.forces(sixteen), self._histories.forces(sixteen))
+        blocks = []
+        for place, window in enumerate(self.windows):
+            history = window.history
+            of_sixteen = history.late(plain[place], past[place], history.lag(extension))
+            of_extension = self._weights[place] * history.extension_jacobian(
+                forces[place], window.motion.displacement, extension
+            )
+            block = np.hstack((of_sixteen, of_extension))
+            block[self._unsettled[place]] = 0.0
+            blocks.append(block)
+        return np.concatenate(blocks)
+
+
+class _Motions:
+    """Sigmoid forces along several motions, by one evaluation of the laws.
+
+    With one at a time, a third of the time of a search would go into calls.
+    """
+
+    def __init__(self, motions: Sequence[tuple[Motion, Array, bool]]) -> None:
+        """Motion, current (n,) [A], and whether both are steady: one value then stands for all."""
+        self._velocities = [motion.velocity for motion, _, _ in motions]
+        self._branches = [np.sign(motion.acceleration) for motion, _, _ in motions]
+        chosen = [slice(0, 1) if steady else slice(None) for _, _, steady in motions]
+        speeds = [m.peak_velocity[part] for (m, _, _), part in zip(motions, chosen, strict=True)]
+        currents = [i[part] for (_, i, _), part in zip(motions, chosen, strict=True)]
+        edges = np.cumsum([0, *(speed.size for speed in speeds)]).tolist()
+        self._places = [slice(*pair) for pair in pairwise(edges)]
+        self._peak_velocity = np.concatenate([np.empty(0), *speeds])
+        self._current = np.concatenate([np.empty(0), *currents])
+
+    def _coefficients(self, parameters: Array) -> list[Coefficients]:
+        """Coefficients of each motion, for parameters of shape (..., 16)."""
+        together = operating_point_coefficients(parameters, self._peak_velocity, self._current)
+        return [Coefficients(*(c[..., place] for c in together)) for place in self._places]
+
+    def forces(self, parameters: Array) -> list[Array]:
+        """Force [N] along each motion, shape (..., n), for parameters of shape (..., 16)."""
+        return [
+            force_from_coefficients(coefficients, velocity, branch)
+            for coefficients, velocity, branch in zip(
+                self._coefficients(parameters), self._velocities, self._branches, strict=True
+            )
+        ]
+
+    def jacobians(
+        self, parameters: Array, columns: Sequence[int] | None, weights: Sequence[float]
+    ) -> list[Array]:
+        """Derivatives (n, p) of each motion's force by all or some parameters, times a weight."""
         coefficients = self._coefficients(parameters)
         inner = coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
         if columns is not None:
             inner = inner[..., columns]
-        return np.concatenate(
-            [
-                part.jacobian(c, weight * inner[place])
-                for weight, part, c, place in zip(
-                    self._weights, self._parts, coefficients, self._places, strict=True
-                )
-            ]
-        )
-
-    def population_cost(self, parameters: Array) -> Array:
-        """:meth:`mean_square` of many sets, shape (s, 16) to (s,)."""
-        total = np.zeros(parameters.shape[0])
-        coefficients = self._coefficients(parameters)
-        for weight, part, c in zip(self._weights, self._parts, coefficients, strict=True):
-            total += weight**2 * np.sum(np.square(part.residual(c)), axis=-1)
-        return total / self.sample_count
-
-
-class _Part:
-    """One window; its coefficients are needed once where motion and current are steady."""
-
-    def __init__(self, window: Window) -> None:
-        motion = window.motion
-        steady = motion.sine is not None and float(np.ptp(window.current)) == 0.0
-        chosen = slice(0, 1) if steady else slice(None)
-        self.peak_velocity = motion.peak_velocity[chosen]
-        self.current = window.current[chosen]
-        self._velocity = motion.velocity
-        self._branch = np.sign(motion.acceleration)
-        self._force = window.force
-
-    def residual(self, coefficients: Coefficients) -> Array:
-        return force_from_coefficients(coefficients, self._velocity, self._branch) - self._force
-
-    def jacobian(self, coefficients: Coefficients, inner: Array) -> Array:
-        """Derivatives (n, p); ``inner`` (1 or n, 7, p) are those of the coefficients."""
-        by_coefficient = coefficient_jacobian(coefficients, self._velocity, self._branch)
-        if inner.shape[0] == 1:
-            return np.asarray(by_coefficient @ inner[0])
-        # Row by row: as a batched product of vectors and matrices.
-        return np.asarray((by_coefficient[:, np.newaxis, :] @ inner)[:, 0, :])
+        jacobians = []
+        for c, place, velocity, branch, weight in zip(
+            coefficients, self._places, self._velocities, self._branches, weights, strict=True
+        ):
+            by_coefficient = coefficient_jacobian(c, velocity, branch)
+            scaled = weight * inner[place]
+            if scaled.shape[0] == 1:
+                jacobians.append(by_coefficient @ scaled[0])
+            else:
+                # Row by row: as a batched product of vectors and matrices.
+                jacobians.append((by_coefficient[:, np.newaxis, :] @ scaled)[:, 0, :])
+        return jacobians

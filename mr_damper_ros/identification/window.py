@@ -7,11 +7,13 @@ window in which the damper moves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from mr_damper_ros.damper.extension import SIGMOID_COUNT, extension_of, is_extended
 from mr_damper_ros.damper.sigmoid import (
     PARAMETER_NAMES,
     SCALE_INDICES,
@@ -21,6 +23,7 @@ from mr_damper_ros.damper.sigmoid import (
     force_from_coefficients,
     operating_point_coefficients,
 )
+from mr_damper_ros.identification.history import History, following_stride
 from mr_damper_ros.kinematics.motion import Motion, window_motion
 
 _K5 = PARAMETER_NAMES.index("k5")
@@ -33,12 +36,19 @@ _STEADY = 1e-9
 class Window:
     """Motion, force [N] and coil current [A] of a window; arrays of shape (n,).
 
+    Only a law with a lag needs the rest: the sample ``period`` [s], and for a part of a window
+    the ``whole`` with the ``places`` (n,) of the samples, counted in samples of the whole (of a
+    steady sine the places suffice).
+
     Raises ValueError where lengths differ or values are not finite.
     """
 
     motion: Motion
     force: Array
     current: Array
+    period: float = math.nan
+    places: Array | None = None
+    whole: Window | None = None
 
     def __post_init__(self) -> None:
         n = self.motion.velocity.size
@@ -56,7 +66,8 @@ class Window:
     ) -> Window:
         """Window of samples taken every ``period`` [s]; see :func:`window_motion` for errors."""
         motion = window_motion(displacement, period)
-        return cls(motion, force, np.broadcast_to(np.asarray(current, float), np.shape(force)))
+        amperes = np.broadcast_to(np.asarray(current, float), np.shape(force))
+        return cls(motion, force, amperes, period)
 
     def part(self, chosen: slice | Array) -> Window:
         """The chosen samples: a slice, or a mask of shape (n,)."""
@@ -68,13 +79,61 @@ class Window:
             peak_velocity=m.peak_velocity[chosen],
             sine=m.sine,
         )
-        return Window(motion, self.force[chosen], self.current[chosen])
+        places = self._places
+        whole = None if self.steady else self.whole or self
+        return Window(
+            motion, self.force[chosen], self.current[chosen], self.period, places[chosen], whole
+        )
+
+    def thinned(self, most: int) -> Window:
+        """Every so many samples of the window, ``most`` or less than twice as many of them."""
+        stride = max(self.sample_count // most, 1)
+        if stride == 1:
+            return self
+        few = self.part(slice(None, None, stride))
+        if few.whole is None or few.places is None:
+            return few
+        whole = few.whole
+        coarser = following_stride(whole.motion, whole.period)
+        motion = whole.part(slice(None, None, coarser))
+        coarse = Window(motion.motion, motion.force, motion.current, coarser * whole.period)
+        return replace(few, places=few.places / coarser, whole=coarse)
+
+    @property
+    def _places(self) -> Array:
+        if self.places is not None:
+            return self.places
+        return np.arange(self.sample_count, dtype=float)
+
+    @cached_property
+    def steady(self) -> bool:
+        """Whether the motion is a sine and the current constant."""
+        return self.motion.sine is not None and float(np.ptp(self.current)) == 0.0
+
+    @cached_property
+    def history(self) -> History:
+        """The motion behind the samples; raises ValueError where the sample period is unknown."""
+        whole = self.whole or self
+        if not whole.period > 0.0:
+            raise ValueError("the sample period of the window is not known: a lag needs it")
+        places = self._places
+        if self.steady and self.motion.sine is not None:
+            peak_velocity, current = float(self.motion.peak_velocity[0]), float(self.current[0])
+            time = places * self.period
+            return History.of_sine(self.motion.sine, peak_velocity, current, time)
+        branch = np.sign(self.motion.acceleration)
+        return History(whole.motion, whole.current, whole.period, places, branch, periodic=False)
 
     def predicted_force(self, parameters: Array) -> Array:
-        """Force [N] of parameters (16,) over the window, shape (n,)."""
-        m = self.motion
-        coefficients = operating_point_coefficients(parameters, m.peak_velocity, self.current)
-        return force_from_coefficients(coefficients, m.velocity, m.acceleration)
+        """Force [N] of parameters (16,) or (20,) over the window, shape (n,)."""
+        plain = _sigmoid_force(parameters, self.motion, self.current)
+        if not is_extended(parameters):
+            return plain
+        history, extension = self.history, extension_of(parameters)
+        past = plain
+        if not history.is_window:
+            past = _sigmoid_force(parameters, history.motion, history.current)
+        return history.force(plain, past, self.motion.displacement, extension)
 
     @property
     def sample_count(self) -> int:
@@ -95,22 +154,37 @@ class Window:
         return float(v_m), float(np.mean(self.current))
 
 
+def _sigmoid_force(parameters: Array, motion: Motion, current: Array) -> Array:
+    sixteen = parameters[:SIGMOID_COUNT]
+    coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
+    return force_from_coefficients(coefficients, motion.velocity, motion.acceleration)
+
+
 class ScaleMisfit:
     """Residual of a window as a function of the seven scales, shape parameters frozen.
 
     The scales, in the order of ``COEFFICIENT_NAMES``, are f0, a0, k1c, k1e, k4, k6 and f0 k5:
-    the last is a product, so that the force offset stays linear and may be zero.
+    the last is a product, so that the force offset stays linear and may be zero. Of the extended
+    law the lag, the stiffness and the offset are frozen too; samples at the begin of the window,
+    where the lag may not have settled, then have no residual.
     """
 
     def __init__(self, window: Window, parameters: Array) -> None:
         self.window = window
         self._start = np.asarray(parameters, dtype=float)
-        unit = self._start.copy()
-        unit[SCALE_INDICES] = 1.0
-        base = operating_point_coefficients(unit, window.motion.peak_velocity, window.current)
+        motion = window.motion
+        base = operating_point_coefficients(self._unit, motion.peak_velocity, window.current)
         self._base = tuple(_constant_if_steady(values) for values in base)
-        self._velocity = window.motion.velocity
-        self._branch = np.sign(window.motion.acceleration)
+        self._velocity = motion.velocity
+        self._branch = np.sign(motion.acceleration)
+        self._late = _Late(window, self._start) if is_extended(self._start) else None
+
+    @property
+    def _unit(self) -> Array:
+        """The sixteen parameters with this shape and scales of 1."""
+        unit = self._start[:SIGMOID_COUNT].copy()
+        unit[SCALE_INDICES] = 1.0
+        return unit
 
     @property
     def start(self) -> Array:
@@ -121,9 +195,7 @@ class ScaleMisfit:
 
     def base_at(self, operating_point: tuple[float, float]) -> Array:
         """Coefficients for unit scales at (peak velocity [m/s], current [A]), shape (7,)."""
-        unit = self._start.copy()
-        unit[SCALE_INDICES] = 1.0
-        return np.concatenate(operating_point_coefficients(unit, *operating_point))
+        return np.concatenate(operating_point_coefficients(self._unit, *operating_point))
 
     def coefficients(self, scales: Array) -> Coefficients:
         """Operating-point coefficients for scales of shape (7,)."""
@@ -132,6 +204,8 @@ class ScaleMisfit:
     def residual(self, scales: Array) -> Array:
         """Model minus measurement [N], shape (n,)."""
         predicted = force_from_coefficients(self.coefficients(scales), self._velocity, self._branch)
+        if self._late is not None:
+            predicted = self._late.force(predicted, scales)
         return np.asarray(predicted - self.window.force)
 
     def sum_of_squares(self, scales: Array) -> float:
@@ -144,14 +218,42 @@ class ScaleMisfit:
         derivatives = coefficient_jacobian(self.coefficients(scales), self._velocity, self._branch)
         for column, base in enumerate(self._base):
             derivatives[:, column] *= base
-        return derivatives
+        return derivatives if self._late is None else self._late.jacobian(derivatives, scales)
 
     def parameters(self, scales: Array) -> Array:
-        """The sixteen parameters with these scales and the frozen shape, shape (16,)."""
+        """The parameters (16,) or (20,) with these scales and all else as it was."""
         values = self._start.copy()
         values[SCALE_INDICES] = scales
         values[_K5] = scales[6] / scales[0] if scales[0] != 0.0 else 0.0
         return values
+
+
+class _Late:
+    """The extension of the law over a window: what it makes of the force and its derivatives."""
+
+    def __init__(self, window: Window, parameters: Array) -> None:
+        history, extension = window.history, extension_of(parameters)
+        self._window, self._history, self._lag = window, history, history.lag(extension)
+        self._past = None
+        if not history.is_window:
+            nothing = np.zeros(history.current.size)
+            past = Window(history.motion, nothing, history.current)
+            self._past = ScaleMisfit(past, parameters[:SIGMOID_COUNT])
+        self._rest = extension.stiffness * window.motion.displacement + extension.offset
+        slowest = float(np.max(extension.time_constant(history.current)))
+        self._unsettled = history.unsettled(slowest)
+
+    def force(self, plain: Array, scales: Array) -> Array:
+        past = plain if self._past is None else self._past.residual(scales)
+        force = self._history.late(plain.T, past.T, self._lag).T + self._rest
+        force[..., self._unsettled] = self._window.force[self._unsettled]
+        return np.asarray(force)
+
+    def jacobian(self, plain: Array, scales: Array) -> Array:
+        past = plain if self._past is None else self._past.jacobian(scales)
+        derivatives = self._history.late(plain, past, self._lag)
+        derivatives[self._unsettled] = 0.0
+        return derivatives
 
 
 def _constant_if_steady(values: Array) -> Array:

@@ -1,0 +1,162 @@
+"""Identification of the extended law: lag, stiffness and offset with the sixteen parameters."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.extension import EXTENDED_NAMES
+from mr_damper_ros.damper.models import MODELS
+from mr_damper_ros.damper.sigmoid import SCALE_INDICES
+from mr_damper_ros.identification.fit import METHODS, fit_window
+from mr_damper_ros.identification.pooled import PooledMisfit
+from mr_damper_ros.identification.window import ScaleMisfit, Window
+from mr_damper_ros.kinematics.motion import window_motion
+from mr_damper_ros.rig.excitation import BandLimitedRandom
+
+LAW = MODELS["sigmoid_lag"]
+TRUTH = np.append(known.PLAUSIBLE, [4e-3, 6e-3, 1500.0, -40.0])
+PERIOD = 1e-3
+LEAD_IN = 500
+"""Samples before a window, in which the lag of the truth settles."""
+
+FINE = 1e-3
+"""Relative to the spread of the force: what interpolation may cost."""
+
+
+@cache
+def window(
+    frequency: float = 1.0, current: float = 1.0, seed: int | None = 0, samples: int = 2000
+) -> Window:
+    """A window of the known damper: a sine, or a random motion where the frequency is 0."""
+    # A steady sine is known between the samples too: the damper is simulated finer.
+    finer = 1 if frequency == 0.0 else 10
+    time = np.arange((LEAD_IN + samples) * finer) * PERIOD / finer
+    if frequency == 0.0:
+        displacement = BandLimitedRandom(5e-3, 0.5, 3.0, seed=1).at(time).displacement
+    else:
+        displacement = 8e-3 * np.sin(2.0 * np.pi * frequency * time + 1.0)
+    motion = window_motion(displacement, PERIOD / finer)
+    force = LAW.force(TRUTH, motion, current, PERIOD / finer)[::finer]
+    if seed is not None:
+        force = force + np.random.default_rng(seed).normal(0.0, known.NOISE, force.size)
+    whole = Window.from_samples(displacement[::finer], force, current, PERIOD)
+    return whole.part(slice(LEAD_IN, None))
+
+
+MOTIONS = pytest.mark.parametrize("frequency", [0.2, 3.0, 0.0], ids=["slow", "fast", "random"])
+
+
+@MOTIONS
+def test_a_part_sees_the_lag_of_the_whole(frequency):
+    whole = window(frequency, seed=None)
+    spread = np.std(whole.force)
+    chunks = np.arange(whole.sample_count) // 50 % 4 == 3
+    for part in (whole, whole.part(chunks), whole.part(chunks).part(slice(10, None, 7))):
+        error = part.predicted_force(TRUTH) - part.force
+        assert known.rms(error) < FINE * spread
+
+
+@MOTIONS
+def test_a_thinned_window_sees_the_lag_of_the_whole(frequency):
+    whole = window(frequency, seed=None)
+    thinned = whole.thinned(100)
+    assert 100 <= thinned.sample_count < 200
+    error = thinned.predicted_force(TRUTH) - thinned.force
+    assert known.rms(error) < 5.0 * FINE * np.std(whole.force)
+
+
+@MOTIONS
+def test_the_scales_of_a_window_are_found_where_the_extension_is_known(frequency):
+    here = window(frequency)
+    start = TRUTH.copy()
+    start[SCALE_INDICES] *= 1.3
+    for method in METHODS:
+        fit = fit_window(here, start, method=method)
+        truth = ScaleMisfit(here, TRUTH)
+        assert fit.rmse**2 * here.sample_count <= truth.sum_of_squares(truth.start)
+        errors = (fit.scales - truth.start) / np.sqrt(np.diag(fit.covariance))
+        assert np.max(np.abs(errors)) < 4.0, method
+        np.testing.assert_array_equal(fit.parameters[16:], TRUTH[16:])
+
+
+@MOTIONS
+@pytest.mark.parametrize("most", [100, 5000], ids=["thinned", "whole"])
+def test_the_jacobian_of_a_window_is_that_of_differences(frequency, most):
+    misfit = ScaleMisfit(window(frequency).thinned(most), TRUTH)
+    scales = misfit.start
+    jacobian = misfit.jacobian(scales)
+    for column, size in enumerate(1e-6 * np.abs(scales)):
+        step = size * np.eye(7)[column]
+        expected = (misfit.residual(scales + step) - misfit.residual(scales - step)) / (2 * size)
+        np.testing.assert_allclose(
+            jacobian[:, column], expected, atol=1e-4 * np.abs(expected).max()
+        )
+
+
+def test_many_sets_of_scales_at_once_are_the_same_as_one_by_one():
+    misfit = ScaleMisfit(window(0.0).thinned(100), TRUTH)
+    sets = misfit.start * np.array([[0.9], [1.0], [1.2]])
+    together = misfit.residual(sets.T[:, :, np.newaxis])
+    np.testing.assert_allclose(together, [misfit.residual(scales) for scales in sets])
+
+
+def test_the_begin_of_a_window_of_unknown_past_says_nothing():
+    whole = window(0.0)
+    lone = Window(whole.motion, whole.force, whole.current, PERIOD)
+    misfit = ScaleMisfit(lone, TRUTH)
+    residual, derivatives = misfit.residual(misfit.start), misfit.jacobian(misfit.start)
+    settled = int(np.flatnonzero(residual)[0])
+    assert settled == pytest.approx(7 * 10, abs=1)
+    assert not np.any(derivatives[:settled])
+    assert known.rms(residual[settled:]) < 1.05 * known.NOISE
+
+
+def test_a_window_without_its_period_cannot_have_a_lag():
+    whole = window()
+    lone = Window(whole.motion, whole.force, whole.current)
+    with pytest.raises(ValueError, match="the sample period of the window is not known"):
+        fit_window(lone, TRUTH)
+
+
+@cache
+def pooled(most: int) -> PooledMisfit:
+    windows = [window(f, i, samples=600) for f in (0.0, 2.0) for i in (0.0, 1.0)]
+    windows = [w.thinned(most) for w in windows]
+    return PooledMisfit(windows, [known.NOISE] * 4, slowest_lag=0.01)
+
+
+@pytest.mark.parametrize("most", [100, 5000], ids=["thinned", "whole"])
+def test_the_jacobian_of_all_twenty_is_that_of_differences(most):
+    misfit = pooled(most)
+    jacobian = misfit.jacobian(TRUTH)
+    for column, name in enumerate(EXTENDED_NAMES):
+        size = 1e-5 * abs(TRUTH[column])
+        step = size * np.eye(20)[column]
+        expected = (misfit.residual(TRUTH + step) - misfit.residual(TRUTH - step)) / (2 * size)
+        np.testing.assert_allclose(
+            jacobian[:, column], expected, atol=1e-4 * np.abs(expected).max(), err_msg=name
+        )
+    np.testing.assert_array_equal(misfit.jacobian(TRUTH, [3, 17]), jacobian[:, [3, 17]])
+
+
+def test_the_pooled_misfit_of_the_truth_is_the_noise():
+    assert pooled(5000).mean_square(TRUTH) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_cost_of_many_sets_is_that_of_each():
+    sets = TRUTH * np.array([[0.9], [1.0], [1.1]])
+    misfit = pooled(100)
+    np.testing.assert_allclose(
+        misfit.population_cost(sets), [misfit.mean_square(values) for values in sets]
+    )
+
+
+def test_without_lag_stiffness_and_offset_the_misfit_is_that_of_the_sixteen():
+    sixteen = np.append(known.PLAUSIBLE, np.zeros(4))
+    np.testing.assert_allclose(
+        pooled(100).residual(sixteen), pooled(100).residual(known.PLAUSIBLE), atol=1e-6
+    )
