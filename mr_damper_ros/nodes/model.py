@@ -165,6 +165,7 @@ class Model(Node):
         if prediction.valid:
             self._error.add(prediction.force, block.force, block.period)
             self._mirror(prediction)
+        self._predictor.catch_up()
 
     def _mirror(self, prediction: Prediction) -> None:
         """Publish the last sample of the block as a wrench, where one is due."""

@@ -8,16 +8,10 @@ import numpy as np
 
 from mr_damper_ros.damper.models.base import ForceStream
 from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import Array, peak_velocity
-from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.sine_follower import SineFollower
+from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
-from mr_damper_ros.streaming.centre import MotionCentre
 from mr_damper_ros.streaming.held_current import KEEP_CURRENT, HeldCurrent
-
-_REVERSALS_FOR_CENTRE = 3
-"""The centre of a motion is known once its ends have been seen, the first of them surely whole."""
+from mr_damper_ros.streaming.motion_follower import MotionFollower
 
 
 @dataclass(frozen=True)
@@ -60,10 +54,7 @@ class ForcePredictor:
         self._parameters: ParameterSet | None = None
         self._current = HeldCurrent(keep=KEEP_CURRENT)
         self._sequence = BlockSequence()
-        self._differentiator: CausalDifferentiator | None = None
-        self._centre: MotionCentre | None = None
-        self._sine: SineFollower | None = None
-        self._unlearned: Array | None = None
+        self._motion: MotionFollower | None = None
         self._stream: ForceStream | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
@@ -97,43 +88,22 @@ class ForcePredictor:
         It takes as long as a prediction, so call it once that is on its way; the next
         :meth:`predict` does it otherwise, with the same results.
         """
-        if self._unlearned is None or self._sine is None or self._centre is None:
-            return
-        self._sine.learn(self._unlearned, self._centre.half_cycle)
-        self._unlearned = None
+        if self._motion is not None:
+            self._motion.catch_up()
 
     def predict(self, block: SampleBlock) -> Prediction:
         """Force at the samples of a block; NaN, and not valid, where it cannot be computed."""
-        self.catch_up()
         verdict = self._sequence.follow(block)
         if verdict.kind == "repeat":
             return self._invalid(block, verdict.sentence, verdict.sentence)
         if verdict.kind == "jump_back":
             self._current.follow_jump()
-        if (
-            self._differentiator is None
-            or self._centre is None
-            or self._sine is None
-            or verdict.restarts
-        ):
-            bandwidth = float(np.clip(self._settings.bandwidth, *possible_bandwidths(block.period)))
-            self._differentiator = CausalDifferentiator(block.period, bandwidth)
-            self._centre = MotionCentre(self._settings.centre_memory, block.period)
-            self._sine = SineFollower(block.period, self._settings.centre_memory)
+        if self._motion is None or verdict.restarts:
+            self._motion = MotionFollower(
+                block.period, self._settings.bandwidth, self._settings.centre_memory
+            )
             self._stream = None
-        displacement, velocity, acceleration = self._differentiator.follow(block.displacement)
-        centred = displacement - self._centre.follow(block.displacement)
-        sine = self._sine.follow(block.displacement)
-        self._unlearned = block.displacement
-        if sine is not None:
-            centred, velocity, acceleration = sine
-        motion = Motion(
-            displacement=centred,
-            velocity=velocity,
-            acceleration=acceleration,
-            peak_velocity=peak_velocity(centred, velocity, acceleration),
-            sine=None,
-        )
+        motion = self._motion.follow(block.displacement)
         reason = ""
         if self._parameters is None:
             reason = "no parameters yet: start the identifier or give parameter_file"
@@ -144,14 +114,14 @@ class ForcePredictor:
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         if self._stream is None:
             self._stream = self._parameters.law.stream(block.period)
-            self._begun_at = self._centre.reversals
+            self._begun_at = self._motion.reversals
         predicted = self._stream.follow(self._parameters.values, motion, current)
         if not np.isfinite(predicted).all():
             self._stream = None
             reason = f"the force of {self._parameters.set_id} is beyond what a number can hold"
             return self._invalid(block, reason, verdict.sentence)
         reason = (
-            self._doubt_of_motion(steady=sine is not None)
+            self._motion.doubt
             or self._doubt_of_memory()
             or self._doubt(block, motion.peak_velocity, current, self._parameters)
         )
@@ -166,25 +136,11 @@ class ForcePredictor:
             continuity=verdict.sentence,
         )
 
-    def _doubt_of_motion(self, *, steady: bool) -> str:
-        """Why velocity and peak velocity are not known well yet; empty where they are."""
-        assert self._differentiator is not None
-        assert self._centre is not None
-        if steady:
-            return ""
-        if not self._differentiator.settled:
-            return "the velocity estimate is still settling after the start of the stream"
-        if self._centre.reversals < _REVERSALS_FOR_CENTRE:
-            return (
-                "the centre of the motion is not known before the motion has reversed three times"
-            )
-        return ""
-
     def _doubt_of_memory(self) -> str:
         """Why the model does not know its past yet; empty where it does, or needs none."""
         assert self._stream is not None
-        assert self._centre is not None
-        if self._stream.remembers and self._centre.reversals == self._begun_at:
+        assert self._motion is not None
+        if self._stream.remembers and self._motion.reversals == self._begun_at:
             return "the model does not know its past before the motion has reversed"
         return ""
 

@@ -1,0 +1,83 @@
+"""Motion of a stream of displacement, block by block, from the past alone.
+
+A steady sine is followed by its fit, any other motion by the observer of
+:mod:`mr_damper_ros.kinematics.causal`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mr_damper_ros.damper.sigmoid import Array, peak_velocity
+from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.sine_follower import SineFollower
+from mr_damper_ros.streaming.centre import MotionCentre
+
+_REVERSALS_FOR_CENTRE = 3
+"""The centre of a motion is known once its ends have been seen, the first of them surely whole."""
+
+
+class MotionFollower:
+    """Follows samples of displacement ``period`` [s] apart.
+
+    ``bandwidth`` [Hz] of the observer is brought into the range that the period allows;
+    ``centre_memory`` [s] must hold a whole cycle of the motion.
+
+    Only what a block's own motion needs is done when it comes. The rest, which takes longer, is
+    done by :meth:`catch_up`.
+    """
+
+    def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
+        possible = float(np.clip(bandwidth, *possible_bandwidths(period)))
+        self._differentiator = CausalDifferentiator(period, possible)
+        self._centre = MotionCentre(centre_memory, period)
+        self._sine = SineFollower(period, centre_memory)
+        self._unlearned: Array | None = None
+        self._steady = False
+
+    @property
+    def reversals(self) -> int:
+        """Changes of direction up to the last block caught up with."""
+        return self._centre.reversals
+
+    @property
+    def doubt(self) -> str:
+        """Why the motion of the last block is not known well yet; empty where it is."""
+        if self._steady:
+            return ""
+        if not self._differentiator.settled:
+            return "the velocity estimate is still settling after the start of the stream"
+        if self._centre.reversals < _REVERSALS_FOR_CENTRE:
+            return (
+                "the centre of the motion is not known before the motion has reversed three times"
+            )
+        return ""
+
+    def follow(self, displacement: Array) -> Motion:
+        """Motion at the next samples [m], shape (n,)."""
+        self.catch_up()
+        self._unlearned = displacement
+        sine = self._sine.follow(displacement)
+        self._steady = sine is not None
+        u, v, a = self._observe(displacement) if sine is None else sine
+        return Motion(
+            displacement=u,
+            velocity=v,
+            acceleration=a,
+            peak_velocity=peak_velocity(u, v, a),
+            sine=None,
+        )
+
+    def catch_up(self) -> None:
+        """Learn from the last block what only those after it need; :meth:`follow` does it, too."""
+        if self._unlearned is None:
+            return
+        if self._steady:
+            self._observe(self._unlearned)
+        self._sine.learn(self._unlearned, self._centre.half_cycle)
+        self._unlearned = None
+
+    def _observe(self, displacement: Array) -> tuple[Array, Array, Array]:
+        u, v, a = self._differentiator.follow(displacement)
+        return u - self._centre.follow(displacement), v, a
