@@ -44,6 +44,20 @@ class Evidence:
     force_change: float
 
 
+@dataclass(frozen=True)
+class AcceptanceHistory:
+    """What a gatekeeper remembers.
+
+    ``residuals``: RMSE [N] and NRMSE of the newest accepted windows; ``refused_for_residual``:
+    refusals in a row since; ``pending_change``: relative change of the force that is to be
+    confirmed.
+    """
+
+    residuals: tuple[tuple[float, float], ...] = ()
+    refused_for_residual: int = 0
+    pending_change: float | None = None
+
+
 class Gatekeeper:
     """Accepts or refuses new sets, with the reason; remembers the usual residual."""
 
@@ -51,11 +65,22 @@ class Gatekeeper:
     _PATIENCE = 4
     """After this many refusals in a row for the residual, the larger residual is the usual one."""
 
-    def __init__(self, settings: AcceptanceSettings) -> None:
+    def __init__(
+        self, settings: AcceptanceSettings, history: AcceptanceHistory | None = None
+    ) -> None:
+        """Go on from a history, or begin without one."""
+        history = history or AcceptanceHistory()
         self._settings = settings
-        self._residuals: deque[tuple[float, float]] = deque(maxlen=self._MEMORY)
-        self._refused_for_residual = 0
-        self._pending_change: float | None = None
+        self._residuals = deque(history.residuals, maxlen=self._MEMORY)
+        self._refused_for_residual = history.refused_for_residual
+        self._pending_change = history.pending_change
+
+    @property
+    def history(self) -> AcceptanceHistory:
+        """What is remembered now."""
+        return AcceptanceHistory(
+            tuple(self._residuals), self._refused_for_residual, self._pending_change
+        )
 
     def judge(self, evidence: Evidence) -> str:
         """Why the new set is refused, in one sentence; empty where it is accepted."""

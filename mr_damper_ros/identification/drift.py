@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,8 +31,14 @@ class ForceScale:
 class Baselines:
     """The first accepted fit at each operating point."""
 
-    def __init__(self) -> None:
-        self._fits: list[WindowFit] = []
+    def __init__(self, fits: Iterable[WindowFit] = ()) -> None:
+        """Begin with these fits, each of another operating point."""
+        self._fits = list(fits)
+
+    @property
+    def fits(self) -> tuple[WindowFit, ...]:
+        """All baselines, oldest first."""
+        return tuple(self._fits)
 
     def add(self, fit: WindowFit) -> None:
         """Keep a fit unless its operating point has a baseline already."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from mr_damper_ros.identification.fit import WindowFit
 from mr_damper_ros.identification.window import Window
@@ -35,14 +35,22 @@ def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> in
 class Reservoir:
     """The newest accepted window of each operating point, thinned to a few hundred samples."""
 
-    def __init__(self) -> None:
-        self._windows: list[Window] = []
-        self._points: list[OperatingPoint] = []
+    def __init__(
+        self, windows: Iterable[Window] = (), points: Iterable[OperatingPoint] = ()
+    ) -> None:
+        """Begin with these windows, oldest first, and their operating points."""
+        self._windows = list(windows)
+        self._points = list(points)
 
     @property
     def windows(self) -> tuple[Window, ...]:
         """All windows kept, oldest first."""
         return tuple(self._windows)
+
+    @property
+    def points(self) -> tuple[OperatingPoint, ...]:
+        """The operating point of each window."""
+        return tuple(self._points)
 
     @property
     def operating_points(self) -> int:

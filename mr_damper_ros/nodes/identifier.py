@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import time
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +29,7 @@ from mr_damper_ros.identification.screening import Screening
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
+from mr_damper_ros.nodes.keeping import Keeper
 from mr_damper_ros.nodes.parameters import (
     ConfigurationError,
     NodeParameters,
@@ -47,6 +50,7 @@ from mr_damper_ros.nodes.results import parameters_message, report_message
 from mr_damper_ros.nodes.running import run
 from mr_damper_ros.nodes.worker import Worker
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.streaming.memory import TrackerMemory, from_text, to_text
 from mr_damper_ros.streaming.state import StateDirectory, StateError, read_parameter_file
 from mr_damper_ros.streaming.tracker import (
     EARLY_METHOD,
@@ -62,6 +66,9 @@ _ATTENTION_PERIOD = 0.02
 
 A guard condition would need no looking, but the events executor supports none.
 """
+
+_DISK_PATIENCE = 1.0
+"""Seconds after which what is identified is published even though it is not on disk yet."""
 
 _LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
 """Peak velocity [m/s] of the test that the literature's set is for: 1 Hz, 2.5 mm, at 0 A."""
@@ -286,14 +293,26 @@ class IdentifierParameters(Table):
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _Outgoing:
+    """A report, and the set it brought, that wait until the state of this number is on disk."""
+
+    report: FitReport
+    parameters: ParameterSet | None
+    state: int
+    deadline: float
+
+
 class Identifier(Node):
     """Feeds what arrives to the identification, and publishes what comes of it."""
 
     def __init__(self) -> None:
         super().__init__("identifier")
         self._options = NodeParameters(self, IdentifierParameters).values
-        self._state = StateDirectory(self._options.state_dir)
-        self._state_fault = ""
+        self._state = _state_directory(self._options.state_dir)
+        self._set_aside = ""
+        self._keeper: Keeper[tuple[ParameterSet, TrackerMemory]] | None = None
+        self._outbox: deque[_Outgoing] = deque()
         # Two dampers in two namespaces may share a folder.
         self._own_name = self.get_fully_qualified_name().strip("/").replace("/", ".")
         self._assembler = WindowAssembler(
@@ -315,7 +334,7 @@ class Identifier(Node):
             quality.stream(),
             qos_overriding_options=quality.overridable(),
         )
-        self._publish_parameters()
+        self._publish_parameters(self._tracker.parameters)
         self._worker = Worker(WORK_MODULE)
         self._pipeline = Pipeline(
             self._tracker,
@@ -354,8 +373,11 @@ class Identifier(Node):
         )
 
     def destroy_node(self) -> None:
-        """End the worker too."""
+        """End the worker too, and what keeps the state."""
         self._worker.close()
+        if self._keeper is not None:
+            self._keeper.close(_DISK_PATIENCE)
+        self._send(at_once=True)
         super().destroy_node()
 
     # What arrives
@@ -383,6 +405,7 @@ class Identifier(Node):
                 self._publish_progress(event)
             else:
                 self._finish_search(event)
+        self._send()
         for notice in self._worker.take_notices():
             self.get_logger().warning(notice)
 
@@ -390,15 +413,38 @@ class Identifier(Node):
         self._last_report = report
         if report.method == EARLY_METHOD:
             self.get_logger().warning(report.reason)
-        self._report_publisher.publish(report_message(report, duration, self._options.frame_id))
+        parameters = self._tracker.parameters if report.accepted else None
         if report.accepted:
-            self._publish_parameters()
             self._keep()
-
-    def _publish_parameters(self) -> None:
-        self._parameters_publisher.publish(
-            parameters_message(self._tracker.parameters, self._options.frame_id)
+        self._outbox.append(
+            _Outgoing(
+                report_message(report, duration, self._options.frame_id),
+                parameters,
+                self._keeper.given if self._keeper else 0,
+                time.monotonic() + _DISK_PATIENCE,
+            )
         )
+        self._send()
+
+    def _send(self, *, at_once: bool = False) -> None:
+        """Publish what is kept by now: what others have heard of survives whatever happens."""
+        while self._outbox:
+            first = self._outbox[0]
+            if self._keeper is not None and self._keeper.done < first.state and not at_once:
+                if time.monotonic() < first.deadline:
+                    return
+                self.get_logger().warning(
+                    f"state_dir takes more than {_DISK_PATIENCE:g} s to be written: "
+                    "publishing what is not kept yet",
+                    throttle_duration_sec=60.0,
+                )
+            self._outbox.popleft()
+            self._report_publisher.publish(first.report)
+            if first.parameters is not None:
+                self._publish_parameters(first.parameters)
+
+    def _publish_parameters(self, parameters: ParameterSet) -> None:
+        self._parameters_publisher.publish(parameters_message(parameters, self._options.frame_id))
 
     def _publish_progress(self, event: SearchProgress) -> None:
         if event.search in self._goals:
@@ -486,39 +532,75 @@ class Identifier(Node):
     # State on disk
 
     def _resume(self) -> None:
-        """Go on with the set that was in use when the node ended."""
+        """Go on where the node ended, and keep from now on what it learns."""
         if not self._options.state_dir:
             return
+        name = self._own_name
         try:
-            file = self._state.file(self._own_name)
-            if not file.exists():
-                self._state.save(self._own_name, self._tracker.parameters)
-                return
+            is_kept = self._state.file(name).exists()
+            if not is_kept:
+                self._state.save(name, self._tracker.parameters)
         except StateError as error:
             raise ConfigurationError(f"state_dir: {error}") from error
-        try:
-            self._tracker.replace(self._state.load(self._own_name))
-            self.get_logger().info(f"going on with parameters {self._tracker.parameters.set_id}")
-        except StateError as error:
-            self._state_fault = str(error)
-            with contextlib.suppress(StateError):
-                self._state_fault += f"; set aside as {self._state.set_aside(self._own_name)}"
-            self.get_logger().error(self._state_fault)
+        self._state.remove_unfinished(name)
+        if is_kept:
+            self._go_on(name)
+        self._keeper = Keeper(lambda item: self._state.save(name, item[0], to_text(item[1])))
 
-    def _keep(self) -> None:
-        """Write the running set to disk, for the next start."""
-        if not self._options.state_dir:
+    def _go_on(self, name: str) -> None:
+        try:
+            parameters, memory = self._state.load_with_memory(name)
+            parameters.of_model(self._tracker.parameters.model)
+        except (StateError, ParameterError) as error:
+            self._put_aside(name, str(error))
             return
         try:
-            self._state.save(self._own_name, self._tracker.parameters)
-            self._state_fault = ""
+            if memory:
+                learnt = from_text(memory, parameters.values.size)
+                self._tracker.resume(parameters, learnt)
+                known = f"{len(learnt.baselines)} baselines, {len(learnt.reservoir)} windows"
+            else:
+                self._tracker.replace(parameters)
+                known = "a new baseline"
         except StateError as error:
-            self._state_fault = str(error)
-            self.get_logger().error(str(error), throttle_duration_sec=60.0)
+            self._tracker.replace(parameters)
+            self._put_aside(name, f"{error}; going on with {parameters.set_id} alone")
+            with contextlib.suppress(StateError):
+                self._state.save(name, parameters)
+            return
+        self.get_logger().info(f"going on with parameters {parameters.set_id} and {known}")
+
+    def _put_aside(self, name: str, why: str) -> None:
+        self._set_aside = why
+        with contextlib.suppress(StateError):
+            self._set_aside += f"; set aside as {self._state.set_aside(name)}"
+        self.get_logger().error(self._set_aside)
+
+    def _keep(self) -> None:
+        """Have the running set, and what goes with it, written to disk soon."""
+        if self._keeper is not None:
+            self._keeper.keep((self._tracker.parameters, self._tracker.memory))
+            self._set_aside = ""
+
+    def _keep_now(self) -> str:
+        """Keep, and wait for it; returns what is wrong with that, if anything is."""
+        self._keep()
+        if self._keeper is None:
+            return ""
+        if not self._keeper.wait(_DISK_PATIENCE):
+            return f"state_dir takes more than {_DISK_PATIENCE:g} s to be written"
+        return self._keeper.fault
 
     def _save(self, request: Any, response: Any) -> Any:
+        name = request.name or self._own_name
         try:
-            path = self._state.save(request.name or self._own_name, self._tracker.parameters)
+            path = self._state.file(name)
+            if path == self._state.file(self._own_name):
+                fault = self._keep_now()
+                if fault:
+                    raise StateError(fault)
+            else:
+                self._state.save(name, self._tracker.parameters)
         except StateError as error:
             response.message = str(error)
             return response
@@ -529,24 +611,28 @@ class Identifier(Node):
     def _load(self, request: Any, response: Any) -> Any:
         try:
             parameters = self._state.load(request.name or self._own_name)
-        except StateError as error:
+            parameters.of_model(self._tracker.parameters.model)
+        except (StateError, ParameterError) as error:
             response.message = str(error)
             return response
+        self._send(at_once=True)
         self._pipeline.replace(parameters)
-        self._publish_parameters()
-        self._keep()
-        response.success = True
-        response.message = f"running with {parameters.set_id}"
-        return response
+        return self._run_with_another(response)
 
     def _reset(self, request: Any, response: Any) -> Any:
+        self._send(at_once=True)
         self._assembler.reset()
         self._pipeline.reset()
         self._last_report = None
-        self._publish_parameters()
-        self._keep()
+        return self._run_with_another(response)
+
+    def _run_with_another(self, response: Any) -> Any:
+        """Keep and publish the set that a service has put in use, and answer."""
+        fault = self._keep_now()
+        parameters = self._tracker.parameters
+        self._publish_parameters(parameters)
         response.success = True
-        response.message = f"running with {self._tracker.parameters.set_id}"
+        response.message = f"running with {parameters.set_id}" + (f"; {fault}" if fault else "")
         return response
 
     # Diagnostics
@@ -615,11 +701,19 @@ class Identifier(Node):
         return Finding(OK, f"running with {parameters.set_id}", values)
 
     def _state_finding(self) -> Finding:
-        if self._state_fault:
-            return Finding(ERROR, self._state_fault)
+        fault = self._keeper.fault if self._keeper else ""
+        if fault or self._set_aside:
+            return Finding(ERROR, fault or self._set_aside)
         if not self._options.state_dir:
             return Finding(OK, "nothing is kept on disk: state_dir is not set")
         return Finding(OK, f"kept in {self._state.file(self._own_name)}")
+
+
+def _state_directory(path: str) -> StateDirectory:
+    try:
+        return StateDirectory(path)
+    except StateError as error:
+        raise ConfigurationError(str(error)) from error
 
 
 def _initial_set(source: str) -> ParameterSet:

@@ -46,6 +46,7 @@ from mr_damper_ros.identification.unscented import (
 )
 from mr_damper_ros.identification.window import ScaleMisfit, Window, scale_parameter_errors
 from mr_damper_ros.streaming.blocks import NANOSECONDS
+from mr_damper_ros.streaming.memory import TrackerMemory
 from mr_damper_ros.streaming.windows import RawWindow
 
 _CHUNKS = 40
@@ -362,22 +363,52 @@ class WindowTracker:
         self._settings = settings
         self._initial = initial
         self.parameters = initial
-        # It also names the sets, so it goes on through a reset.
-        self._windows = 0
-        self._start_again()
+        self._remember(TrackerMemory())
+
+    @property
+    def memory(self) -> TrackerMemory:
+        """All that has been learnt besides the running set."""
+        return TrackerMemory(
+            windows=self._windows,
+            accepted=self._accepted,
+            accepted_since_global=self._accepted_since_global,
+            history=self._gatekeeper.history,
+            baselines=self._baselines.fits,
+            reservoir=self._reservoir.windows,
+            reservoir_points=self._reservoir.points,
+            state=self._state,
+            watch=self._watch,
+            changed_ns=self._changed_ns,
+        )
+
+    def _remember(self, memory: TrackerMemory) -> None:
+        self._windows = memory.windows
+        self._accepted = memory.accepted
+        self._accepted_since_global = memory.accepted_since_global
+        self._gatekeeper = Gatekeeper(self._settings.acceptance, memory.history)
+        self._baselines = Baselines(memory.baselines)
+        self._reservoir = Reservoir(memory.reservoir, memory.reservoir_points)
+        self._state = memory.state
+        self._watch = memory.watch
+        self._changed_ns = memory.changed_ns
+
+    def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
+        """Go on where another tracker was, which may have had other settings."""
+        self.parameters = parameters
+        self._remember(memory)
+        if self._settings.tracker != METHOD:
+            self._state = None
+        if self._watch and self._watch.smallest_change != self._settings.smallest_change:
+            self._watch = None
 
     def _start_again(self) -> None:
-        self._gatekeeper = Gatekeeper(self._settings.acceptance)
-        self._baselines = Baselines()
-        self._reservoir = Reservoir()
-        self._accepted = 0
-        self._accepted_since_global = 0
-        self._forget_scales()
+        # The number of windows names the sets, so it goes on.
+        self._remember(TrackerMemory(windows=self._windows))
 
     def _forget_scales(self) -> None:
         """What was known of the scales went with another set."""
-        self._state: FilterState | None = None
-        self._watch: ChangeWatch | None = None
+        self._state = None
+        self._watch = None
         self._changed_ns = 0
 
     @property

@@ -11,7 +11,7 @@ import pytest
 
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.streaming.state import StateDirectory, StateError
+from mr_damper_ros.streaming.state import StateDirectory, StateError, read_parameter_file
 
 SET = ParameterSet(
     values=THESIS_28_CELSIUS,
@@ -69,6 +69,62 @@ def test_only_plain_names_are_taken(tmp_path: Path, name: str) -> None:
     assert os.listdir(tmp_path) == []
 
 
+def test_the_memory_of_a_set_comes_back_with_it(tmp_path: Path) -> None:
+    state = StateDirectory(tmp_path)
+    path = state.save("running", SET, '{"windows":3}')
+    kept, memory = state.load_with_memory("running")
+    assert (same(kept, SET), memory) == (True, '{"windows":3}')
+    assert same(state.load("running"), SET)
+    assert same(read_parameter_file(path), SET)
+    # To any other reader of YAML the memory is a comment.
+    assert same(ParameterSet.from_yaml(path.read_text()), SET)
+
+
+def test_a_set_edited_by_hand_has_no_memory(tmp_path: Path) -> None:
+    state = StateDirectory(tmp_path)
+    path = state.save("running", SET, '{"windows":3}')
+    path.write_text(path.read_text().partition("\n")[2])
+    kept, memory = state.load_with_memory("running")
+    assert (same(kept, SET), memory) == (True, "")
+
+
+def test_damage_to_the_memory_is_noticed(tmp_path: Path) -> None:
+    state = StateDirectory(tmp_path)
+    path = state.save("running", SET, '{"windows":3}')
+    path.write_text(path.read_text().replace("3}", "4}"))
+    with pytest.raises(StateError, match="not what was written"):
+        state.load("running")
+
+
+def test_what_a_killed_process_left_behind_is_removed(tmp_path: Path) -> None:
+    state = StateDirectory(tmp_path)
+    path = state.save("running", SET)
+    for name in (".running.yaml.x1y2", ".running.yaml.z", ".other.yaml.x1y2"):
+        (tmp_path / name).write_text("half a fi")
+    state.remove_unfinished("running")
+    assert sorted(os.listdir(tmp_path)) == [".other.yaml.x1y2", "running.yaml"]
+    assert same(read_parameter_file(path), SET)
+
+
+@pytest.mark.parametrize(
+    "path", ["~nobody-of-this-name/x.yaml", "a\0b", "x" * 5000, "", "/dev/null"]
+)
+def test_a_path_that_cannot_be_is_said_so(path: str) -> None:
+    with pytest.raises(StateError, match="cannot read"):
+        read_parameter_file(path)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(StateError, match="it is no file"):
+        StateDirectory(tmp_path).load("pipe")
+
+
+def test_a_home_that_does_not_exist_is_said_so() -> None:
+    with pytest.raises(StateError, match="cannot be used as state_dir"):
+        StateDirectory("~nobody-of-this-name/state")
+
+
 def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
     outside = tmp_path / "outside.yaml"
     outside.write_text(SET.to_yaml())
@@ -116,7 +172,7 @@ def test_every_damage_is_noticed(tmp_path: Path) -> None:
 
 def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
     state = StateDirectory(tmp_path)
-    for expected in ("cold.damaged", "cold.damaged1"):
+    for expected in ("cold.aside", "cold.aside1"):
         path = state.save("cold", SET)
         path.write_text("half a fi")
         assert state.set_aside("cold") == tmp_path / expected
@@ -127,7 +183,7 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
 def test_a_newer_version_is_not_guessed_at(tmp_path: Path) -> None:
     state = StateDirectory(tmp_path)
     path = state.save("cold", SET)
-    path.write_text(path.read_text().replace("version 1", "version 2"))
+    path.write_text(path.read_text().replace("version 1", "version 3"))
     with pytest.raises(StateError, match="newer version"):
         state.load("cold")
 

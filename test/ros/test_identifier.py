@@ -307,7 +307,7 @@ def test_sets_are_saved_loaded_reset_and_survive_a_restart(
     listener.until(lambda: len(results.sets) > heard, "the set after the damage")
     assert results.sets[-1].id == "literature"
     listener.wait_for_finding("identifier: state", "set aside as")
-    assert (tmp_path / "identifier.damaged").exists()
+    assert (tmp_path / "identifier.aside").exists()
 
 
 @pytest.fixture
