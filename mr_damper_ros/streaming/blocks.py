@@ -48,11 +48,11 @@ class SampleBlock:
     force: Array
 
     def __post_init__(self) -> None:
-        n = np.size(self.displacement)
+        n = self.displacement.size
         if n == 0:
             raise BlockError("the block holds no samples")
-        if np.size(self.force) != n:
-            raise BlockError(f"the block holds {n} displacements but {np.size(self.force)} forces")
+        if self.force.size != n:
+            raise BlockError(f"the block holds {n} displacements but {self.force.size} forces")
         if not (math.isfinite(self.period) and self.period > 0.0):
             raise BlockError(f"the sample period is {self.period} s: it must be positive")
         for name in ("displacement", "force"):
@@ -65,7 +65,7 @@ class SampleBlock:
     @property
     def sample_count(self) -> int:
         """Number of samples."""
-        return int(np.size(self.displacement))
+        return int(self.displacement.size)
 
     @property
     def end_ns(self) -> int:

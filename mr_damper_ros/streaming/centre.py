@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 from mr_damper_ros.damper.sigmoid import Array
 
@@ -12,19 +11,6 @@ _STRETCHES = 64
 
 _SMALLEST_RETURN = 1e-4
 """A reversal counts once the motion has come back by this [m] and by a quarter of its span."""
-
-
-@dataclass
-class _Stretch:
-    """Number of samples, and their lowest and highest value [m]."""
-
-    count: int
-    low: float
-    high: float
-
-    def add(self, count: int, low: float, high: float) -> None:
-        self.count += count
-        self.low, self.high = min(self.low, low), max(self.high, high)
 
 
 class MotionCentre:
@@ -40,7 +26,10 @@ class MotionCentre:
     def __init__(self, memory: float, period: float) -> None:
         self._memory = max(round(memory / period), 1)
         self._length = max(self._memory // _STRETCHES, 1)
-        self._stretches: deque[_Stretch] = deque()
+        # Of each stretch: number of samples, lowest and highest value [m].
+        self._counts: deque[int] = deque()
+        self._lows: deque[float] = deque()
+        self._highs: deque[float] = deque()
         self._remembered = 0
         self._direction = 0
         self._bottom, self._top = math.inf, -math.inf
@@ -53,16 +42,20 @@ class MotionCentre:
     def follow(self, displacement: Array) -> float:
         """Centre [m] after these samples of shape (n,), n >= 1."""
         low, high = float(displacement.min()), float(displacement.max())
-        if not self._stretches or self._stretches[-1].count >= self._length:
-            self._stretches.append(_Stretch(0, low, high))
-        newest = self._stretches[-1]
-        newest.add(displacement.size, low, high)
+        if not self._counts or self._counts[-1] >= self._length:
+            self._counts.append(0)
+            self._lows.append(low)
+            self._highs.append(high)
+        self._counts[-1] += displacement.size
+        self._lows[-1] = min(self._lows[-1], low)
+        self._highs[-1] = max(self._highs[-1], high)
         self._remembered += displacement.size
-        while self._remembered - self._stretches[0].count >= self._memory:
-            self._remembered -= self._stretches.popleft().count
+        while self._remembered - self._counts[0] >= self._memory:
+            self._remembered -= self._counts.popleft()
+            self._lows.popleft()
+            self._highs.popleft()
         self._count += displacement.size
-        bottom = min(stretch.low for stretch in self._stretches)
-        top = max(stretch.high for stretch in self._stretches)
+        bottom, top = min(self._lows), max(self._highs)
         self._bottom, self._top = min(self._bottom, low), max(self._top, high)
         self._count_reversals(float(displacement[-1]), max(0.25 * (top - bottom), _SMALLEST_RETURN))
         return 0.5 * (bottom + top)
