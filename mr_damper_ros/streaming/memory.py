@@ -197,6 +197,17 @@ def _window_soundness(window: Window) -> Iterator[tuple[bool, str]]:
         yield array.shape == window.force.shape, "a window of unequal lengths"
         yield bool(np.all(np.isfinite(array))), "a motion that is not finite"
     yield bool(np.all(motion.peak_velocity >= 0.0)), "a negative speed"
+    yield math.isnan(window.period) or 0.0 < window.period < math.inf, "such a period"
+    places, whole = window.places, window.whole
+    if whole is not None:
+        yield from _window_soundness(whole)
+    if places is None:
+        yield whole is None, "a part of a window without its places"
+    else:
+        last = math.inf if whole is None else whole.sample_count - 1
+        yield places.shape == window.force.shape, "a window of unequal lengths"
+        yield bool(np.all((places >= 0.0) & (places <= last))), "such a place"
+        yield whole is not None or window.steady, "a part without the whole"
 
 
 def _square(vector: np.ndarray, matrix: np.ndarray) -> bool:

@@ -11,10 +11,11 @@ from typing import Any
 import known
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.identification.window import Window
 from mr_damper_ros.streaming.memory import TrackerMemory, from_text, to_text
 from mr_damper_ros.streaming.state import StateError
 from mr_damper_ros.streaming.tracker import (
@@ -152,7 +153,7 @@ WRONG = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@known.fixed(300)
 @given(path=st.sampled_from(leaves(DOCUMENT)), wrong=WRONG)
 def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong: Any) -> None:
     document = copy.deepcopy(DOCUMENT)
@@ -194,6 +195,28 @@ def test_the_memory_of_another_model_is_refused() -> None:
 def test_nothing_learnt_is_a_memory_too() -> None:
     memory = from_text(to_text(TrackerMemory()), COUNT)
     assert to_text(memory) == to_text(TrackerMemory())
+
+
+def test_windows_of_any_motion_keep_what_is_behind_their_samples() -> None:
+    time = np.arange(3000) * 1e-3
+    displacement = 3e-3 * np.sin(6.0 * time) + 2e-3 * np.sin(17.0 * time)
+    window = Window.from_samples(displacement, np.sin(6.0 * time), 1.0, 1e-3).thinned(500)
+    assert window.whole is not None
+    memory = TrackerMemory(reservoir=(window,), reservoir_points=(window.operating_point,))
+    (again,) = from_text(to_text(memory), COUNT).reservoir
+    assert np.array_equal(
+        again.history.at_samples(again.history.motion.velocity),
+        window.history.at_samples(window.history.motion.velocity),
+    )
+
+
+def test_a_place_beyond_the_window_is_refused() -> None:
+    time = np.arange(400) * 1e-3
+    window = Window.from_samples(time**2, time, 1.0, 1e-3).part(slice(None, None, 2))
+    wrong = dataclasses.replace(window, places=np.asarray(window.places) + 2.0)
+    memory = TrackerMemory(reservoir=(wrong,), reservoir_points=(window.operating_point,))
+    with pytest.raises(StateError, match="such a place"):
+        from_text(to_text(memory), COUNT)
 
 
 def test_a_failed_window_is_counted() -> None:
