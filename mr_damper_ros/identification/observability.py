@@ -27,7 +27,7 @@ _DIFFERENT_VELOCITY = 1.2
 _DIFFERENT_CURRENT = 0.02
 """Currents [A] count as different where they are this far apart."""
 
-_SURE = 0.25
+SURE = 0.25
 """A shape parameter is determined where its standard error is below this part of its range."""
 
 _INDEPENDENT = 1e-4
@@ -88,7 +88,7 @@ def determined_parameters(
     while waiting:
         doubts = {name: _worst_doubt(triangular, [*chosen, name], ranges) for name in waiting}
         surest = min(waiting, key=lambda name: doubts[name])
-        if not doubts[surest] < _SURE:
+        if not doubts[surest] < SURE:
             break
         chosen.append(surest)
         waiting.remove(surest)

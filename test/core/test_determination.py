@@ -1,0 +1,214 @@
+"""What samples determine is said rightly, and the advised runs determine what they promise."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES, Array
+from mr_damper_ros.identification.determination import (
+    Determination,
+    determination,
+    noise_level,
+    parameter_spans,
+    plausible_ranges,
+)
+from mr_damper_ros.identification.next_run import ExtraRun, RigRange, extra_runs
+from mr_damper_ros.identification.observability import (
+    determined_parameters,
+    operating_points_within,
+    varied_parameters,
+)
+from mr_damper_ros.identification.pooled import PooledMisfit
+from mr_damper_ros.identification.window import Window
+
+TOP_VELOCITY = 2.0 * math.pi * 3.0 * 10e-3
+TOP_CURRENT = 1.5
+RIG = RigRange(amplitude=10e-3, peak_velocity=TOP_VELOCITY, current=TOP_CURRENT)
+RANGES = plausible_ranges(TOP_VELOCITY, TOP_CURRENT)
+ROUNDING = 1e-9
+
+
+@cache
+def window(amplitude: float, frequency: float, current: float) -> Window:
+    run = known.run(
+        amplitude=amplitude, frequency=frequency, current=current, samples=400, period=2.5e-3
+    )
+    return run.window
+
+
+def windows(
+    currents: tuple[float, ...], amplitudes: tuple[float, ...] = (2.5e-3, 10e-3)
+) -> list[Window]:
+    return [window(a, f, i) for a in amplitudes for f in (1.0, 3.0) for i in currents]
+
+
+def pooled(chosen: list[Window]) -> PooledMisfit:
+    return PooledMisfit(chosen, [known.NOISE] * len(chosen))
+
+
+def determined(chosen: list[Window]) -> Determination:
+    misfit = pooled(chosen)
+    jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit, known.PLAUSIBLE)
+    spans = parameter_spans(jacobian, known.PLAUSIBLE, RANGES)
+    return determination(jacobian, PARAMETER_NAMES, spans)
+
+
+# -- rank, condition, combinations -----------------------------------------------------------
+
+
+def test_four_currents_and_several_speeds_leave_nothing_open() -> None:
+    result = determined(windows((0.0, 0.5, 1.0, 1.5)))
+    assert (result.rank, result.open) == (16, ())
+    assert math.isfinite(result.condition)
+
+
+def test_one_run_determines_seven_combinations() -> None:
+    result = determined([window(5e-3, 1.0, 1.0)])
+    assert result.rank == 7
+    assert len(result.open) == 9
+    assert math.isinf(result.condition)
+
+
+def test_at_one_current_the_laws_over_current_are_open() -> None:
+    """They trade with the scale of their coefficient, with nothing else."""
+    result = determined(windows((1.0,)))
+    named = {name for combination in result.open for name in combination.weights}
+    assert len(result.open) == 6
+    assert named == {"f0", "k2", "a2", "I0", "k4", "k3", "a3", "I1"}
+
+
+def random_jacobian(seed: int, rank: int) -> Array:
+    rng = np.random.default_rng(seed)
+    return np.asarray(rng.normal(size=(60, rank)) @ rng.normal(size=(rank, 16)) * 10.0)
+
+
+@known.fixed(25)
+@given(st.integers(0, 10_000), st.integers(1, 16))
+def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, rank: int) -> None:
+    jacobian = random_jacobian(seed, rank)
+    result = determination(jacobian, PARAMETER_NAMES, np.ones(16))
+    assert result.rank + len(result.open) == 16
+    for combination in result.open:
+        if math.isinf(combination.standard_error):
+            move = np.array([combination.weights.get(name, 0.0) for name in PARAMETER_NAMES])
+            # Small weights are left out of the words.
+            unnoticed = 0.05 * np.linalg.norm(jacobian, axis=0).sum()
+            assert np.linalg.norm(jacobian @ move) <= unnoticed
+
+
+@known.fixed(25)
+@given(st.integers(0, 10_000), st.integers(1, 15))
+def test_each_open_combination_is_led_by_another_parameter(seed: int, rank: int) -> None:
+    result = determination(random_jacobian(seed, rank), PARAMETER_NAMES, np.ones(16))
+    leads = [next(iter(combination.weights)) for combination in result.open]
+    assert len(set(leads)) == len(leads)
+
+
+def test_units_do_not_change_what_is_determined() -> None:
+    chosen = windows((0.0, 1.0))
+    misfit = pooled(chosen)
+    jacobian = misfit.jacobian(known.PLAUSIBLE)
+    spans = parameter_spans(jacobian, known.PLAUSIBLE, RANGES)
+    units = np.geomspace(1e-6, 1e6, 16)
+    first = determination(jacobian, PARAMETER_NAMES, spans)
+    second = determination(jacobian * units, PARAMETER_NAMES, spans / units)
+    np.testing.assert_allclose(
+        first.singular_values, second.singular_values, atol=ROUNDING * first.singular_values[0]
+    )
+
+
+def test_two_parameters_with_the_same_effect_are_one_combination() -> None:
+    jacobian = 10.0 * np.random.default_rng(0).normal(size=(400, 16))
+    jacobian[:, known.index("a3")] = 2.0 * jacobian[:, known.index("a2")]
+    (combination,) = determination(jacobian, PARAMETER_NAMES, np.ones(16)).open
+    assert combination.weights == pytest.approx({"a2": 1.0, "a3": -0.5})
+    assert combination.words == "a2 - 0.5 a3"
+    assert math.isinf(combination.standard_error)
+
+
+def test_a_weak_combination_has_the_standard_error_of_its_parameter() -> None:
+    columns = np.linalg.qr(np.random.default_rng(1).normal(size=(100, 16)))[0]
+    sizes = np.full(16, 100.0)
+    sizes[known.index("k0")] = 0.5
+    (combination,) = determination(columns * sizes, PARAMETER_NAMES, np.ones(16)).open
+    assert combination.words == "k0"
+    assert combination.standard_error == pytest.approx(2.0)
+
+
+# -- advice ----------------------------------------------------------------------------------
+
+
+def flags(chosen: list[Window]) -> np.ndarray:
+    """What the identification would call observable, at the true set."""
+    misfit = pooled(chosen)
+    jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit, known.PLAUSIBLE)
+    sizes = {name: high - low for name, (low, high) in RANGES.items()}
+    names = determined_parameters(
+        jacobian, varied_parameters(*operating_points_within(chosen)), sizes
+    )
+    return np.array([name in names for name in PARAMETER_NAMES])
+
+
+def advised(chosen: list[Window], rig: RigRange = RIG) -> tuple[ExtraRun, ...]:
+    return extra_runs(pooled(chosen), known.NOISE, known.PLAUSIBLE, flags(chosen), rig)
+
+
+OPEN = {
+    "one current": windows((1.0,)),
+    "two currents": windows((0.0, 1.0)),
+    "three currents": windows((0.0, 0.5, 1.5)),
+    "one peak velocity": [window(5e-3, 1.0, i) for i in (0.0, 0.5, 1.0, 1.5)],
+}
+
+
+@pytest.mark.parametrize("name", OPEN)
+def test_the_advised_runs_determine_what_they_promise(name: str) -> None:
+    chosen = OPEN[name]
+    runs = advised(chosen)
+    made = [window(run.amplitude, run.frequency, run.current) for run in runs]
+    open_before = {n for n, seen in zip(PARAMETER_NAMES, flags(chosen), strict=True) if not seen}
+    open_after = {
+        n for n, seen in zip(PARAMETER_NAMES, flags(chosen + made), strict=True) if not seen
+    }
+    assert {n for run in runs for n in run.determines} == open_before
+    assert open_after == set()
+
+
+def test_no_advice_where_all_is_known() -> None:
+    assert advised(windows((0.0, 0.5, 1.0, 1.5))) == ()
+
+
+def test_advice_stays_within_the_rig() -> None:
+    rig = RigRange(amplitude=4e-3, peak_velocity=0.05, current=0.8)
+    for run in advised(OPEN["one current"], rig):
+        assert run.amplitude <= rig.amplitude
+        assert 2.0 * math.pi * run.frequency * run.amplitude <= 1.05 * rig.peak_velocity
+        assert 0.0 <= run.current <= rig.current
+
+
+def test_no_advice_for_what_the_rig_cannot_tell() -> None:
+    """Without current, nothing tells how the coefficients depend on it."""
+    chosen = windows((0.0,))
+    assert advised(chosen, RigRange.of_windows(chosen)) == ()
+
+
+def test_the_advice_is_a_sentence() -> None:
+    run = ExtraRun(10e-3, 2.0, 0.75, ("a2", "I0"), 0.1)
+    assert run.sentence == "run 10 mm at 2 Hz with 0.75 A: it would determine a2, I0"
+
+
+def test_the_worst_standard_error_falls_from_run_to_run() -> None:
+    errors = [run.worst_error for run in advised([window(5e-3, 1.0, 1.0)])]
+    assert len(errors) > 1
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_all_shape_parameters_have_a_plausible_range() -> None:
+    assert set(RANGES) == set(SHAPE_PARAMETER_NAMES)
