@@ -40,6 +40,18 @@ SHAPE_PARAMETER_NAMES = tuple(n for n in PARAMETER_NAMES if n not in SCALE_PARAM
 
 _INDEX = {name: position for position, name in enumerate(PARAMETER_NAMES)}
 
+_PAIRS = (
+    *(slice(_INDEX["I0"], _INDEX["I1"] + 1), slice(_INDEX["a2"], _INDEX["a3"] + 1)),
+    *(slice(_INDEX["k2"], _INDEX["k3"] + 1), slice(_INDEX["a1"], _INDEX["a4"] + 1, 3)),
+    *(slice(_INDEX["k1c"], _INDEX["k1e"] + 1), slice(_INDEX["k4"], _INDEX["k6"] + 1, 2)),
+)
+"""(I0, I1), (a2, a3), (k2, k3), (a1, a4), (k1c, k1e), (k4, k6)."""
+
+_SINGLE = tuple(_INDEX[name] for name in ("f0", "a0", "k0", "k5"))
+
+_GROWTH_AND_DECAY = np.array([[1.0], [-1.0]])
+"""Signs of the exponents of a1 and a4."""
+
 SCALE_INDICES = np.array([_INDEX[name] for name in SCALE_PARAMETER_NAMES])
 
 _COEFFICIENT_LIMIT = 1e100
@@ -96,14 +108,14 @@ def _saturated(x: Array) -> Array:
     return x.clip(-_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
 
 
-def _split(parameters: ArrayLike) -> dict[str, Array]:
+def _checked(parameters: ArrayLike) -> Array:
     p = np.asarray(parameters, dtype=float)
     if p.shape[-1:] != (len(PARAMETER_NAMES),):
         raise ValueError(
             f"parameters must have a last axis of length {len(PARAMETER_NAMES)} "
             f"(got shape {p.shape}); the order is {', '.join(PARAMETER_NAMES)}"
         )
-    return {name: p[..., index, np.newaxis] for name, index in _INDEX.items()}
+    return p
 
 
 def operating_point_coefficients(
@@ -117,26 +129,36 @@ def operating_point_coefficients(
 
     Raises ValueError where the last axis of ``parameters`` is not sixteen long.
     """
-    p = _split(parameters)
+    p = _checked(parameters)
     v_m = np.asarray(peak_velocity, dtype=float)
     i = np.asarray(current, dtype=float)
+    # What has the same form is done in one go, along an axis of two before the last: with a few
+    # samples the number of operations counts, not their size.
+    thresholds, steepnesses, steps, rates, slopes, widths = (
+        p[..., pair, np.newaxis] for pair in _PAIRS
+    )
+    f0, a0, k0, k5 = (p[..., index, np.newaxis] for index in _SINGLE)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        on0, on1 = _saturated(i + p["I0"]), _saturated(i + p["I1"])
-        yield_gain = 1.0 + p["k2"] * (_sigma(p["a2"] * on0) - _sigma(p["a2"] * p["I0"]))
-        width_gain = 1.0 + p["k3"] * (_sigma(p["a3"] * on1) - _sigma(p["a3"] * p["I1"]))
-        f_t = _saturated(_saturated(p["f0"] * (1.0 + _exp(p["a1"] * v_m))) * _saturated(yield_gain))
-        decay = _exp(-p["a4"] * v_m)
+        # The difference of two logistic functions, by tanh, which does not overflow.
+        half = 0.5 * steepnesses
+        rise = np.tanh(half * _saturated(i + thresholds)) - np.tanh(half * thresholds)
+        gains = _saturated(1.0 + 0.5 * steps * rise)
+        growth_and_decay = _exp(_GROWTH_AND_DECAY * rates * v_m)
+        scale = _saturated(f0 * (1.0 + growth_and_decay[..., 0, :]))
+        f_t = _saturated(scale * gains[..., 0, :])
+        alpha = a0 / (1.0 + k0 * v_m)
         # 0/0, the only way to a NaN here, is a sigmoid of no steepness: zero.
-        alpha = p["a0"] / (1.0 + p["k0"] * v_m)
         alpha = np.where(np.isnan(alpha), 0.0, alpha)
+        k = _saturated(slopes * growth_and_decay[..., 1:, :])
+        v = _saturated(widths * v_m)
         return Coefficients(
             f_t=f_t,
             alpha=_saturated(alpha),
-            k_c=_saturated(p["k1c"] * decay),
-            k_e=_saturated(p["k1e"] * decay),
-            v_h=_saturated(_saturated(p["k4"] * v_m) * _saturated(width_gain)),
-            v_d=_saturated(p["k6"] * v_m),
-            f_d=_saturated(p["k5"] * f_t),
+            k_c=k[..., 0, :],
+            k_e=k[..., 1, :],
+            v_h=_saturated(v[..., 0, :] * gains[..., 1, :]),
+            v_d=v[..., 1, :],
+            f_d=_saturated(k5 * f_t),
         )
 
 
@@ -210,7 +232,7 @@ def coefficient_parameter_jacobian(
     ``parameters`` has shape (16,), ``peak_velocity`` and ``current`` broadcast to (n,); the
     result has shape (n, 7, 16).
     """
-    p = {name: value[..., 0] for name, value in _split(parameters).items()}
+    p = dict(zip(PARAMETER_NAMES, _checked(parameters), strict=True))
     v_m, i = np.broadcast_arrays(
         np.atleast_1d(np.asarray(peak_velocity, dtype=float)), np.asarray(current, dtype=float)
     )
