@@ -23,15 +23,13 @@ from mr_damper_ros.damper.sigmoid import (
     SCALE_PARAMETER_NAMES,
     SHAPE_PARAMETER_NAMES,
     Array,
-    operating_point_coefficients,
 )
+from mr_damper_ros.identification.adaptation import adapted
 from mr_damper_ros.identification.determination import (
     noise_level,
     parameter_spans,
     plausible_ranges,
 )
-from mr_damper_ros.identification.evolution import EvolutionSettings, ProgressClock
-from mr_damper_ros.identification.laws import CoefficientTable, fit_laws
 from mr_damper_ros.identification.observability import (
     determined_parameters,
     operating_points_within,
@@ -223,12 +221,6 @@ def _plausible_sets(
     linear in the laws then follows from the coefficients that the windows have.
     """
     points = np.array([window.operating_point for window in windows])
-    coefficients = np.stack(
-        operating_point_coefficients(parameters[:SIGMOID_COUNT], points[:, 0], points[:, 1]), -1
-    )
-    # Yield force and steepness may change sign together: the positive pair is meant.
-    coefficients[coefficients[:, 0] < 0.0, :2] *= -1.0
-    table = CoefficientTable(points[:, 0], points[:, 1], coefficients, np.zeros_like(coefficients))
     solved = frozenset((*SCALE_PARAMETER_NAMES, *({"k2", "k3"} & known)))
     speed, current = max(rig.peak_velocity, points[:, 0].max()), max(rig.current, 1e-12)
     rng = np.random.default_rng(0)
@@ -248,9 +240,5 @@ def _plausible_sets(
         for name, value in drawn.items():
             if name not in known:
                 values[PARAMETER_NAMES.index(name)] = value
-        sixteen, _ = fit_laws(
-            table, values[:SIGMOID_COUNT], solved, EvolutionSettings(), ProgressClock(1, None)
-        )
-        values[:SIGMOID_COUNT] = sixteen
-        sets.append(values)
+        sets.append(adapted(windows, parameters, values, solved))
     return sets
