@@ -7,14 +7,15 @@ import time
 from dataclasses import dataclass
 
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
-from mr_damper_msgs.msg import DamperParameters, PredictedForce
+from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 from rclpy.node import Node
 
 from mr_damper_ros.damper.parameters import ParameterError, ParameterSet
+from mr_damper_ros.identification.acceptance import NO_BETTER
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
-from mr_damper_ros.nodes.messages import header
+from mr_damper_ros.nodes.messages import header, to_nanoseconds
 from mr_damper_ros.nodes.parameters import ConfigurationError, NodeParameters, Table, option
 from mr_damper_ros.nodes.results import parameter_set, prediction_message
 from mr_damper_ros.nodes.running import run
@@ -22,6 +23,9 @@ from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.streaming.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.streaming.running_error import RunningError
 from mr_damper_ros.streaming.state import StateError, read_parameter_file
+
+_REPORTS = 10
+"""Reports that may wait: only the newest ones matter."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,15 @@ class ModelParameters(Table):
         "Age [s] of the supply current beyond which the force is marked invalid.",
         minimum=0.0,
         maximum=3600.0,
+        read_only=True,
+    )
+    parameters_timeout: float = option(
+        PredictorSettings.parameters_timeout,
+        "Time [s] for which no window has confirmed the parameters, beyond which the force is "
+        "marked invalid: a damper that heats may change by a quarter in ten minutes. 0: no limit. "
+        "Those of parameter_file have none either.",
+        minimum=0.0,
+        maximum=1e9,
         read_only=True,
     )
     velocity_margin: float = option(
@@ -103,6 +116,7 @@ class Model(Node):
                 bandwidth=self._options.bandwidth,
                 centre_memory=self._options.centre_memory,
                 current_timeout=self._options.current_timeout,
+                parameters_timeout=self._options.parameters_timeout,
                 velocity_margin=self._options.velocity_margin,
                 current_margin=self._options.current_margin,
             )
@@ -129,6 +143,9 @@ class Model(Node):
         self.create_subscription(
             DamperParameters, "damper/parameters", self._take_parameters, quality.latched()
         )
+        self.create_subscription(
+            FitReport, "damper/fit_report", self._take_report, quality.stream(_REPORTS)
+        )
         self._inputs = Inputs(self, quality.stream, self._take_block, self._predictor.add_current)
         self._diagnostics = Diagnostics(
             self,
@@ -149,9 +166,14 @@ class Model(Node):
             self.get_logger().warning(f"parameters {message.id} are not used: {error}")
             return
         self._refused_parameters = ""
-        self._predictor.set_parameters(parameters)
+        # Published parameters that come from no samples have the stamp 0.
+        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
         self._error.reset()
         self.get_logger().debug(f"predicting with parameters {parameters.set_id}")
+
+    def _take_report(self, message: FitReport) -> None:
+        if message.accepted or message.reason == NO_BETTER:
+            self._predictor.confirm(message.parameter_set, to_nanoseconds(message.header.stamp))
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()

@@ -20,7 +20,8 @@ class PredictorSettings:
 
     ``bandwidth`` [Hz] of the observer of velocity and acceleration: wider follows faster motion,
     narrower passes less noise. ``centre_memory`` [s] must hold a whole cycle of the motion.
-    ``current_timeout`` [s]: an older supply current makes the force invalid.
+    ``current_timeout`` [s]: an older supply current makes the force invalid; so do parameters that
+    no window has confirmed for ``parameters_timeout`` [s], 0 for no such limit.
     ``velocity_margin`` (relative) and ``current_margin`` [A]: how far outside of what the
     parameters were identified from a prediction still counts as valid.
     """
@@ -28,6 +29,7 @@ class PredictorSettings:
     bandwidth: float = 40.0
     centre_memory: float = 10.0
     current_timeout: float = 1.0
+    parameters_timeout: float = 600.0
     velocity_margin: float = 0.25
     current_margin: float = 0.1
 
@@ -52,6 +54,7 @@ class ForcePredictor:
     def __init__(self, settings: PredictorSettings) -> None:
         self._settings = settings
         self._parameters: ParameterSet | None = None
+        self._confirmed_ns: int | None = None
         self._current = HeldCurrent(keep=KEEP_CURRENT)
         self._sequence = BlockSequence()
         self._motion: MotionFollower | None = None
@@ -69,14 +72,22 @@ class ForcePredictor:
         """The set in use; None before the first."""
         return self._parameters
 
-    def set_parameters(self, parameters: ParameterSet) -> None:
+    def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
         """Predict with this set from the next block on.
 
-        What the model remembers of the motion stays, unless the set is of another model.
+        ``confirmed_ns`` is the stamp of the last sample that it is known to fit; None for a set
+        that does not age, such as one that a user gave. What the model remembers of the motion
+        stays, unless the set is of another model.
         """
         if self._stream is not None and self._stream.model.name != parameters.model:
             self._stream = None
         self._parameters = parameters
+        self._confirmed_ns = confirmed_ns
+
+    def confirm(self, set_id: str, stamp_ns: int) -> None:
+        """Take note that the set of this name fits the samples up to the stamp."""
+        if self._parameters is not None and self._parameters.set_id == set_id:
+            self._confirmed_ns = stamp_ns
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a value of the supply current [A]."""
@@ -153,6 +164,14 @@ class ForcePredictor:
         age = (block.end_ns - last) / NANOSECONDS
         if age > self._settings.current_timeout:
             return f"the supply current is {age:.1f} s old: is it still published?"
+        limit = self._settings.parameters_timeout
+        if limit > 0.0 and self._confirmed_ns is not None:
+            age = (block.end_ns - self._confirmed_ns) / NANOSECONDS
+            if age > limit:
+                return (
+                    f"no window has confirmed the parameters for {age:.0f} s: "
+                    "is the identifier running, and does the damper move?"
+                )
         low, high = parameters.current_range
         margin = self._settings.current_margin
         if current.min() < low - margin or current.max() > high + margin:

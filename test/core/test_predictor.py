@@ -178,6 +178,37 @@ def test_the_age_that_a_current_may_have_is_a_setting() -> None:
     assert last_reason(made, stream()) == ""
 
 
+def test_parameters_that_nothing_confirms_become_doubtful() -> None:
+    made = predictor(parameters=None, parameters_timeout=5.0)
+    made.set_parameters(SET, confirmed_ns=known.T0)
+    predictions = predicted(made, stream())
+    assert predictions[490].valid, predictions[490].reason
+    assert "no window has confirmed the parameters for 6 s" in predictions[-1].reason
+    assert np.isfinite(predictions[-1].force).all()
+
+
+def test_a_confirmation_makes_parameters_young_again() -> None:
+    made = predictor(parameters=None, parameters_timeout=5.0)
+    made.set_parameters(SET, confirmed_ns=known.T0)
+    made.confirm("another", known.T0 + 4 * NANOSECONDS)
+    assert "no window has confirmed" in last_reason(made, stream())
+    made = predictor(parameters=None, parameters_timeout=5.0)
+    made.set_parameters(SET, confirmed_ns=known.T0)
+    made.confirm("known", known.T0 + 4 * NANOSECONDS)
+    assert last_reason(made, stream()) == ""
+
+
+@pytest.mark.parametrize(
+    ("confirmed_ns", "timeout"), [(None, 5.0), (known.T0 - 10**18, 0.0), (known.T0 + 10**18, 5.0)]
+)
+def test_parameters_without_an_age_or_a_limit_stay_valid(
+    confirmed_ns: int | None, timeout: float
+) -> None:
+    made = predictor(parameters=None, parameters_timeout=timeout)
+    made.set_parameters(SET, confirmed_ns=confirmed_ns)
+    assert last_reason(made, stream()) == ""
+
+
 def test_at_the_start_the_velocity_settles() -> None:
     assert "still settling" in predictor().predict(stream()[0]).reason
 

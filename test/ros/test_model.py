@@ -12,15 +12,17 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import WrenchStamped
-from mr_damper_msgs.msg import DamperParameters, MtsSamples, PredictedForce
+from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
 from press import BAD_BLOCKS, BLOCK, Press, block_message
+from rclpy.duration import Duration
 from support import Listener, assert_one_sentence
 
 from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.damper.models import Model as ForceModel
 from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.identification.acceptance import NO_BETTER
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds
+from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
 from mr_damper_ros.nodes.model import ModelParameters
 from mr_damper_ros.nodes.parameters import options
 from mr_damper_ros.nodes.results import parameter_set, parameters_message
@@ -250,6 +252,32 @@ def test_parameters_that_cannot_be_used_are_refused(
     predicted = rig.run(recording)
     assert {f.parameter_set for f in predicted} == {"true"}
     assert predicted[-1].valid
+
+
+def test_parameters_that_no_window_confirms_make_the_force_invalid(
+    start: Any, listener: Listener, recording: Recording
+) -> None:
+    latched = listener.node.create_publisher(
+        DamperParameters, "damper/parameters", quality.latched()
+    )
+    reports = listener.node.create_publisher(FitReport, "damper/fit_report", quality.stream())
+    rig = Rig(start, listener, parameters_timeout=60.0)
+    hours_ago = replace(TRUE_SET, stamp_ns=recording.start_ns - 10**13)
+    latched.publish(parameters_message(hours_ago, "damper"))
+    listener.wait_for_finding("model: parameters", "predicting with true")
+    old = rig.run(recording)
+    assert not any(f.valid for f in old)
+    assert "no window has confirmed the parameters" in old[-1].reason
+
+    listener.until(reports.get_subscription_count, "the model's subscription")
+    stamp = to_stamp(recording.start_ns)
+    for accepted, reason, valid in ((False, "too noisy", False), (False, NO_BETTER, True)):
+        report = FitReport(accepted=accepted, reason=reason, parameter_set="true")
+        report.header.stamp = stamp
+        reports.publish(report)
+        assert reports.wait_for_all_acked(Duration(seconds=30))
+        later = replace(recording, start_ns=recording.start_ns + (1 + valid) * 10**10)
+        assert rig.run(later)[-1].valid == valid
 
 
 def test_blocks_that_cannot_be_used_are_counted(
