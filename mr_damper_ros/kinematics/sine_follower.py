@@ -37,9 +37,8 @@ _LARGEST_STEP = 0.1
 class SineFollower:
     """Fits a sine to the latest samples of a displacement, ``period`` [s] apart.
 
-    ``memory`` [s] is the longest stretch that is kept. Fitting takes several times as long as
-    carrying the sine on, so they are two calls: a block is followed at once, by the sine of the
-    samples before it, and learned when there is time.
+    ``memory`` [s] is the longest stretch that is kept. Where the sine goes on can be reckoned
+    before the samples come, so that nothing but a comparison is left to do then.
     """
 
     def __init__(self, period: float, memory: float) -> None:
@@ -52,22 +51,26 @@ class SineFollower:
         self._weights: Array | None = None
         self._allowed = 0.0
 
-    def follow(self, displacement: Array) -> tuple[Array, Array, Array] | None:
-        """Displacement about the centre, velocity and acceleration at the samples, shape (n,).
+    def ahead(self, count: int) -> tuple[Array, Array, Array] | None:
+        """Displacement about the centre, velocity and acceleration of the next samples, (count,).
 
-        The samples are those after the last ones learned. None where the motion is no steady sine,
-        or not yet.
+        They follow the last samples learned. None where the motion is no steady sine, or not yet.
         """
         if self._weights is None:
             return None
-        by_sine, by_cosine, offset = self._weights.tolist()
-        angle = self._omega * self._period * np.arange(1, displacement.size + 1)
+        by_sine, by_cosine, _ = self._weights.tolist()
+        angle = self._omega * self._period * np.arange(1, count + 1)
         sine, cosine = np.sin(angle), np.cos(angle)
         centred = by_sine * sine + by_cosine * cosine
-        if float(np.abs(centred + offset - displacement).max()) > _LEAVING * self._allowed:
-            return None
         velocity = self._omega * (by_sine * cosine - by_cosine * sine)
         return centred, velocity, -(self._omega**2) * centred
+
+    def holds(self, centred: Array, displacement: Array) -> bool:
+        """Whether samples, shape (n,), lie on the sine that was foreseen, within their noise."""
+        if self._weights is None:
+            return False
+        error = centred + self._weights[2] - displacement
+        return float(np.abs(error).max()) <= _LEAVING * self._allowed
 
     def learn(self, displacement: Array, half_cycle: float) -> None:
         """Fit the sine to these samples too.

@@ -34,6 +34,7 @@ class MotionFollower:
         self._centre = MotionCentre(centre_memory, period)
         self._sine = SineFollower(period, centre_memory)
         self._unlearned: Array | None = None
+        self._foreseen: Motion | None = None
         self._steady = False
 
     @property
@@ -57,17 +58,16 @@ class MotionFollower:
     def follow(self, displacement: Array) -> Motion:
         """Motion at the next samples [m], shape (n,)."""
         self.catch_up()
+        if self._foreseen is None or self._foreseen.displacement.size != displacement.size:
+            self._foresee(displacement.size)
         self._unlearned = displacement
-        sine = self._sine.follow(displacement)
-        self._steady = sine is not None
-        u, v, a = self._observe(displacement) if sine is None else sine
-        return Motion(
-            displacement=u,
-            velocity=v,
-            acceleration=a,
-            peak_velocity=peak_velocity(u, v, a),
-            sine=None,
+        foreseen = self._foreseen
+        self._steady = foreseen is not None and self._sine.holds(
+            foreseen.displacement, displacement
         )
+        if foreseen is not None and self._steady:
+            return foreseen
+        return _motion(*self._observe(displacement))
 
     def catch_up(self) -> None:
         """Learn from the last block what only those after it need; :meth:`follow` does it, too."""
@@ -76,8 +76,23 @@ class MotionFollower:
         if self._steady:
             self._observe(self._unlearned)
         self._sine.learn(self._unlearned, self._centre.half_cycle)
+        self._foresee(self._unlearned.size)
         self._unlearned = None
+
+    def _foresee(self, count: int) -> None:
+        sine = self._sine.ahead(count)
+        self._foreseen = None if sine is None else _motion(*sine)
 
     def _observe(self, displacement: Array) -> tuple[Array, Array, Array]:
         u, v, a = self._differentiator.follow(displacement)
         return u - self._centre.follow(displacement), v, a
+
+
+def _motion(displacement: Array, velocity: Array, acceleration: Array) -> Motion:
+    return Motion(
+        displacement=displacement,
+        velocity=velocity,
+        acceleration=acceleration,
+        peak_velocity=peak_velocity(displacement, velocity, acceleration),
+        sine=None,
+    )
