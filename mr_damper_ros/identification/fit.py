@@ -24,11 +24,8 @@ METHODS = ("nelder_mead", "least_squares")
 _COLD_STEEPNESS = (2.0, 6.0, 20.0, 60.0)
 _COLD_HYSTERESIS = (0.0, -0.2, -0.4)
 
-_POOR_START = 0.25
+POOR_START = 0.25
 """Where the start leaves more than this part of the force's variance, others are tried too."""
-
-_HUBER = 1.345
-"""Huber's constant: 95 % efficiency where the noise is normal after all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +85,7 @@ def fit_window(
             search.nelder_mead()
         search.least_squares()
         if robust:
-            weights = _reweighted_least_squares(search)
+            weights = search.reweighted_least_squares()
     except StopRequestedError:
         message = "stopped before it converged: this is the best so far"
     return _result(misfit, search, weights, spread, method, message)
@@ -132,26 +129,9 @@ def _start(search: LocalSearch, misfit: ScaleMisfit, spread: float) -> None:
     """Start from the given scales, or from better ones read off the data."""
     cost = search.try_out(misfit.start)
     # "not <=" also holds for a cost that is not a number.
-    if not cost <= _POOR_START * spread**2 * misfit.window.sample_count:
+    if not cost <= POOR_START * spread**2 * misfit.window.sample_count:
         for candidate in _cold_starts(misfit):
             search.try_out(candidate)
-
-
-def _reweighted_least_squares(search: LocalSearch) -> Array:
-    """Huber's weights (n,), found with the unknowns by a few rounds of reweighting."""
-    weights = np.ones(search.problem.residual(search.best).size)
-    for _ in range(10):
-        residual = search.problem.residual(search.best)
-        deviation = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-        bound = _HUBER * deviation
-        if bound == 0.0:
-            break
-        updated = bound / np.maximum(np.abs(residual), bound)
-        if np.max(np.abs(updated - weights)) < 1e-3:
-            break
-        weights = updated
-        search.least_squares(weights)
-    return weights
 
 
 def _cold_starts(misfit: ScaleMisfit) -> list[Array]:

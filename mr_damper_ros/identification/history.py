@@ -8,7 +8,7 @@ Of any other motion the samples of the whole window are kept, or enough of them 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,9 @@ from mr_damper_ros.kinematics.sine import Sine
 
 _SAMPLES_PER_CYCLE = 1000
 """So many follow the steepest sigmoid, whose rise takes two degrees of a cycle."""
+
+_FEWER_PER_CYCLE = 200
+"""So many follow a hysteresis, which yields over a tenth of a cycle or so."""
 
 _LONGEST_SETTLING = 0.25
 """No more than this part of a window is left out because the lag may not have settled."""
@@ -79,6 +82,30 @@ class History:
         share[jumps] = branch[later[jumps]] == self.branch[jumps]
         return earlier, later, share
 
+    @cached_property
+    def coarse(self) -> History:
+        """The same with fewer samples, for what changes less steeply than a sigmoid."""
+        stride = following_stride(self.motion, self.period, _FEWER_PER_CYCLE)
+        if self.periodic:
+            stride = self.current.size // _FEWER_PER_CYCLE
+        if stride == 1:
+            return self
+        m = self.motion
+        motion = Motion(
+            displacement=m.displacement[::stride],
+            velocity=m.velocity[::stride],
+            acceleration=m.acceleration[::stride],
+            peak_velocity=m.peak_velocity[::stride],
+            sine=m.sine,
+        )
+        return replace(
+            self,
+            motion=motion,
+            current=self.current[::stride],
+            period=stride * self.period,
+            places=self.places / stride,
+        )
+
     def lag(self, extension: Extension) -> FirstOrderLag:
         """The lag of the extended law along the history."""
         constant = extension.time_constant(self.current)
@@ -90,7 +117,7 @@ class History:
         ``plain`` are the values without it at the samples, ``past`` (m,) or (m, p) those along the
         history. Only what the lag changes is interpolated: it is smoother than the force.
         """
-        return np.asarray(plain - self._at_samples(past - lag(past)))
+        return np.asarray(plain - self.at_samples(past - lag(past)))
 
     def force(self, plain: Array, past: Array, displacement: Array, extension: Extension) -> Array:
         """Force [N] of the extended law, shape (n,), from that of the sigmoid law."""
@@ -101,11 +128,11 @@ class History:
         """Derivatives (n, 4) of :meth:`force` by the four parameters of the extension."""
         lag = self.lag(extension)
         late = lag(past)
-        by_tau0 = self._at_samples(lag.derivative(past, late))
-        by_tau1 = self._at_samples(lag.derivative(past, late, np.abs(self.current)))
+        by_tau0 = self.at_samples(lag.derivative(past, late))
+        by_tau1 = self.at_samples(lag.derivative(past, late, np.abs(self.current)))
         return np.column_stack((by_tau0, by_tau1, displacement, np.ones(displacement.size)))
 
-    def _at_samples(self, values: Array) -> Array:
+    def at_samples(self, values: Array) -> Array:
         """Values (m, ...) along the history, interpolated at the samples of the window (n, ...)."""
         if self.is_window:
             return values
@@ -121,10 +148,12 @@ class History:
         return np.asarray(self.places * self.period < min(SETTLING * time_constant, longest))
 
 
-def following_stride(motion: Motion, period: float) -> int:
+def following_stride(
+    motion: Motion, period: float, samples_per_cycle: int = _SAMPLES_PER_CYCLE
+) -> int:
     """How many samples of a motion one step of a history that still follows it may span."""
     power = float(np.mean(motion.velocity**2))
     if power == 0.0:
         return 1
     rate = math.sqrt(float(np.mean(motion.acceleration**2)) / power)
-    return max(int(2.0 * math.pi / max(rate, 1e-12) / period / _SAMPLES_PER_CYCLE), 1)
+    return max(int(2.0 * math.pi / max(rate, 1e-12) / period / samples_per_cycle), 1)

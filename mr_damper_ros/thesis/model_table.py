@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mr_damper_ros.damper.models import MODELS
+from mr_damper_ros.identification.model_fit import fit_model, model_force
 from mr_damper_ros.identification.window import Window
 from mr_damper_ros.rig.readers import read_record
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.dependency import sound_conditions
-from mr_damper_ros.thesis.model_fit import fit_model
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
-from mr_damper_ros.thesis.runs import recording, window
+from mr_damper_ros.thesis.runs import window
 from mr_damper_ros.thesis.style import GREY, INK, MARKS, panels
 
 SAMPLES = 500
@@ -27,19 +28,26 @@ _SHOWN = "5.0mm_1Hz_0.5A"
 _QUICK = ("7.5mm_3Hz_0.0A", "5.0mm_1Hz_0.5A", "2.5mm_3Hz_1.5A")
 
 
-def _judged(part: Window, stride: int, whole: Window, period: float) -> dict[str, Any]:
-    """Every model fitted to a part of a record, and its error on the whole of it."""
+def _judged(part: Window, whole: Window) -> dict[str, Any]:
+    """Every model fitted to a part of a record, and its error on the whole of it.
+
+    Times are processor times [s].
+    """
     spread = float(np.std(whole.force))
     results = {}
     for name, model in MODELS.items():
-        fit = fit_model(model, part, stride * period)
-        predicted = model.force(fit.parameters, whole.motion, whole.current, period)
+        began = time.process_time()
+        fit = fit_model(model, part)
+        fitted = time.process_time()
+        model.force(fit.parameters, whole.motion, whole.current, whole.period)
+        predicted = time.process_time()
+        residual = model_force(model, whole, fit.parameters) - whole.force
         results[name] = {
             "parameters": fit.parameters.tolist(),
-            "nrmse": float(np.sqrt(np.mean((predicted - whole.force) ** 2)) / spread),
+            "nrmse": float(np.sqrt(np.mean(residual**2)) / spread),
             "evaluations": fit.evaluations,
-            "seconds": fit.seconds,
-            "seconds_per_sample": fit.seconds_per_sample,
+            "seconds": fitted - began,
+            "seconds_per_sample": (predicted - fitted) / whole.sample_count,
         }
     return results
 
@@ -47,24 +55,19 @@ def _judged(part: Window, stride: int, whole: Window, period: float) -> dict[str
 def resynthesised(name: str, noise_seed: int) -> dict[str, Any]:
     """Task: all models on a re-synthesised run; two cycles are fitted."""
     whole = window(name, noise_seed)
-    period = recording(name, noise_seed).period
     sine = whole.motion.sine
     frequency = 1.0 if sine is None else sine.frequency
-    last = round(_CYCLES / frequency / period)
-    stride = max(last // SAMPLES, 1)
-    part = whole.part(slice(0, last, stride))
-    results = _judged(part, stride, whole, period)
+    last = round(_CYCLES / frequency / whole.period)
+    results = _judged(whole.part(slice(0, last)).thinned(SAMPLES), whole)
     # One cycle, settled, to be drawn.
-    cycle = whole.part(slice(last, last + round(1.0 / frequency / period)))
+    cycle = whole.part(slice(last, last + round(1.0 / frequency / whole.period)))
     shown = None
     if name == _SHOWN:
         shown = {
             "velocity": cycle.motion.velocity[::4].tolist(),
             "force": cycle.force[::4].tolist(),
             "models": {
-                key: model.force(
-                    np.array(results[key]["parameters"]), whole.motion, whole.current, period
-                )[last : last + cycle.sample_count : 4].tolist()
+                key: model_force(model, cycle, np.array(results[key]["parameters"]))[::4].tolist()
                 for key, model in MODELS.items()
             },
         }
@@ -75,9 +78,7 @@ def recorded(path: str, current: float) -> dict[str, Any]:
     """Task: all models on a real record."""
     record = read_record(path, "time:s,displacement:mm,velocity:mm/s,force:N", current=current)
     whole = Window.from_samples(record.displacement, record.force, record.current, record.period)
-    stride = max(whole.sample_count // SAMPLES, 1)
-    part = whole.part(slice(None, None, stride))
-    return {"models": _judged(part, stride, whole, record.period)}
+    return {"models": _judged(whole.thinned(SAMPLES), whole)}
 
 
 def current_of(path: Path) -> float:

@@ -13,7 +13,6 @@ from mr_damper_ros.damper.extension import lagged
 from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.damper.sigmoid import force
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.thesis.model_fit import fit_model
 
 PERIOD = 1e-3
 
@@ -258,23 +257,3 @@ def test_sigmoid_is_the_package_law_and_the_extension_vanishes():
     np.testing.assert_allclose(
         MODELS["sigmoid_lag"].force(extended, w, 0.5, PERIOD), plain, atol=1e-5
     )
-
-
-@pytest.mark.parametrize(
-    ("name", "most"),
-    [
-        ("bingham", 1e-3),
-        ("hyperbolic_tangent", 1e-3),
-        ("nonlinear_biviscous", 1e-3),
-        ("bouc_wen", 0.02),
-        ("modified_bouc_wen", 0.02),
-        ("sigmoid", 1e-3),
-        ("sigmoid_lag", 5e-3),
-    ],
-)
-def test_a_model_is_identified_from_its_own_force(name, most):
-    source = run(samples=400, period=5e-3, noise=0.0).window
-    values = EXAMPLES[name].copy()
-    made = MODELS[name].force(values, source.motion, source.current, 5e-3)
-    fit = fit_model(MODELS[name], type(source)(source.motion, made, source.current), 5e-3)
-    assert fit.nrmse < most

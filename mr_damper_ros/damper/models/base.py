@@ -64,7 +64,7 @@ class Model:
     ``free_in_one_run`` names the parameters that one run at one current determines; the others
     keep the values of a start. ``scale_starts`` gives starts (k, p) from what can be read off a
     run: half the span of the force [N] and its middle [N], the peak velocity [m/s] and the
-    amplitude [m].
+    amplitude [m]. ``remembers``: whether the force depends on the samples before.
     """
 
     name: str
@@ -74,6 +74,7 @@ class Model:
     source: str
     scale_starts: Callable[[float, float, float, float], Array]
     free_in_one_run: tuple[str, ...] = field(default=())
+    remembers: bool = False
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -129,7 +130,7 @@ class ForceStream:
     @property
     def remembers(self) -> bool:
         """Whether the force so far depends on the samples before."""
-        return bool(self._state)
+        return self.model.remembers
 
     def follow(self, parameters: ArrayLike, motion: MotionLike, current: ArrayLike) -> Array:
         """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).

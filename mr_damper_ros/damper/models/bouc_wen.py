@@ -174,6 +174,7 @@ BOUC_WEN = Model(
     _bouc_wen,
     "Spencer, Dyke, Sain and Carlson, J. Engineering Mechanics 123, 1997; thesis eq. 1-2",
     _starts,
+    remembers=True,
 )
 
 MODIFIED_BOUC_WEN = Model(
@@ -190,4 +191,5 @@ MODIFIED_BOUC_WEN = Model(
     _modified,
     "Spencer, Dyke, Sain and Carlson, J. Engineering Mechanics 123, 1997; thesis eq. 3-6",
     _modified_starts,
+    remembers=True,
 )

@@ -100,4 +100,5 @@ EXTENDED_SIGMOID = Model(
     f"{_WANG}; the extension is this package's",
     _extended_starts,
     free_in_one_run=(*SCALE_PARAMETER_NAMES, "tau0", "stiffness", "offset"),
+    remembers=True,
 )

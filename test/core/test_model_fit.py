@@ -1,0 +1,181 @@
+"""Identification of any model from one window: truth, honest errors, memory, bounds, scale."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.models import MODELS
+from mr_damper_ros.identification.model_fit import (
+    ModelMisfit,
+    fit_model,
+    model_force,
+    model_force_scale,
+    unsettled_samples,
+)
+from mr_damper_ros.identification.window import Window
+from mr_damper_ros.rig.excitation import BandLimitedRandom
+
+LEAD_IN = 1000
+NOISE = 5.0
+
+FINE = 2e-3
+"""Relative to the spread of the force: what integration over another time step may cost."""
+
+
+@cache
+def window(name: str, *, sine: bool = True, noise: float = NOISE, seed: int = 0) -> Window:
+    """Two seconds of a damper of this model that has moved for a second before."""
+    time = np.arange(LEAD_IN + 2000) * known.PERIOD
+    if sine:
+        displacement = 5e-3 * np.sin(2.0 * np.pi * time + known.THESIS_PHASE)
+    else:
+        displacement = BandLimitedRandom(5e-3, 0.5, 3.0, seed=3).at(time).displacement
+    whole = Window.from_samples(displacement, np.ones(time.size), 1.0, known.PERIOD)
+    force = MODELS[name].force(known.EXAMPLES[name], whole.motion, 1.0, known.PERIOD)
+    force += np.random.default_rng(seed).normal(0.0, noise, force.size)
+    late = slice(LEAD_IN, None)
+    return Window.from_samples(displacement[late], force[late], 1.0, known.PERIOD)
+
+
+MOTIONS = pytest.mark.parametrize("sine", [True, False], ids=["sine", "random"])
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_model_is_identified_from_its_own_force_without_a_start(name: str) -> None:
+    model, here = MODELS[name], window(name)
+    fit = fit_model(model, here)
+    # One run cannot tell the sigmoid's shape: another one fits nearly as well.
+    most = 3.0 if name.startswith("sigmoid") else 1.05
+    assert fit.rmse < most * NOISE
+    assert fit.success
+    low, high = model.bounds
+    assert np.all((low <= fit.parameters) & (fit.parameters <= high))
+
+
+@pytest.mark.parametrize("name", MODELS)
+@MOTIONS
+def test_a_model_is_found_again_from_a_start_nearby(name: str, sine: bool) -> None:
+    model, here = MODELS[name], window(name, sine=sine)
+    free = model.free_indices
+    start = known.EXAMPLES[name].copy()
+    start[free] *= 1.1
+    fit = fit_model(model, here, np.clip(start, *model.bounds))
+    assert fit.rmse < 1.05 * NOISE
+    errors = np.sqrt(np.diag(fit.covariance))
+    assert np.all(np.abs(fit.scales - known.EXAMPLES[name][free]) < 5.0 * errors)
+    np.testing.assert_array_equal(fit.scales, fit.parameters[free])
+
+
+@pytest.mark.parametrize("name", ["hyperbolic_tangent", "bouc_wen"])
+def test_nelder_mead_ends_where_least_squares_does(name: str) -> None:
+    found = [
+        fit_model(MODELS[name], window(name), 1.1 * known.EXAMPLES[name], method=method)
+        for method in ("nelder_mead", "least_squares")
+    ]
+    errors = np.sqrt(np.diag(found[1].covariance))
+    assert np.all(np.abs(found[0].scales - found[1].scales) < 0.1 * errors)
+
+
+def test_the_standard_errors_are_those_of_the_scatter() -> None:
+    fits = [
+        fit_model(MODELS["bouc_wen"], window("bouc_wen", seed=k), known.EXAMPLES["bouc_wen"])
+        for k in range(20)
+    ]
+    scatter = np.std([fit.scales for fit in fits], axis=0, ddof=1)
+    stated = np.mean([np.sqrt(np.diag(fit.covariance)) for fit in fits], axis=0)
+    # 20 draws give a standard deviation to a sixth.
+    assert np.all((stated / scatter > 0.6) & (stated / scatter < 1.7))
+
+
+@MOTIONS
+@pytest.mark.parametrize("name", MODELS)
+def test_a_part_of_a_window_remembers_the_whole(name: str, sine: bool) -> None:
+    here = window(name, sine=sine, noise=0.0)
+    settled = ~unsettled_samples(MODELS[name], here, known.EXAMPLES[name])
+    part = here.part(settled & (np.arange(2000) // 50 % 4 == 3))
+    error = model_force(MODELS[name], part, known.EXAMPLES[name]) - part.force
+    assert known.rms(error) < 5.0 * FINE * np.std(here.force)
+
+
+def test_samples_before_which_the_past_is_unknown_have_no_residual() -> None:
+    here = window("bouc_wen", sine=False)
+    misfit = ModelMisfit(MODELS["bouc_wen"], here, known.EXAMPLES["bouc_wen"])
+    residual = misfit.residual(misfit.start)
+    unsettled = int(np.argmax(misfit.settled))
+    assert 0 < unsettled < 500
+    assert not np.any(residual[:unsettled])
+    assert known.rms(residual[unsettled:]) < 1.05 * NOISE
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_unknowns_stand_for_the_parameters_they_came_from(name: str) -> None:
+    misfit = ModelMisfit(MODELS[name], window(name), known.EXAMPLES[name])
+    np.testing.assert_allclose(
+        misfit.parameters(misfit.start), known.EXAMPLES[name], rtol=1e-9, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_jacobian_is_that_of_differences(name: str) -> None:
+    misfit = ModelMisfit(MODELS[name], window(name), known.EXAMPLES[name])
+    start = misfit.start
+    jacobian = misfit.jacobian(start)
+    for column in range(start.size):
+        step = 1e-4 * max(abs(start[column]), 0.1) * np.eye(start.size)[column]
+        expected = (misfit.residual(start + step) - misfit.residual(start - step)) / (
+            2.0 * step[column]
+        )
+        np.testing.assert_allclose(
+            jacobian[:, column], expected, atol=0.01 * np.abs(expected).max() + 1e-6
+        )
+
+
+def test_a_parameter_that_wants_to_leave_its_bounds_stays_on_them() -> None:
+    here = window("bingham", noise=0.0)
+    # A force against the velocity's sign: only a negative damping would explain it.
+    against = Window(here.motion, -here.force, here.current, here.period)
+    fit = fit_model(MODELS["bingham"], against)
+    low = MODELS["bingham"].bounds[0]
+    assert np.all(fit.parameters >= low)
+    np.testing.assert_allclose(fit.parameters[:2], 0.0, atol=1.0)
+
+
+def test_a_stop_leaves_the_best_so_far() -> None:
+    calls = iter(range(1000))
+    fit = fit_model(MODELS["bouc_wen"], window("bouc_wen"), should_stop=lambda: next(calls) > 9)
+    assert not fit.success
+    assert "stopped" in fit.message
+    assert np.isfinite(fit.rmse)
+
+
+def test_outliers_hardly_matter_to_a_robust_fit() -> None:
+    here = window("bingham")
+    force = here.force.copy()
+    force[::40] += 300.0
+    spoilt = Window(here.motion, force, here.current, here.period)
+    usual, robust = (
+        fit_model(MODELS["bingham"], spoilt, robust=robust).parameters - known.EXAMPLES["bingham"]
+        for robust in (False, True)
+    )
+    assert abs(robust[2]) < 0.2 * abs(usual[2])
+
+
+def test_a_force_that_does_not_change_is_refused() -> None:
+    here = window("bingham")
+    still = Window(here.motion, np.full(2000, 3.0), here.current, here.period)
+    with pytest.raises(ValueError, match="the force does not change"):
+        fit_model(MODELS["bingham"], still)
+
+
+@pytest.mark.parametrize("name", ["bingham", "bouc_wen"])
+def test_a_weaker_damper_has_a_smaller_force_scale(name: str) -> None:
+    model, here = MODELS[name], window(name)
+    weaker = Window(here.motion, 0.9 * here.force, here.current, here.period)
+    fit = fit_model(model, weaker, known.EXAMPLES[name])
+    scale = model_force_scale(model, weaker, fit, known.EXAMPLES[name])
+    assert 0.0 < scale.standard_error < 0.005
+    assert abs(scale.value - 0.9) < 4.0 * scale.standard_error
