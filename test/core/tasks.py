@@ -1,0 +1,37 @@
+"""Tasks for other processes, which cannot import a test module."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import numpy as np
+
+from mr_damper_ros.identification.parallel import Tell
+
+
+def sum_of_seed(seed: int, tell: Tell) -> float:
+    tell(seed)
+    return float(np.random.default_rng(seed).normal(size=1000).sum())
+
+
+def patient(seconds: float, tell: Tell) -> str:
+    """Works as long as it is not told to stop."""
+    if seconds < 0.0:
+        raise ValueError("not for long")
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        if not tell("working"):
+            return "stopped"
+        time.sleep(0.01)
+    return "done"
+
+
+def failing(number: int, tell: Tell) -> int:
+    if number == 2:
+        raise ValueError("two is not allowed")
+    return number
+
+
+def threads(number: int, tell: Tell) -> str:
+    return os.environ["OMP_NUM_THREADS"]
