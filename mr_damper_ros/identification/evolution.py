@@ -154,6 +154,8 @@ def evolve(
         return clock.stopped
 
     low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
+    # SciPy refuses a start that rounding, when it scales the bounds, puts outside of them.
+    margin = 1e-9 * (high - low)
     result = differential_evolution(
         safe_cost,
         list(zip(low, high, strict=True)),
@@ -167,7 +169,7 @@ def evolve(
         vectorized=True,
         updating="deferred",
         init="latinhypercube",
-        x0=None if start is None else np.clip(start, low, high),
+        x0=None if start is None else np.clip(start, low + margin, high - margin),
         callback=follow,
         **{_GENERATOR_KEYWORD: np.random.default_rng(settings.seed)},
     )

@@ -1,10 +1,11 @@
-"""One set of the sixteen parameters for many windows.
+"""One set of the sixteen parameters, or of the twenty of the extended law, for many windows.
 
 1. Each window gives its seven coefficients (least squares, no dependence on velocity or current
    assumed within it).
 2. The laws are fitted to these coefficients: differential evolution over the sixteen parameters
    in their decoupled groups (:mod:`laws`).
-3. A local search on the samples themselves, over the parameters that the data determine.
+3. A local search on the samples themselves, over the parameters that the data determine. It
+   begins with the lag, stiffness and offset of the start; the first two steps take them as given.
 """
 
 from __future__ import annotations
@@ -15,9 +16,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.damper.extension import (
+    EXTENDED_NAMES,
+    LAG_NAMES,
+    SIGMOID_COUNT,
+    extension_of,
+    is_extended,
+    name_of_law,
+)
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.sigmoid import (
-    PARAMETER_NAMES,
     Array,
     coefficient_parameter_jacobian,
     operating_point_coefficients,
@@ -39,6 +47,7 @@ from mr_damper_ros.identification.laws import (
 from mr_damper_ros.identification.observability import (
     determined_parameters,
     operating_points_within,
+    varied_extension,
     varied_parameters,
 )
 from mr_damper_ros.identification.pooled import PooledMisfit
@@ -64,6 +73,13 @@ _CLEARLY_BETTER = 0.98
 _GAIN_RANGE = 100.0
 """Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
 
+_USUAL_LAG = 0.02
+"""Time constant [s] that a lag of coil and fluid hardly exceeds. Until it is known, what it may
+hide at the begin of a window is left out."""
+
+_MOST_ROUNDS = 4
+"""So often the extension is found anew, as long as that changes what the windows determine."""
+
 _MEANINGLESS = 0.01
 """A step that lowers the misfit by so many of its variances is a tenth of a standard error."""
 
@@ -75,7 +91,7 @@ _RIDGE = 1e-4
 class GlobalFit:
     """Result of a global identification.
 
-    ``covariance`` (16, 16) of the parameters, zero where a parameter was held; ``nrmse`` (k,):
+    ``covariance`` (p, p) of the parameters, zero where a parameter was held; ``nrmse`` (k,):
     RMSE/std of the force, window by window; ``message`` says how it ended.
     """
 
@@ -88,10 +104,11 @@ class GlobalFit:
 
     def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array]:
         """Coefficients (7,) and their standard errors at (peak velocity [m/s], current [A])."""
-        values = self.parameter_set.values
+        values = self.parameter_set.values[:SIGMOID_COUNT]
+        covariance = self.covariance[:SIGMOID_COUNT, :SIGMOID_COUNT]
         coefficients = np.concatenate(operating_point_coefficients(values, *operating_point))
         gradient = coefficient_parameter_jacobian(values, *operating_point)[0]
-        errors = np.sqrt(np.einsum("cp,pq,cq->c", gradient, self.covariance, gradient))
+        errors = np.sqrt(np.einsum("cp,pq,cq->c", gradient, covariance, gradient))
         if coefficients[0] < 0.0:
             # Yield force and steepness may change sign together: the positive pair is meant.
             coefficients[:2] *= -1.0
@@ -107,9 +124,11 @@ def neutral_shape(parameters: Array, top_current: float) -> Array:
     """The same scales with coefficients that depend on neither peak velocity nor current.
 
     ``v_h`` and ``v_d`` stay proportional to the peak velocity. Where k2 or k3 is freed, the
-    coefficient rises smoothly up to ``top_current`` [A] and saturates beyond. Shape (16,).
+    coefficient rises smoothly up to ``top_current`` [A] and saturates beyond. Shape (16,) or
+    (20,), as that of the parameters.
     """
-    values = dict(zip(PARAMETER_NAMES, np.asarray(parameters, dtype=float), strict=True))
+    names = EXTENDED_NAMES[: len(parameters)]
+    values = dict(zip(names, np.asarray(parameters, dtype=float), strict=True))
     values.update(dict.fromkeys(("a1", "k0", "a4", "k2", "k3", "I0", "I1"), 0.0))
     values.update(dict.fromkeys(("a2", "a3"), 2.0 / max(top_current, 1e-12)))
     return np.array(list(values.values()))
@@ -125,11 +144,12 @@ def identify_global(
 ) -> GlobalFit:
     """One parameter set for all windows.
 
-    ``start`` (16,) gives the values that undetermined parameters keep. ``method``: "global" as
-    described above; "nelder_mead" and "least_squares" search on the samples from the laws;
-    "differential_evolution" searches on the samples over all free parameters at once, as the
-    thesis does. ``report`` hears of the progress and may stop the search: the best so far is then
-    returned with ``success`` False.
+    ``start`` (16,) or (20,) tells the law, and the values that undetermined parameters keep; a
+    time constant that would become negative is held at 0 and counts as undetermined. ``method``:
+    "global" as described above; "nelder_mead" and "least_squares" search on the samples from the
+    laws; "differential_evolution" searches on the samples over all free parameters at once, as
+    the thesis does. ``report`` hears of the progress and may stop the search: the best so far is
+    then returned with ``success`` False.
 
     Raises ValueError where there are no windows, a force does not change, or for an unknown
     method.
@@ -148,7 +168,7 @@ def identify_global(
 
 
 class _GlobalSearch:
-    """The steps of a global identification, and the best parameters (16,) so far."""
+    """The steps of a global identification, and the best parameters (p,) so far."""
 
     def __init__(
         self,
@@ -163,14 +183,12 @@ class _GlobalSearch:
         self._start = start
         self._settings = settings
         most = max(_SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
-        self._thinned = [_thinned(window, most) for window in windows]
+        self._names = EXTENDED_NAMES[: start.size]
+        self._thinned = [window.thinned(most) for window in windows]
         top_current = max(float(np.max(np.abs(window.current))) for window in windows)
         self._neutral = neutral_shape(start, top_current)
-        self.fits = [
-            fit_window(window, self._neutral, method="least_squares") for window in self._thinned
-        ]
-        self.pooled = PooledMisfit(self._thinned, [fit.rmse for fit in self.fits])
-        self.evaluations = sum(fit.evaluations for fit in self.fits)
+        self.evaluations = 0
+        self._fit_windows(self._neutral)
         speeds, currents = operating_points_within(windows)
         self._varied = varied_parameters(speeds, currents)
         self._varied_between = varied_parameters(
@@ -179,6 +197,9 @@ class _GlobalSearch:
         )
         bounds = shape_bounds(max(speeds), top_current)
         self._bounds = {**bounds, **dict.fromkeys(("k2", "k3"), (-_GAIN_RANGE, _GAIN_RANGE))}
+        if is_extended(start):
+            self._varied |= varied_extension(currents)
+            self._bounds.update(extension_bounds(windows))
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
         self._report = report
         self.free: frozenset[str] = frozenset()
@@ -214,13 +235,45 @@ class _GlobalSearch:
         best = int(np.argmin(costs))
         # The first keeps most of the start: the others must be better, not just different.
         self.best = polished[best if costs[best] < _CLEARLY_BETTER * costs[0] else 0]
-        whole = PooledMisfit(self.windows, [fit.rmse for fit in self.fits])
-        self.best = self._local(whole, self.best, False)
+        if is_extended(self.best):
+            self._take_in_the_extension()
+        self.best = self._local(self.whole_misfit(), self.best, False)
         if method == "differential_evolution" and self.pooled.mean_square(self.best) > known:
             self.shortcoming = (
                 "differential evolution ended in a poorer minimum than the laws of the method "
                 "global give: allow more generations, or use that method"
             )
+
+    def _fit_windows(self, start: Array) -> None:
+        self.fits = [fit_window(w, start, method="least_squares") for w in self._thinned]
+        self.pooled = self._misfit(self._thinned, _USUAL_LAG)
+        self.evaluations += sum(fit.evaluations for fit in self.fits)
+
+    def _take_in_the_extension(self) -> None:
+        """Fit the windows with the extension that was found, and see what they determine now.
+
+        Before, what the lag does to the force stood for noise, in which much is lost.
+        """
+        for _ in range(_MOST_ROUNDS):
+            before = self.free
+            neutral = self._neutral.copy()
+            neutral[SIGMOID_COUNT:] = self.best[SIGMOID_COUNT:]
+            self._fit_windows(neutral)
+            self.free = self._determined(self.best)
+            self.best = self._local(self.pooled, self.best, False)
+            if self.free == before:
+                break
+
+    def whole_misfit(self) -> PooledMisfit:
+        """Of all samples, but those where the lag that was found may not have settled."""
+        if not is_extended(self.best):
+            return self._misfit(self.windows, 0.0)
+        currents = np.array([np.max(np.abs(window.current)) for window in self.windows])
+        slowest = float(np.max(extension_of(self.best).time_constant(currents)))
+        return self._misfit(self.windows, slowest)
+
+    def _misfit(self, windows: Sequence[Window], slowest_lag: float) -> PooledMisfit:
+        return PooledMisfit(windows, [fit.rmse for fit in self.fits], slowest_lag)
 
     def _candidates(self, free: frozenset[str]) -> list[Array]:
         """Where to start on the samples.
@@ -238,9 +291,10 @@ class _GlobalSearch:
             coefficients=np.array([fit.coefficients for fit in self.fits]),
             errors=np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in self.fits]),
         )
-        parameters, count = fit_laws(table, start, free, self._settings, self._clock)
+        sixteen, rest = np.split(start, [SIGMOID_COUNT])
+        parameters, count = fit_laws(table, sixteen, free, self._settings, self._clock)
         self.evaluations += count
-        return parameters
+        return np.concatenate((parameters, rest))
 
     def _determined(self, parameters: Array) -> frozenset[str]:
         residual = self.pooled.residual(parameters)
@@ -249,15 +303,15 @@ class _GlobalSearch:
         return determined_parameters(jacobian, self._varied, self._ranges)
 
     def _evolve_samples(self) -> Array:
-        names = [name for name in PARAMETER_NAMES if name in self.free]
-        places = [PARAMETER_NAMES.index(name) for name in names]
+        names = [name for name in self._names if name in self.free]
+        places = [self._names.index(name) for name in names]
         centre = self.best
         bounds = []
         for name, place in zip(names, places, strict=True):
             reach = 3.0 * max(abs(float(centre[place])), 1e-3)
             bounds.append(self._bounds.get(name, (-reach, reach)))
-        few = [_thinned(window, _EVOLUTION_SAMPLES) for window in self.windows]
-        misfit = PooledMisfit(few, [fit.rmse for fit in self.fits])
+        few = [window.thinned(_EVOLUTION_SAMPLES) for window in self.windows]
+        misfit = self._misfit(few, _USUAL_LAG)
 
         def cost(individuals: Array) -> Array:
             sets = np.repeat(centre[np.newaxis], individuals.shape[1], axis=0)
@@ -273,7 +327,20 @@ class _GlobalSearch:
         return result
 
     def _local(self, pooled: PooledMisfit, start: Array, nelder_mead: bool) -> Array:
-        problem = _FreeProblem(pooled, start, self.free, self._ranges)
+        found = self._polish(pooled, start, self.free, nelder_mead)
+        lags = [name for name in self._names if name in LAG_NAMES]
+        held: set[str] = set()
+        while negative := [name for name in lags if found[self._names.index(name)] < 0.0]:
+            # The best that is allowed lies on the bound.
+            held.update(negative)
+            found[[self._names.index(name) for name in negative]] = 0.0
+            found = self._polish(pooled, found, self.free - held, False)
+        return found
+
+    def _polish(
+        self, pooled: PooledMisfit, start: Array, free: frozenset[str], nelder_mead: bool
+    ) -> Array:
+        problem = _FreeProblem(pooled, start, free, self._ranges)
         stage = "Nelder-Mead" if nelder_mead else "least squares"
         search = LocalSearch(
             problem,
@@ -293,6 +360,29 @@ class _GlobalSearch:
         return problem.parameters(search.best)
 
 
+def extension_bounds(windows: Sequence[Window]) -> dict[str, tuple[float, float]]:
+    """Plausible bounds of the extension, from what the data span.
+
+    A lag turns no motion by more than 45 degrees; the stiffness and the offset make no more than
+    all of the force in any window.
+    """
+    rates, stiffnesses, forces, currents = [], [], [], []
+    for window in windows:
+        motion = window.motion
+        force = float(np.max(np.abs(window.force)))
+        rates.append(float(np.std(motion.acceleration) / np.std(motion.velocity)))
+        stiffnesses.append(force / motion.amplitude)
+        forces.append(force)
+        currents.append(float(np.max(np.abs(window.current))))
+    lag = 1.0 / max(rates)
+    return {
+        "tau0": (0.0, lag),
+        "tau1": (0.0, lag / max(*currents, 1e-12)),
+        "stiffness": (-min(stiffnesses), min(stiffnesses)),
+        "offset": (-min(forces), min(forces)),
+    }
+
+
 class _FreeProblem:
     """A pooled misfit as a function of its free parameters, each in units of its own size."""
 
@@ -305,8 +395,8 @@ class _FreeProblem:
     ) -> None:
         self._pooled = pooled
         self._values = np.array(start)
-        names = [name for name in PARAMETER_NAMES if name in free]
-        self._places = [PARAMETER_NAMES.index(name) for name in names]
+        names = [name for name in EXTENDED_NAMES[: start.size] if name in free]
+        self._places = [EXTENDED_NAMES.index(name) for name in names]
         sizes = [
             max(abs(float(start[place])), 0.05 * ranges.get(name, 1.0))
             for name, place in zip(names, self._places, strict=True)
@@ -340,19 +430,15 @@ def _independent(residual: Array) -> float:
     return residual.size / max(correlation_length(residual), 1)
 
 
-def _thinned(window: Window, most: int) -> Window:
-    stride = max(window.sample_count // most, 1)
-    return window if stride == 1 else window.part(slice(None, None, stride))
-
-
 def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
     best = search.best
-    names = [name for name in PARAMETER_NAMES if name in search.free]
-    places = [PARAMETER_NAMES.index(name) for name in names]
-    covariance = np.zeros((len(PARAMETER_NAMES), len(PARAMETER_NAMES)))
-    errors = np.full(len(PARAMETER_NAMES), math.nan)
+    names = EXTENDED_NAMES[: best.size]
+    held = [name for name in LAG_NAMES if name in names and best[names.index(name)] == 0.0]
+    places = [place for place, name in enumerate(names) if name in search.free.difference(held)]
+    covariance = np.zeros((best.size, best.size))
+    errors = np.full(best.size, math.nan)
     if places:
-        misfit = PooledMisfit(search.windows, [fit.rmse for fit in search.fits])
+        misfit = search.whole_misfit()
         block = np.ix_(places, places)
         covariance[block] = least_squares_covariance(
             misfit.jacobian(best, places), misfit.residual(best)
@@ -374,6 +460,7 @@ def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
         peak_velocity_range=(float(np.quantile(speeds, 0.05)), float(np.quantile(speeds, 0.95))),
         current_range=(float(currents.min()), float(currents.max())),
         nrmse=float(np.median(nrmse)),
+        model=name_of_law(best),
     )
     return GlobalFit(
         parameter_set=parameter_set,

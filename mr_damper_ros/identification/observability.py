@@ -12,7 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, Array
+from mr_damper_ros.damper.extension import EXTENDED_NAMES, EXTENSION_NAMES
+from mr_damper_ros.damper.sigmoid import SCALE_PARAMETER_NAMES, Array
 from mr_damper_ros.identification.window import Window
 
 VELOCITY_SHAPE = ("a1", "k0", "a4")
@@ -20,6 +21,9 @@ VELOCITY_SHAPE = ("a1", "k0", "a4")
 
 CURRENT_SHAPE = (("k2", "k3"), ("a2", "a3"), ("I0", "I1"))
 """They need two, three and four currents."""
+
+CURRENT_LAG = "tau1"
+"""The one parameter of the extension that needs two currents."""
 
 _DIFFERENT_VELOCITY = 1.2
 """Peak velocities count as different where they are this factor apart."""
@@ -44,6 +48,12 @@ def varied_parameters(speeds: Sequence[float], currents: Sequence[float]) -> fro
         if different >= needed:
             names.update(group)
     return frozenset(names)
+
+
+def varied_extension(currents: Sequence[float]) -> frozenset[str]:
+    """The same for what the extended law adds."""
+    alone = _count_different(currents) < 2
+    return frozenset(EXTENSION_NAMES) - (frozenset((CURRENT_LAG,)) if alone else frozenset())
 
 
 def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], list[float]]:
@@ -74,17 +84,18 @@ def determined_parameters(
 ) -> frozenset[str]:
     """Those of the candidates that the samples determine.
 
-    ``jacobian`` (n, 16) belongs to a residual of unit variance; ``ranges`` are the plausible
-    ranges of the shape parameters. Scale parameters come first; a shape parameter joins, the
-    surest first, while no standard error exceeds a quarter of its range.
+    ``jacobian`` (n, 16) or (n, 20) belongs to a residual of unit variance; ``ranges`` are the
+    plausible ranges of the shape parameters and of those of the extension. Scale parameters come
+    first; another joins, the surest first, while no standard error exceeds a quarter of its range.
     """
     triangular = np.asarray(np.linalg.qr(jacobian, mode="r"))
+    present = EXTENDED_NAMES[: jacobian.shape[1]]
     chosen = [
         name
-        for name in PARAMETER_NAMES
+        for name in present
         if name in SCALE_PARAMETER_NAMES and name in candidates and np.any(_column(jacobian, name))
     ]
-    waiting = [name for name in PARAMETER_NAMES if name in candidates and name in ranges]
+    waiting = [name for name in present if name in candidates and name in ranges]
     while waiting:
         doubts = {name: _worst_doubt(triangular, [*chosen, name], ranges) for name in waiting}
         surest = min(waiting, key=lambda name: doubts[name])
@@ -96,7 +107,7 @@ def determined_parameters(
 
 
 def _column(jacobian: Array, name: str) -> Array:
-    return np.asarray(jacobian[:, PARAMETER_NAMES.index(name)])
+    return np.asarray(jacobian[:, EXTENDED_NAMES.index(name)])
 
 
 def _worst_doubt(triangular: Array, names: list[str], ranges: dict[str, float]) -> float:
@@ -108,7 +119,7 @@ def _worst_doubt(triangular: Array, names: list[str], ranges: dict[str, float]) 
 def standard_errors(triangular: Array, names: Sequence[str]) -> dict[str, float]:
     """Standard errors of the named parameters, the others being given; infinite if undetermined.
 
-    ``triangular`` (r, 16): factor R of the Jacobian of a residual of unit variance.
+    ``triangular`` (r, p): factor R of the Jacobian of a residual of unit variance.
     """
     columns = np.column_stack([_column(triangular, name) for name in names])
     lengths = np.linalg.norm(columns, axis=0)

@@ -80,7 +80,8 @@ class Window:
             sine=m.sine,
         )
         places = self._places
-        whole = None if self.steady else self.whole or self
+        alone = self.steady or not self.period > 0.0
+        whole = None if alone else self.whole or self
         return Window(
             motion, self.force[chosen], self.current[chosen], self.period, places[chosen], whole
         )

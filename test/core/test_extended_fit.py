@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import known
 import numpy as np
@@ -10,8 +12,11 @@ import pytest
 
 from mr_damper_ros.damper.extension import EXTENDED_NAMES
 from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.sigmoid import SCALE_INDICES
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.damper.sigmoid import SCALE_INDICES, operating_point_coefficients
+from mr_damper_ros.identification.evolution import EvolutionSettings
 from mr_damper_ros.identification.fit import METHODS, fit_window
+from mr_damper_ros.identification.global_fit import GlobalFit, identify_global
 from mr_damper_ros.identification.pooled import PooledMisfit
 from mr_damper_ros.identification.window import ScaleMisfit, Window
 from mr_damper_ros.kinematics.motion import window_motion
@@ -160,3 +165,94 @@ def test_without_lag_stiffness_and_offset_the_misfit_is_that_of_the_sixteen():
     np.testing.assert_allclose(
         pooled(100).residual(sixteen), pooled(100).residual(known.PLAUSIBLE), atol=1e-6
     )
+
+
+QUICK = EvolutionSettings(generations=100)
+NONE = np.zeros(4)
+CURRENTS = (0.0, 0.4, 0.8, 1.2)
+
+
+def runs(extension: np.ndarray, currents: tuple[float, ...]) -> list[Window]:
+    """Sines of two speeds and two amplitudes at each current."""
+    parameters = np.append(known.PLAUSIBLE, extension)
+    windows = []
+    for seed, (amplitude, frequency, current) in enumerate(
+        product((3e-3, 10e-3), (1.0, 4.0), currents)
+    ):
+        run = known.run(
+            amplitude=amplitude, frequency=frequency, current=current, samples=600, seed=seed
+        )
+        window = run.window
+        late = window.predicted_force(parameters) - window.predicted_force(known.PLAUSIBLE)
+        windows.append(replace(window, force=window.force + late))
+    return windows
+
+
+@pytest.fixture(scope="module")
+def found() -> GlobalFit:
+    return identify_global(runs(TRUTH[16:], CURRENTS), np.append(LITERATURE, NONE), QUICK)
+
+
+def test_the_extension_is_found_with_the_sixteen(found):
+    got = found.parameter_set
+    assert got.model == "sigmoid_lag"
+    errors = (got.values - TRUTH)[16:] / got.standard_errors[16:]
+    assert np.max(np.abs(errors)) < 4.0
+    np.testing.assert_allclose(got.values[16:19], TRUTH[16:19], rtol=0.2)
+
+
+def test_all_runs_are_fitted_down_to_the_noise(found):
+    windows = runs(TRUTH[16:], CURRENTS)
+    left = [w.predicted_force(found.parameter_set.values) - w.force for w in windows]
+    assert known.rms(np.concatenate(left)) < 1.02 * known.NOISE
+
+
+def test_the_extension_is_determined_by_runs_at_four_currents(found):
+    assert found.parameter_set.observable[16:].all()
+    block = found.covariance[16:, 16:]
+    np.testing.assert_allclose(np.sqrt(np.diag(block)), found.parameter_set.standard_errors[16:])
+
+
+def test_coefficients_of_an_extended_set_are_those_of_its_sigmoid_law(found):
+    coefficients, errors = found.coefficients((0.1, 0.6))
+    truth = np.concatenate(operating_point_coefficients(known.PLAUSIBLE, 0.1, 0.6))
+    np.testing.assert_allclose(coefficients, known.positive(truth), rtol=0.1, atol=5.0)
+    assert np.all(errors > 0.0)
+
+
+def test_one_current_does_not_tell_a_lag_that_rises_with_it():
+    start = np.append(known.PLAUSIBLE, [0.0, 2e-3, 0.0, 0.0])
+    got = identify_global(runs(TRUTH[16:], (0.6,)), start, QUICK).parameter_set
+    assert got.values[17] == 2e-3
+    assert not got.observable[17]
+    assert got.observable[16]
+    assert got.values[16] + 0.6 * 2e-3 == pytest.approx(4e-3 + 0.6 * 6e-3, rel=0.2)
+
+
+def test_a_damper_that_is_early_has_no_lag():
+    start = np.append(known.PLAUSIBLE, [2e-3, 0.0, 0.0, 0.0])
+    early = []
+    for window in runs(NONE, (0.0, 0.8)):
+        plain = window.predicted_force(known.PLAUSIBLE)
+        ahead = plain + 2e-3 * np.gradient(plain, PERIOD)
+        early.append(replace(window, force=ahead + window.force - plain))
+    got = identify_global(early, start, QUICK).parameter_set
+    np.testing.assert_array_equal(got.values[16:18], 0.0)
+    assert not np.any(got.observable[16:18])
+
+
+def test_of_a_damper_without_lag_none_is_found():
+    start = np.append(known.PLAUSIBLE, NONE)
+    got = identify_global(runs(NONE, (0.0, 0.8)), start, QUICK).parameter_set
+    known_to = np.nan_to_num(got.standard_errors[16:])
+    assert np.all(np.abs(got.values[16:]) <= 4.0 * known_to)
+
+
+@pytest.mark.parametrize("method", ["nelder_mead", "differential_evolution"])
+def test_every_method_identifies_the_extended_law(method):
+    windows = runs(TRUTH[16:], (0.6,))
+    settings = EvolutionSettings(generations=30, population=8)
+    start = np.append(known.PLAUSIBLE, [0.0, 6e-3, 0.0, 0.0])
+    fit = identify_global(windows, start, settings, method=method)
+    assert fit.parameter_set.values.shape == (20,)
+    assert fit.median_nrmse < 1.2 * np.median([known.NOISE / np.std(w.force) for w in windows])
