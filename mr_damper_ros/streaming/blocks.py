@@ -57,7 +57,7 @@ class SampleBlock:
             raise BlockError(f"the sample period is {self.period} s: it must be positive")
         for name in ("displacement", "force"):
             finite = np.isfinite(getattr(self, name))
-            if not finite.all():
+            if np.count_nonzero(finite) != n:
                 raise BlockError(
                     f"the {name} of sample {int(np.argmin(finite))} of the block is not finite"
                 )

@@ -25,7 +25,8 @@ class MotionFollower:
     ``centre_memory`` [s] must hold a whole cycle of the motion.
 
     Only what a block's own motion needs is done when it comes. The rest, which takes longer, is
-    done by :meth:`catch_up`.
+    done by :meth:`catch_up`. ``foreseen`` is the motion of the next block if the sine goes on and
+    the block is as long as the last one; :meth:`follow` returns that very object if so.
     """
 
     def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
@@ -34,7 +35,7 @@ class MotionFollower:
         self._centre = MotionCentre(centre_memory, period)
         self._sine = SineFollower(period, centre_memory)
         self._unlearned: Array | None = None
-        self._foreseen: Motion | None = None
+        self.foreseen: Motion | None = None
         self._steady = False
 
     @property
@@ -58,10 +59,10 @@ class MotionFollower:
     def follow(self, displacement: Array) -> Motion:
         """Motion at the next samples [m], shape (n,)."""
         self.catch_up()
-        if self._foreseen is None or self._foreseen.displacement.size != displacement.size:
+        if self.foreseen is None or self.foreseen.displacement.size != displacement.size:
             self._foresee(displacement.size)
         self._unlearned = displacement
-        foreseen = self._foreseen
+        foreseen = self.foreseen
         self._steady = foreseen is not None and self._sine.holds(
             foreseen.displacement, displacement
         )
@@ -81,7 +82,7 @@ class MotionFollower:
 
     def _foresee(self, count: int) -> None:
         sine = self._sine.ahead(count)
-        self._foreseen = None if sine is None else _motion(*sine)
+        self.foreseen = None if sine is None else _motion(*sine)
 
     def _observe(self, displacement: Array) -> tuple[Array, Array, Array]:
         u, v, a = self._differentiator.follow(displacement)

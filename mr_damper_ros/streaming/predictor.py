@@ -9,6 +9,7 @@ import numpy as np
 from mr_damper_ros.damper.models.base import ForceStream
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.streaming.held_current import KEEP_CURRENT, HeldCurrent
 from mr_damper_ros.streaming.motion_follower import MotionFollower
@@ -48,6 +49,15 @@ class Prediction:
     continuity: str
 
 
+@dataclass(frozen=True, eq=False)
+class _Foreseen:
+    """Force [N] of a block that has not come yet, if it brings this motion and this current [A]."""
+
+    motion: Motion
+    current: Array
+    force: Array
+
+
 class ForcePredictor:
     """Predicts the force of each block as it arrives."""
 
@@ -59,6 +69,7 @@ class ForcePredictor:
         self._sequence = BlockSequence()
         self._motion: MotionFollower | None = None
         self._stream: ForceStream | None = None
+        self._foreseen: _Foreseen | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
 
@@ -81,6 +92,7 @@ class ForcePredictor:
         """
         if self._stream is not None and self._stream.model.name != parameters.model:
             self._stream = None
+        self._foreseen = None
         self._parameters = parameters
         self._confirmed_ns = confirmed_ns
 
@@ -96,11 +108,22 @@ class ForcePredictor:
     def catch_up(self) -> None:
         """Learn from the last block what only the predictions after it need.
 
-        It takes as long as a prediction, so call it once that is on its way; the next
-        :meth:`predict` does it otherwise, with the same results.
+        It takes longer than a prediction, so call it once that is on its way. Without it the next
+        :meth:`predict` does what it must itself, with the same results.
         """
         if self._motion is not None:
             self._motion.catch_up()
+            self._foreseen = self._foresee(self._motion.foreseen)
+
+    def _foresee(self, motion: Motion | None) -> _Foreseen | None:
+        """Force of the next block, as far as it can be known already."""
+        last, parameters, stream = self._sequence.last, self._parameters, self._stream
+        if motion is None or last is None or parameters is None:
+            return None
+        if stream is None or stream.remembers or not self._current.known_from(last.end_ns):
+            return None
+        current = self._current.at(last.end_ns, last.period, last.sample_count)
+        return _Foreseen(motion, current, stream.follow(parameters.values, motion, current))
 
     def predict(self, block: SampleBlock) -> Prediction:
         """Force at the samples of a block; NaN, and not valid, where it cannot be computed."""
@@ -126,7 +149,15 @@ class ForcePredictor:
         if self._stream is None:
             self._stream = self._parameters.law.stream(block.period)
             self._begun_at = self._motion.reversals
-        predicted = self._stream.follow(self._parameters.values, motion, current)
+        foreseen = self._foreseen
+        if (
+            foreseen is not None
+            and foreseen.motion is motion
+            and bool((foreseen.current == current).all())
+        ):
+            predicted = foreseen.force
+        else:
+            predicted = self._stream.follow(self._parameters.values, motion, current)
         if not np.isfinite(predicted).all():
             self._stream = None
             reason = f"the force of {self._parameters.set_id} is beyond what a number can hold"
