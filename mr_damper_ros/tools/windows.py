@@ -20,10 +20,14 @@ from mr_damper_ros.rig.bags import read_bag
 
 @dataclass(frozen=True)
 class BagWindows:
-    """The windows of one bag, one for each stretch without a gap."""
+    """The windows of one bag, one for each stretch without a gap.
+
+    ``temperatures``: of each window that of its samples (n,) [°C], None where it was not measured.
+    """
 
     path: Path
     windows: tuple[Window, ...]
+    temperatures: tuple[Array | None, ...]
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,7 @@ class Metrics:
 
 def bag_windows(path: Path) -> BagWindows:
     """Windows of a bag; raises ValueError with a sentence where it cannot be used."""
-    windows = []
+    windows, temperatures = [], []
     for recording in read_bag(path):
         fault = fault_of_samples(
             recording.displacement,
@@ -55,7 +59,8 @@ def bag_windows(path: Path) -> BagWindows:
         if fault:
             raise ValueError(f"{path}: {fault}")
         windows.append(window)
-    return BagWindows(path, tuple(windows))
+        temperatures.append(recording.temperature)
+    return BagWindows(path, tuple(windows), tuple(temperatures))
 
 
 def metrics(parameters: Array, windows: Sequence[Window]) -> Metrics:

@@ -1,0 +1,62 @@
+"""Temperature maps of bags: from those with a thermometer, and only from those."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.rig.bags import write_bag
+from mr_damper_ros.rig.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
+from mr_damper_ros.rig.excitation import Sine
+from mr_damper_ros.rig.recording import Recording
+from mr_damper_ros.tools.temperature import temperature_maps
+from mr_damper_ros.tools.windows import bag_windows
+
+COLD, HOT = 28.0, 71.0
+FALL = 0.7561
+"""Force at 71 °C over that at 28 °C, as the loops of the two published sets have it."""
+
+TOLERANCE = 0.01
+
+
+def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
+    """Fifty seconds in which the damper heats from 28 °C to nearly 71 °C."""
+    rig = EmulatedRig(
+        TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
+        Sine(5e-3, 1.0),
+        current,
+        thermal=ThermalModel(capacity=25.0, conductance=0.0),
+    )
+    recording = rig.record(50.0)
+    return recording if thermometer else replace(recording, temperature=None)
+
+
+def test_a_bag_with_a_thermometer_gives_the_map(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", heated())
+    (found,) = temperature_maps([bag_windows(tmp_path / "bag")], THESIS_28_CELSIUS).identified
+    assert found.operating_point == pytest.approx((0.0314, 1.5), abs=1e-3)
+    expected = 1.0 - (1.0 - FALL) * (found.high - found.low) / (HOT - COLD)
+    assert found.high - found.low > 35.0
+    ratio = found.scale(found.high).value / found.scale(found.low).value
+    assert ratio == pytest.approx(expected, abs=TOLERANCE)
+
+
+def test_a_bag_without_a_thermometer_gives_none(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", heated(thermometer=False))
+    bag = bag_windows(tmp_path / "bag")
+    assert bag.temperatures == (None,)
+    assert temperature_maps([bag], THESIS_28_CELSIUS).identified == ()
+
+
+def test_each_current_has_its_map(tmp_path: Path) -> None:
+    paths = [tmp_path / "low", tmp_path / "high"]
+    for path, current in zip(paths, (1.0, 1.5), strict=True):
+        write_bag(path, heated(current))
+    bags = [bag_windows(path) for path in paths]
+    points = [
+        found.operating_point for found in temperature_maps(bags, THESIS_28_CELSIUS).identified
+    ]
+    assert [current for _, current in points] == pytest.approx([1.0, 1.5])
