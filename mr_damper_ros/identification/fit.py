@@ -19,6 +19,9 @@ from mr_damper_ros.identification.search import LocalSearch, StopRequestedError
 from mr_damper_ros.identification.uncertainty import least_squares_covariance
 from mr_damper_ros.identification.window import ScaleMisfit, Window
 
+CONVERGED = "converged"
+"""Message of a fit that came to its end."""
+
 METHODS = ("nelder_mead", "least_squares")
 
 _COLD_STEEPNESS = (2.0, 6.0, 20.0, 60.0)
@@ -78,7 +81,7 @@ def fit_window(
     misfit = ScaleMisfit(window, start)
     search = LocalSearch(misfit, misfit.start, should_stop)
     weights = np.ones(window.sample_count)
-    message = "converged"
+    message = CONVERGED
     try:
         _start(search, misfit, spread)
         if method == "nelder_mead":
@@ -120,7 +123,7 @@ def _result(
         sample_count=window.sample_count,
         method=method,
         evaluations=search.evaluations,
-        success=message == "converged",
+        success=message == CONVERGED,
         message=message,
     )
 

@@ -18,7 +18,7 @@ import numpy as np
 from mr_damper_ros.damper.models import Model
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
 from mr_damper_ros.identification.drift import ForceScale
-from mr_damper_ros.identification.fit import METHODS, POOR_START, WindowFit
+from mr_damper_ros.identification.fit import CONVERGED, METHODS, POOR_START, WindowFit
 from mr_damper_ros.identification.search import LocalSearch, StopRequestedError
 from mr_damper_ros.identification.uncertainty import least_squares_covariance
 from mr_damper_ros.identification.window import Window
@@ -184,7 +184,7 @@ def fit_model(
         raise ValueError("the force does not change: there is nothing to identify")
     searches: list[LocalSearch] = []
     weights = np.ones(window.sample_count)
-    message = "converged"
+    message = CONVERGED
 
     def begin(parameters: Array) -> LocalSearch:
         misfit = ModelMisfit(model, window, parameters)
@@ -211,20 +211,44 @@ def fit_model(
     parameters = misfit.parameters(search.best)
     residual = misfit.residual(search.best)[misfit.settled]
     jacobian = misfit.parameter_jacobian(parameters)[misfit.settled]
+    return as_model_fit(
+        model,
+        window,
+        parameters,
+        least_squares_covariance(jacobian, residual, weights[misfit.settled]),
+        method=method,
+        evaluations=sum(s.evaluations + _differences(s) for s in searches),
+        message=message,
+    )
+
+
+def as_model_fit(
+    model: Model,
+    window: Window,
+    parameters: Array,
+    covariance: Array,
+    *,
+    method: str,
+    evaluations: int,
+    message: str = CONVERGED,
+) -> WindowFit:
+    """Parameters (p,) as a fit of the window; ``covariance`` (f, f) of the free ones."""
+    settled = ~unsettled_samples(model, window, parameters)
+    residual = (model_force(model, window, parameters) - window.force)[settled]
     rmse = math.sqrt(float(np.mean(residual**2)))
     return WindowFit(
         scales=parameters[model.free_indices],
-        covariance=least_squares_covariance(jacobian, residual, weights[misfit.settled]),
+        covariance=covariance,
         parameters=parameters,
         coefficients=np.empty(0),
         coefficient_covariance=np.empty((0, 0)),
         operating_point=window.operating_point,
         rmse=rmse,
-        nrmse=rmse / spread,
+        nrmse=rmse / float(np.std(window.force)),
         sample_count=window.sample_count,
         method=method,
-        evaluations=sum(s.evaluations + _differences(s) for s in searches),
-        success=message == "converged",
+        evaluations=evaluations,
+        success=message == CONVERGED,
         message=message,
     )
 

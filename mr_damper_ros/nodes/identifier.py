@@ -20,8 +20,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
+from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterError, ParameterSet
-from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.identification.acceptance import AcceptanceSettings
 from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
 from mr_damper_ros.identification.fit import METHODS
@@ -51,6 +51,7 @@ from mr_damper_ros.nodes.running import run
 from mr_damper_ros.nodes.worker import Worker
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.streaming.memory import TrackerMemory, from_text, to_text
+from mr_damper_ros.streaming.start import start_set
 from mr_damper_ros.streaming.state import StateDirectory, StateError, read_parameter_file
 from mr_damper_ros.streaming.tracker import (
     EARLY_METHOD,
@@ -69,9 +70,6 @@ A guard condition would need no looking, but the events executor supports none.
 
 _DISK_PATIENCE = 1.0
 """Seconds after which what is identified is published even though it is not on disk yet."""
-
-_LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
-"""Peak velocity [m/s] of the test that the literature's set is for: 1 Hz, 2.5 mm, at 0 A."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +170,12 @@ class AcceptanceParameters:
 class IdentifierParameters(Table):
     """Parameters of the identifier node."""
 
+    model: str = option(
+        DEFAULT_MODEL,
+        "Force law that is identified.",
+        choices=tuple(MODELS),
+        read_only=True,
+    )
     window: float = option(
         2.0,
         "Length of a window [s]; at least one cycle of the motion must fit in.",
@@ -257,7 +261,7 @@ class IdentifierParameters(Table):
     initial_parameters: str = option(
         "literature",
         "Parameter file (YAML) to start from; 'literature' for the published start of the "
-        "thesis' searches.",
+        "thesis' searches (for a model other than the sigmoid law: from the first window).",
         read_only=True,
     )
     state_dir: str = option(
@@ -275,12 +279,17 @@ class IdentifierParameters(Table):
                 f"hop ({self.hop:g} s) is longer than window ({self.window:g} s): "
                 "samples between two windows would never be used"
             )
+        try:
+            _ = self.tracker_settings
+        except ValueError as error:
+            return str(error)
         return ""
 
     @property
     def tracker_settings(self) -> TrackerSettings:
         """The settings of the identification itself."""
         return TrackerSettings(
+            model=self.model,
             tracker=self.tracker,
             method=self.method,
             robust=self.robust,
@@ -319,7 +328,8 @@ class Identifier(Node):
             self._options.window, self._options.hop, self._options.looks
         )
         self._tracker = WindowTracker(
-            self._options.tracker_settings, _initial_set(self._options.initial_parameters)
+            self._options.tracker_settings,
+            _initial_set(self._options.initial_parameters, self._options.model),
         )
         self._resume()
         self._goals: dict[Search, ServerGoalHandle] = {}
@@ -690,6 +700,7 @@ class Identifier(Node):
         age = (self.get_clock().now().nanoseconds - parameters.stamp_ns) / NANOSECONDS
         values = {
             "id": parameters.set_id,
+            "model": parameters.model,
             "source": parameters.source,
             "age [s]": f"{age:.1f}" if parameters.stamp_ns else "unknown",
             "NRMSE": f"{parameters.nrmse:.4f}",
@@ -716,17 +727,11 @@ def _state_directory(path: str) -> StateDirectory:
         raise ConfigurationError(str(error)) from error
 
 
-def _initial_set(source: str) -> ParameterSet:
+def _initial_set(source: str, model: str) -> ParameterSet:
     if source == "literature":
-        return ParameterSet(
-            LITERATURE,
-            set_id="literature",
-            source="literature",
-            peak_velocity_range=(_LITERATURE_PEAK_VELOCITY, _LITERATURE_PEAK_VELOCITY),
-            current_range=(0.0, 0.0),
-        )
+        return start_set(model)
     try:
-        return read_parameter_file(source).of_model(DEFAULT_MODEL)
+        return read_parameter_file(source).of_model(model)
     except (StateError, ParameterError) as error:
         raise ConfigurationError(f"initial_parameters: {error}") from error
 

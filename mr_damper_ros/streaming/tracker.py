@@ -14,8 +14,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_INDICES, Array
+from mr_damper_ros.damper.models import MODELS, Model
+from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterSet, known_model
+from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.identification.acceptance import (
     NO_BETTER,
     AcceptanceSettings,
@@ -23,14 +24,24 @@ from mr_damper_ros.identification.acceptance import (
     Gatekeeper,
 )
 from mr_damper_ros.identification.change import ChangeWatch, change_point, fit_scale
-from mr_damper_ros.identification.drift import Baselines, ForceScale, force_scale
+from mr_damper_ros.identification.drift import Baselines, ForceScale
 from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.identification.fit import WindowFit, fit_window
+from mr_damper_ros.identification.fit import WindowFit
+from mr_damper_ros.identification.following import (
+    STRENGTH,
+    fit_to_window,
+    fitted_errors,
+    lasting_force,
+    scale_of_force,
+    shape_is_known,
+    strengthened,
+)
 from mr_damper_ros.identification.global_fit import (
     GlobalFit,
     GlobalProgress,
     identify_global,
 )
+from mr_damper_ros.identification.model_fit import is_sigmoid, model_force, unsettled_samples
 from mr_damper_ros.identification.reservoir import Reservoir, nearest_same
 from mr_damper_ros.identification.screening import (
     Screening,
@@ -44,7 +55,7 @@ from mr_damper_ros.identification.unscented import (
     as_fit,
     state_of,
 )
-from mr_damper_ros.identification.window import ScaleMisfit, Window, scale_parameter_errors
+from mr_damper_ros.identification.window import Window
 from mr_damper_ros.streaming.blocks import NANOSECONDS
 from mr_damper_ros.streaming.memory import TrackerMemory
 from mr_damper_ros.streaming.windows import RawWindow
@@ -70,18 +81,20 @@ TRACKERS = ("window", METHOD)
 class TrackerSettings:
     """Settings of the identification of windows.
 
-    ``tracker``: "window" fits every window; "unscented" is an unscented Kalman filter, which
-    uses every sample once and starts from the fit of a window. ``method`` of that fit:
-    "nelder_mead" or "least_squares"; ``robust``: bound the influence of outliers;
+    ``model``: name of the force law; ``tracker``: "window" fits every window; "unscented" is an
+    unscented Kalman filter, which uses every sample once and starts from the fit of a window.
+    ``method`` of that fit: "nelder_mead" or "least_squares"; ``robust``: bound the influence of
+    outliers;
     ``drift_rate`` [1/sqrt(s)]: how fast the filter expects the force to change, see
     :class:`UnscentedFilter`; ``smallest_change`` [1]: a relative change of the force between two
     windows that is worth an early fit; ``global_period``: a global identification after this
     many accepted windows, 0 for never.
 
-    Raises ValueError for an unknown tracker, or a drift rate or smallest change that is not
-    positive.
+    Raises ValueError for an unknown model or tracker, a filter for another model than the sigmoid
+    law, or a drift rate or smallest change that is not positive.
     """
 
+    model: str = DEFAULT_MODEL
     tracker: str = "window"
     method: str = "nelder_mead"
     robust: bool = False
@@ -97,6 +110,12 @@ class TrackerSettings:
             raise ValueError(
                 f"tracker '{self.tracker}' is unknown: use one of {', '.join(TRACKERS)}"
             )
+        known_model(self.model)
+        if self.tracker == METHOD and self.model != DEFAULT_MODEL:
+            raise ValueError(
+                f"tracker '{METHOD}' follows model '{DEFAULT_MODEL}' only: "
+                f"choose tracker 'window' for model '{self.model}'"
+            )
         for name in ("drift_rate", "smallest_change"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} is {getattr(self, name)}: it must be positive")
@@ -104,10 +123,11 @@ class TrackerSettings:
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """One window, or a look, and the parameters (16,) to start from.
+    """One window, or a look, and the parameters (p,) to start from.
 
-    ``state`` is where the filter stood and ``watch`` that of the detector of changes, if they
-    run; samples stamped before ``changed_ns`` are of the damper before its last sudden change.
+    ``baselines`` are those of the force scale; ``state`` is where the filter stood and ``watch``
+    that of the detector of changes, if they run; samples stamped before ``changed_ns`` are of the
+    damper before its last sudden change.
     """
 
     window: RawWindow
@@ -116,6 +136,12 @@ class FitTask:
     state: FilterState | None = None
     watch: ChangeWatch | None = None
     changed_ns: int = 0
+    baselines: tuple[WindowFit, ...] = ()
+
+    @property
+    def model(self) -> Model:
+        """The force law."""
+        return MODELS[self.settings.model]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,16 +155,18 @@ class FitResult:
     evidence: Evidence | None = None
     state: FilterState | None = None
     watch: ChangeWatch | None = None
+    scale: ForceScale = field(default_factory=ForceScale)
 
 
 @dataclass(frozen=True, eq=False)
 class GlobalTask:
-    """The reservoir's windows and the parameters (16,) to start from."""
+    """The reservoir's windows and the parameters (p,) of a model to start from."""
 
     windows: tuple[Window, ...]
     start: Array
     settings: EvolutionSettings
     stamp_ns: int
+    model: str = DEFAULT_MODEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,17 +230,19 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         if filtered is not None:
             return filtered
         held_back = held_back_samples(window.sample_count)
-        trained = fit_window(
+        model = task.model
+        trained = fit_to_window(
+            model,
             window.part(~held_back),
             task.start,
             method=settings.method,
             robust=settings.robust,
             should_stop=should_stop,
         )
-        evidence = _evidence(window.part(held_back), window, task.start, trained.parameters)
+        evidence = _evidence(model, held_back, window, task.start, trained.parameters)
         # What is published uses every sample; the held-back part only judged whether to.
-        final = fit_window(
-            window, trained.parameters, method="least_squares", robust=settings.robust
+        final = fit_to_window(
+            model, window, trained.parameters, method="least_squares", robust=settings.robust
         )
     except ValueError as error:
         return FitResult(task, str(error))
@@ -224,7 +254,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         message=trained.message,
     )
     begun = state_of(final, raw.end_ns) if settings.tracker == METHOD else None
-    return FitResult(task, "", window, final, evidence, begun, _watch(task, window, final))
+    return _fitted(task, window, final, evidence, begun)
 
 
 def _usable(task: FitTask, window: Window) -> FilterState | None:
@@ -259,20 +289,28 @@ def _filtered(task: FitTask, window: Window, state: FilterState) -> FitResult | 
     )
     follower.take_in(~held_back)
     trained = as_fit(follower.state, new, task.start, follower.evaluations).parameters
-    evidence = _evidence(new.part(held_back), new, task.start, trained)
+    evidence = _evidence(task.model, held_back, new, task.start, trained)
     if evidence.rmse_after > _ASTRAY * follower.noise_level:
         return None
     follower.take_in(held_back)
     fit = as_fit(follower.state, window, task.start, follower.evaluations)
-    return FitResult(task, "", window, fit, evidence, follower.state, _watch(task, window, fit))
+    return _fitted(task, window, fit, evidence, follower.state)
 
 
-def _watch(task: FitTask, window: Window, fit: WindowFit) -> ChangeWatch:
-    """Watch for changes against a fit, from its window on."""
-    predicted = ScaleMisfit(window, fit.parameters).residual(fit.scales) + window.force
-    return ChangeWatch.after_fit(
-        predicted, window.force, fit.operating_point, task.settings.smallest_change
+def _fitted(
+    task: FitTask, window: Window, fit: WindowFit, evidence: Evidence, state: FilterState | None
+) -> FitResult:
+    """The result of a fit: with its force scale, and a watch for changes from its window on."""
+    settled = ~unsettled_samples(task.model, window, fit.parameters)
+    predicted = model_force(task.model, window, fit.parameters)
+    watch = ChangeWatch.after_fit(
+        predicted[settled],
+        window.force[settled],
+        fit.operating_point,
+        task.settings.smallest_change,
     )
+    scale = scale_of_force(task.model, window, fit, Baselines(task.baselines))
+    return FitResult(task, "", window, fit, evidence, state, watch, scale)
 
 
 def _look(task: FitTask, window: Window) -> FitResult:
@@ -284,8 +322,7 @@ def _look(task: FitTask, window: Window) -> FitResult:
     here = window.part(newest).operating_point
     if nearest_same([watch.operating_point], here) is None:
         return FitResult(task, "", watch=watch.quiet())
-    misfit = ScaleMisfit(window, task.start)
-    predicted = misfit.residual(misfit.start) + window.force
+    predicted = model_force(task.model, window, task.start)
     watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
     if not watch.changed or count < _FEWEST_EARLY:
@@ -294,37 +331,43 @@ def _look(task: FitTask, window: Window) -> FitResult:
     count -= change_point(predicted[since], window.force[since], _FEWEST_EARLY)
     since = slice(window.sample_count - count, None)
     changed, predicted = window.part(since), predicted[since]
+    lasting = lasting_force(task.model, changed, task.start)
+    own, measured = predicted - lasting, changed.force - lasting
     held_back = held_back_samples(count)
-    trained = fit_scale(predicted[~held_back], changed.force[~held_back]).factor
+    trained = fit_scale(own[~held_back], measured[~held_back]).factor
     spread = float(np.std(window.force))
     before, after = (
-        float(np.sqrt(np.mean((factor * predicted - changed.force)[held_back] ** 2)))
+        float(np.sqrt(np.mean((factor * own - measured)[held_back] ** 2)))
         for factor in (1.0, trained)
     )
     evidence = Evidence(before / spread, after / spread, after, trained - 1.0)
-    found = fit_scale(predicted, changed.force)
+    found = fit_scale(own, measured)
     if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
         return FitResult(task, "", watch=watch)  # a sensor has failed, no damper does that
-    # Yield force and force offset follow the factor, the other scales stay.
-    factors = np.array([found.factor, 1.0, 1.0, 1.0, 1.0, 1.0, found.factor])
-    moved = np.where(factors == found.factor, misfit.start, 0.0) * found.standard_error
-    own = FilterState(misfit.start * factors, np.outer(moved, moved), raw.end_ns, here)
-    fit = replace(as_fit(own, changed, task.start, 2), method=EARLY_METHOD)
+    fit = strengthened(task.model, changed, task.start, found, EARLY_METHOD)
     state = task.state
     if state is not None:
+        factors = np.where(STRENGTH, found.factor, 1.0)
         state = FilterState(
             state.scales * factors,
-            state.covariance * np.outer(factors, factors) + own.covariance,
+            state.covariance * np.outer(factors, factors) + fit.covariance,
             raw.end_ns,
             here,
         )
-    return FitResult(task, "", changed, fit, evidence, state, watch)
+    scale = scale_of_force(task.model, changed, fit, Baselines(task.baselines))
+    return FitResult(task, "", changed, fit, evidence, state, watch, scale)
 
 
 def run_global(
     task: GlobalTask, report: Callable[[GlobalProgress], bool] | None = None
 ) -> GlobalResult:
     """Global identification of a task's windows; ``report`` returning False stops it early."""
+    if not is_sigmoid(MODELS[task.model]):
+        return GlobalResult(
+            task,
+            f"model '{task.model}' does not tell how the force depends on the current: "
+            "it has no global identification, every window is fitted on its own",
+        )
     try:
         fit = identify_global(task.windows, task.start, task.settings, report)
     except ValueError as error:
@@ -344,15 +387,19 @@ def _nrmse(window: Window, parameters: Array) -> float:
     return float(np.sqrt(np.mean(residual**2)) / np.std(window.force))
 
 
-def _evidence(held_back: Window, whole: Window, before: Array, after: Array) -> Evidence:
-    spread = float(np.std(whole.force))
+def _evidence(
+    model: Model, held_back: np.ndarray, window: Window, before: Array, after: Array
+) -> Evidence:
+    """What the held-back samples (mask, shape (n,)) of a window say of two sets (p,)."""
+    settled = ~unsettled_samples(model, window, after)
+    spread = float(np.std(window.force))
+    old, new = (model_force(model, window, set_) for set_ in (before, after))
     rmse_before, rmse_after = (
-        float(np.sqrt(np.mean((held_back.predicted_force(set_) - held_back.force) ** 2)))
-        for set_ in (before, after)
+        float(np.sqrt(np.mean((force - window.force)[held_back & settled] ** 2)))
+        for force in (old, new)
     )
-    old, new = whole.predicted_force(before), whole.predicted_force(after)
-    power = float(old @ old)
-    change = float(new @ old) / power - 1.0 if power > 0.0 else math.inf
+    power = float(old[settled] @ old[settled])
+    change = float(new[settled] @ old[settled]) / power - 1.0 if power > 0.0 else math.inf
     return Evidence(rmse_before / spread, rmse_after / spread, rmse_after, change)
 
 
@@ -360,8 +407,10 @@ class WindowTracker:
     """The running parameter set and all that is needed to judge the next one."""
 
     def __init__(self, settings: TrackerSettings, initial: ParameterSet) -> None:
+        """Raises ParameterError where the initial set is not of the model in the settings."""
         self._settings = settings
-        self._initial = initial
+        self._initial = initial.of_model(settings.model)
+        self._model = initial.law
         self.parameters = initial
         self._remember(TrackerMemory())
 
@@ -393,8 +442,11 @@ class WindowTracker:
         self._changed_ns = memory.changed_ns
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
-        """Go on where another tracker was, which may have had other settings."""
-        self.parameters = parameters
+        """Go on where another tracker was, which may have had other settings.
+
+        Raises ParameterError where the set is of another model.
+        """
+        self.parameters = parameters.of_model(self._settings.model)
         self._remember(memory)
         if self._settings.tracker != METHOD:
             self._state = None
@@ -427,8 +479,11 @@ class WindowTracker:
         self._start_again()
 
     def replace(self, parameters: ParameterSet) -> None:
-        """Run with this set (loaded by the user) from now on; it also starts a new baseline."""
-        self.parameters = parameters
+        """Run with this set (loaded by the user) from now on; it also starts a new baseline.
+
+        Raises ParameterError where the set is of another model.
+        """
+        self.parameters = parameters.of_model(self._settings.model)
         self._start_again()
 
     def window_task(self, window: RawWindow) -> FitTask:
@@ -442,6 +497,7 @@ class WindowTracker:
             self._state,
             self._watch,
             self._changed_ns,
+            self._baselines.fits,
         )
 
     def complete(self, result: FitResult) -> Report:
@@ -450,14 +506,13 @@ class WindowTracker:
         if result.fit is None or result.window is None or result.evidence is None:
             return self._report(result, result.fault, ForceScale())
         reason = self._gatekeeper.judge(result.evidence)
-        scale = force_scale(self._baselines, result.fit)
         if reason in ("", NO_BETTER):
             # The filter learns from every good window, the running set from those that help.
             self._state = result.state
         if not reason:
             self._watch = result.watch
             self._accept(result.window, result.fit, result)
-        return self._report(result, reason, scale)
+        return self._report(result, reason, result.scale)
 
     def complete_look(self, result: FitResult) -> Report | None:
         """Take in what a look has seen; a report where it led to an early fit that is in use."""
@@ -474,11 +529,12 @@ class WindowTracker:
         length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
         self._changed_ns = raw.end_ns - length
         errors = self.parameters.standard_errors.copy()
-        # The other scales keep what is known of them.
-        errors[SCALE_INDICES[0]] = math.hypot(
-            errors[SCALE_INDICES[0]] * (1.0 + evidence.force_change),
-            math.sqrt(fit.covariance[0, 0]),
-        )
+        # The other parameters keep what is known of them.
+        changed = self._model.strength_indices
+        fitted = np.full(errors.size, math.nan)
+        places, found = fitted_errors(self._model, fit)
+        fitted[places] = found
+        errors[changed] = np.hypot(errors[changed] * (1.0 + evidence.force_change), fitted[changed])
         self.parameters = replace(
             self.parameters,
             values=fit.parameters,
@@ -492,7 +548,7 @@ class WindowTracker:
             f"the force changed by {evidence.force_change:+.0%} at "
             f"t = {self._changed_ns / NANOSECONDS:.2f} s: fitted early"
         )
-        report = self._report(result, "", force_scale(self._baselines, fit))
+        report = self._report(result, "", result.scale)
         unknown = np.full(7, math.nan)
         return replace(report, reason=reason, coefficient_errors=unknown)
 
@@ -500,9 +556,10 @@ class WindowTracker:
         self._accepted += 1
         self._accepted_since_global += 1
         errors = self.parameters.standard_errors.copy()
-        errors[SCALE_INDICES] = scale_parameter_errors(fit.scales, fit.covariance)
+        places, found = fitted_errors(self._model, fit)
+        errors[places] = found
         observable = self.parameters.observable.copy()
-        observable[SCALE_INDICES] = np.isfinite(errors[SCALE_INDICES])
+        observable[places] = np.isfinite(found)
         velocity_range, current_range = self._range_with(window)
         self.parameters = ParameterSet(
             values=fit.parameters,
@@ -514,6 +571,7 @@ class WindowTracker:
             current_range=current_range,
             nrmse=result.evidence.nrmse_after if result.evidence else math.nan,
             stamp_ns=result.task.window.end_ns,
+            model=self._model.name,
         )
         self._baselines.add(fit)
         self._reservoir.add(window, fit)
@@ -525,21 +583,19 @@ class WindowTracker:
         bottom = float(np.quantile(speed, 0.05))
         velocity_range = (bottom, top)
         current_range = (float(current.min()), float(current.max()))
-        if self._shape_is_known():
+        if shape_is_known(self._model, self.parameters.observable):
             old_v, old_i = self.parameters.peak_velocity_range, self.parameters.current_range
             velocity_range = (min(bottom, old_v[0]), max(top, old_v[1]))
             current_range = (min(current_range[0], old_i[0]), max(current_range[1], old_i[1]))
         return velocity_range, current_range
 
-    def _shape_is_known(self) -> bool:
-        shape = np.ones(len(PARAMETER_NAMES), dtype=bool)
-        shape[SCALE_INDICES] = False
-        return bool(np.any(self.parameters.observable[shape]))
-
     def _report(self, result: FitResult, reason: str, scale: ForceScale) -> Report:
         raw, fit, window = result.task.window, result.fit, result.window
         evidence = result.evidence
-        unknown = np.full(7, math.nan)
+        coefficients, errors = np.full((2, 7), math.nan)
+        if fit and fit.coefficients.size:
+            coefficients = fit.coefficients
+            errors = np.sqrt(np.diag(fit.coefficient_covariance))
         return Report(
             window_start_ns=raw.start_ns,
             stamp_ns=raw.end_ns,
@@ -558,8 +614,8 @@ class WindowTracker:
             frequency=window.motion.frequency if window else math.nan,
             current=float(np.mean(raw.current)),
             temperature=raw.temperature,
-            coefficients=fit.coefficients if fit else unknown,
-            coefficient_errors=np.sqrt(np.diag(fit.coefficient_covariance)) if fit else unknown,
+            coefficients=coefficients,
+            coefficient_errors=errors,
             global_due=self._global_is_due(),
         )
 
@@ -568,6 +624,7 @@ class WindowTracker:
         return (
             period > 0
             and self._accepted_since_global >= period
+            and is_sigmoid(self._model)
             and self._reservoir.operating_points > 1
         )
 
@@ -579,6 +636,7 @@ class WindowTracker:
             start=self.parameters.values,
             settings=evolution or self._settings.evolution,
             stamp_ns=self.parameters.stamp_ns,
+            model=self._model.name,
         )
 
     def complete_global(self, result: GlobalResult) -> Report:

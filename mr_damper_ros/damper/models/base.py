@@ -65,6 +65,8 @@ class Model:
     keep the values of a start. ``scale_starts`` gives starts (k, p) from what can be read off a
     run: half the span of the force [N] and its middle [N], the peak velocity [m/s] and the
     amplitude [m]. ``remembers``: whether the force depends on the samples before.
+    ``strength`` names the parameters that rise and fall with the strength of the damper; where
+    none are named, all that have a force in their unit.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Model:
     scale_starts: Callable[[float, float, float, float], Array]
     free_in_one_run: tuple[str, ...] = field(default=())
     remembers: bool = False
+    strength: tuple[str, ...] = field(default=())
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -98,6 +101,18 @@ class Model:
         """Places (f,) of the parameters that one run determines."""
         free = self.free_in_one_run or self.parameter_names
         return np.array([self.parameter_names.index(name) for name in free])
+
+    @property
+    def strength_indices(self) -> Array:
+        """Places of the parameters that rise and fall with the strength of the damper."""
+        return np.array(
+            [
+                place
+                for place, parameter in enumerate(self.parameters)
+                if (parameter.name in self.strength or not self.strength)
+                and parameter.unit.startswith("N")
+            ]
+        )
 
     def force(
         self, parameters: ArrayLike, motion: MotionLike, current: ArrayLike, period: float

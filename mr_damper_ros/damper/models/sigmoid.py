@@ -84,6 +84,7 @@ SIGMOID = Model(
     _WANG,
     _starts,
     free_in_one_run=SCALE_PARAMETER_NAMES,
+    strength=("f0",),
 )
 
 EXTENDED_SIGMOID = Model(
@@ -101,4 +102,5 @@ EXTENDED_SIGMOID = Model(
     _extended_starts,
     free_in_one_run=(*SCALE_PARAMETER_NAMES, "tau0", "stiffness", "offset"),
     remembers=True,
+    strength=("f0",),
 )

@@ -1,0 +1,107 @@
+"""What it takes to follow a damper of any model: fit, errors, early fit, force scale.
+
+The sigmoid law and its extension have a window fit of their own, seven scales with operating-point
+coefficients (:mod:`fit`); all other models are fitted alike (:mod:`model_fit`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from mr_damper_ros.damper.models import Model
+from mr_damper_ros.damper.sigmoid import SCALE_INDICES, SHAPE_PARAMETER_NAMES, Array
+from mr_damper_ros.identification.change import ScaleFit
+from mr_damper_ros.identification.drift import Baselines, ForceScale, force_scale
+from mr_damper_ros.identification.fit import WindowFit, fit_window
+from mr_damper_ros.identification.model_fit import (
+    as_model_fit,
+    fit_model,
+    is_sigmoid,
+    model_force,
+    model_force_scale,
+)
+from mr_damper_ros.identification.unscented import FilterState, as_fit
+from mr_damper_ros.identification.window import ScaleMisfit, Window, scale_parameter_errors
+
+STRENGTH = np.array([True, False, False, False, False, False, True])
+"""Of the seven scales, those that rise and fall with the strength of the damper."""
+
+
+def fit_to_window(
+    model: Model,
+    window: Window,
+    start: Array,
+    *,
+    method: str,
+    robust: bool,
+    should_stop: Callable[[], bool] | None = None,
+) -> WindowFit:
+    """Fit what one window determines, from parameters ``start`` (p,); see :func:`fit_window`."""
+    if is_sigmoid(model):
+        return fit_window(window, start, method=method, robust=robust, should_stop=should_stop)
+    return fit_model(model, window, start, method=method, robust=robust, should_stop=should_stop)
+
+
+def fitted_errors(model: Model, fit: WindowFit) -> tuple[Array, Array]:
+    """Places of the parameters that a window was fitted with, and their standard errors.
+
+    NaN where the window does not determine one.
+    """
+    if is_sigmoid(model):
+        return SCALE_INDICES, scale_parameter_errors(fit.scales, fit.covariance)
+    return model.free_indices, np.sqrt(np.diag(fit.covariance))
+
+
+def shape_is_known(model: Model, observable: np.ndarray) -> bool:
+    """Whether a parameter is known (p,) that only several operating points determine."""
+    shape = np.isin(model.parameter_names, SHAPE_PARAMETER_NAMES)
+    return is_sigmoid(model) and bool(np.any(observable[shape]))
+
+
+def lasting_force(model: Model, window: Window, parameters: Array) -> Array:
+    """The part (n,) [N] of the force that stays where the damper loses all its strength."""
+    weakest = parameters.copy()
+    weakest[model.strength_indices] = 0.0
+    return model_force(model, window, np.clip(weakest, *model.bounds))
+
+
+def strengthened(
+    model: Model, window: Window, start: Array, found: ScaleFit, method: str
+) -> WindowFit:
+    """Parameters ``start`` (p,) with the strength of the damper changed, as a fit of the window."""
+    if is_sigmoid(model):
+        scales = ScaleMisfit(window, start).start
+        moved = np.where(STRENGTH, scales, 0.0)
+        own = FilterState(
+            scales + moved * (found.factor - 1.0),
+            np.outer(moved, moved) * found.standard_error**2,
+            0,
+            window.operating_point,
+        )
+        return replace(as_fit(own, window, start, 2), method=method)
+    moved = np.zeros(start.size)
+    moved[model.strength_indices] = start[model.strength_indices]
+    free = moved[model.free_indices]
+    return as_model_fit(
+        model,
+        window,
+        np.clip(start + moved * (found.factor - 1.0), *model.bounds),
+        np.outer(free, free) * found.standard_error**2,
+        method=method,
+        evaluations=2,
+    )
+
+
+def scale_of_force(
+    model: Model, window: Window, fit: WindowFit, baselines: Baselines
+) -> ForceScale:
+    """Force of a fit of the window over that of the baseline; see :mod:`drift`."""
+    if is_sigmoid(model):
+        return force_scale(baselines, fit)
+    baseline = baselines.get(fit.operating_point)
+    if baseline is None:
+        return ForceScale()
+    return model_force_scale(model, window, fit, baseline.parameters)
