@@ -276,5 +276,6 @@ def scale_parameter_errors(scales: Array, covariance: Array) -> Array:
         errors[6] = np.nan
     else:
         gradient = np.array([-scales[6] / f0**2, 1.0 / f0])
-        errors[6] = np.sqrt(gradient @ covariance[np.ix_([0, 6], [0, 6])] @ gradient)
+        variance = gradient @ covariance[np.ix_([0, 6], [0, 6])] @ gradient
+        errors[6] = np.sqrt(np.maximum(variance, 0.0))  # rounding may leave less than nothing
     return errors
