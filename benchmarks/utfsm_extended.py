@@ -1,18 +1,30 @@
-"""The same with the optional lag, stiffness and offset."""
+"""One set of the extended law for the real sinusoid records."""
 
 from __future__ import annotations
 
+from benchmarks import recordings
 from benchmarks.figure import Figure
+from benchmarks.utfsm_sixteen import median_nrmse_percent
+from mr_damper_ros.damper.extension import without_extension
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.identification.evolution import EvolutionSettings
 
 
 def figures() -> list[Figure]:
     """``utfsm_extended_nrmse``."""
+    place = recordings.folder()
+    value = None
+    if place is not None:
+        windows = recordings.processed_windows(place)
+        start = without_extension(LITERATURE)
+        value = median_nrmse_percent(windows, EvolutionSettings(), start)
     return [
         Figure(
             "utfsm_extended_nrmse",
-            None,
-            "Median RMSE/std [%] of one set with the optional lag, stiffness and offset.",
+            value,
+            "Median over the processed sinusoid records of RMSE/std of the force [%], one set for "
+            "all with the optional lag, stiffness and offset, ramps included.",
             (0.0, 8.0),
-            "Not measured yet.",
+            recordings.NONE if place is None else "",
         )
     ]

@@ -13,9 +13,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
+
+EXTENDED_MODEL = "sigmoid_lag"
+"""Name of the extended law in ``MODELS``."""
 
 EXTENSION_NAMES = ("tau0", "tau1", "stiffness", "offset")
 """The four parameters of the extension: [s], [s/A], [N/m], [N]."""
@@ -72,7 +74,12 @@ def extension_of(parameters: Array) -> Extension:
 
 def name_of_law(parameters: Array) -> str:
     """Name in ``MODELS`` of the law that parameters (16,) or (20,) belong to."""
-    return "sigmoid_lag" if is_extended(parameters) else "sigmoid"
+    return EXTENDED_MODEL if is_extended(parameters) else "sigmoid"
+
+
+def without_extension(sixteen: Array) -> Array:
+    """Parameters (20,) of the extended law that give the force of these (16,)."""
+    return np.concatenate((sixteen, np.zeros(len(EXTENSION_NAMES))))
 
 
 class FirstOrderLag:
@@ -130,6 +137,8 @@ class FirstOrderLag:
         """Solve y[k] = decay[k] y[k-1] + driven[k]."""
         if self._decay.ndim:
             return self._changing_recursion(driven)
+        from scipy.signal import lfilter  # here: see mr_damper_ros.start
+
         decay = float(self._decay)
         result = np.asarray(lfilter([1.0], [1.0, -decay], driven, axis=0))
         if self._periodic:

@@ -11,9 +11,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from mr_damper_ros.damper.extension import EXTENDED_MODEL, without_extension
 from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, PARAMETER_NAMES
+from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, Array
 from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
 from mr_damper_ros.identification.global_fit import METHODS, GlobalFit, identify_global
 from mr_damper_ros.streaming.state import read_parameter_file
@@ -38,6 +39,13 @@ def _parser() -> argparse.ArgumentParser:
         "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
     )
     parser.add_argument(
+        "--model",
+        choices=(DEFAULT_MODEL, EXTENDED_MODEL),
+        default=DEFAULT_MODEL,
+        help="sigmoid: the sixteen parameters (default); sigmoid_lag: with the lag of the force, a "
+        "stiffness and an offset as well",
+    )
+    parser.add_argument(
         "--method",
         choices=METHODS,
         default="global",
@@ -50,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
         default="literature",
         metavar="FILE",
         help="parameter file whose values undetermined parameters keep (default: the thesis' "
-        "literature set)",
+        "literature set); model sigmoid_lag also starts from a set of model sigmoid",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
     parser.add_argument(
@@ -71,11 +79,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _identify(options: argparse.Namespace) -> int:
-    start = (
-        LITERATURE
-        if options.start == "literature"
-        else read_parameter_file(options.start).of_model(DEFAULT_MODEL).values
-    )
+    start = _start(options.start, options.model)
     settings = EvolutionSettings(
         strategy=options.strategy, generations=options.generations, seed=options.seed
     )
@@ -93,17 +97,26 @@ def _identify(options: argparse.Namespace) -> int:
     return 0
 
 
+def _start(source: str, model: str) -> Array:
+    found = ParameterSet(LITERATURE) if source == "literature" else read_parameter_file(source)
+    if model == EXTENDED_MODEL and found.model == DEFAULT_MODEL:
+        return without_extension(found.values)
+    return found.of_model(model).values
+
+
 def _document(
     fit: GlobalFit, bags: Sequence[BagWindows], method: str, duration: float
 ) -> dict[str, Any]:
     found = fit.parameter_set
+    names = found.law.parameter_names
     return {
+        "model": found.model,
         "parameters": found.as_dict(),
         "standard_errors": {
             name: None if math.isnan(error) else float(error)
-            for name, error in zip(PARAMETER_NAMES, found.standard_errors, strict=True)
+            for name, error in zip(names, found.standard_errors, strict=True)
         },
-        "observable": dict(zip(PARAMETER_NAMES, map(bool, found.observable), strict=True)),
+        "observable": dict(zip(names, map(bool, found.observable), strict=True)),
         "metrics": asdict(
             metrics(found.values, [window for bag in bags for window in bag.windows])
         ),
@@ -133,12 +146,11 @@ def _bag_entry(fit: GlobalFit, bag: BagWindows) -> dict[str, Any]:
 
 def _table(found: ParameterSet, document: dict[str, Any]) -> str:
     lines = ["parameter        value  standard error  unit"]
-    units = found.law.units
-    for name, value, error, observable in zip(
-        PARAMETER_NAMES, found.values, found.standard_errors, found.observable, strict=True
+    for parameter, value, error, observable in zip(
+        found.law.parameters, found.values, found.standard_errors, found.observable, strict=True
     ):
         shown = f"{error:14.3g}" if observable else "not observable"
-        lines.append(f"{name:>9} {value:12.6g}  {shown}  {units[name]}")
+        lines.append(f"{parameter.name:>9} {value:12.6g}  {shown}  {parameter.unit}")
     lines.append("")
     for bag in document["bags"]:
         error = bag["metrics"]

@@ -180,6 +180,29 @@ def test_a_wrong_argument_is_one_sentence(
     assert sentence in capsys.readouterr().err
 
 
+def test_the_extended_law_is_identified_where_it_is_asked_for(tmp_path: Path) -> None:
+    output = tmp_path / "set.yaml"
+    document = identified(tmp_path, ONE_RUN, "--model", "sigmoid_lag", "--output", output)
+    assert document["model"] == "sigmoid_lag"
+    assert not document["observable"]["tau1"]
+    found = ParameterSet.from_yaml(output.read_text())
+    assert found.as_dict() == document["parameters"]
+    assert validate.main([str(output), str(ONE_RUN)]) == 0
+    again = identified(tmp_path, ONE_RUN, "--model", "sigmoid_lag", "--start", output)
+    assert again["metrics"]["rmse"] == pytest.approx(document["metrics"]["rmse"], rel=1e-3)
+
+
+def test_a_start_with_a_lag_is_refused_for_the_law_without_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start = tmp_path / "start.yaml"
+    start.write_text(
+        ParameterSet(np.append(LITERATURE, np.zeros(4)), model="sigmoid_lag").to_yaml()
+    )
+    assert identify.main([str(ONE_RUN), "--start", str(start)]) != 0
+    assert "give a set of model 'sigmoid'" in capsys.readouterr().err
+
+
 def test_an_interrupted_search_returns_the_best_so_far(tmp_path: Path) -> None:
     """Ctrl-C once the search has begun, from outside: the result is written and says so."""
     result = tmp_path / "result.json"
