@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import rclpy
+from rclpy.context import Context
 from rclpy.exceptions import (
     InvalidNamespaceException,
     InvalidNodeNameException,
@@ -78,7 +79,7 @@ def run(
 
 def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: threading.Event) -> int:
     node = factory()
-    executor = _executor()
+    executor = make_executor()
     executor.add_node(node)
     try:
         while not stop.is_set():
@@ -113,8 +114,8 @@ def _without_source_position(error: Exception) -> str:
     return f"the command line cannot be used: {message}"
 
 
-def _executor() -> Executor:
-    """The executor that all nodes use.
+def make_executor(context: Context | None = None) -> Executor:
+    """The executor that all nodes use; ``context`` None is rclpy's own.
 
     The events executor takes half of the processor time of the single-threaded one and has the
     shorter tail of latencies; services, timers, lifecycle transitions and actions were tried with
@@ -124,5 +125,5 @@ def _executor() -> Executor:
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
-        return SingleThreadedExecutor()
-    return EventsExecutor()
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
