@@ -13,7 +13,7 @@ from benchmarks.figure import Figure
 from benchmarks.timing import cpu_seconds, interleaved_medians
 from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, Array
-from mr_damper_ros.identification.evolution import _GENERATOR_KEYWORD, EvolutionSettings
+from mr_damper_ros.identification.evolution import EvolutionSettings, generator_keyword
 from mr_damper_ros.identification.fit import fit_window
 from mr_damper_ros.identification.global_fit import identify_global
 from mr_damper_ros.identification.laws import shape_bounds
@@ -71,7 +71,7 @@ def reference_search(
         polish=False,
         vectorized=True,
         updating="deferred",
-        **{_GENERATOR_KEYWORD: np.random.default_rng(0)},
+        **{generator_keyword(): np.random.default_rng(0)},
     )
     return float(found.fun)
 

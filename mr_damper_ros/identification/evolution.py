@@ -9,19 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import differential_evolution
 
 from mr_damper_ros.damper.sigmoid import Array
 
 STRATEGIES = ("rand1bin", "best1bin", "currenttobest1bin", "rand2bin")
 """SciPy's names of the schemes of the thesis' table 3: rand/1, best/1, x + F (x_best - x + x_1 -
 x_2), which the thesis calls rand-to-best/2, and rand/2; all with binomial crossover."""
-
-# SciPy renamed the keyword in 1.15.
-_GENERATOR_KEYWORD = (
-    "rng" if "rng" in inspect.signature(differential_evolution).parameters else "seed"
-)
-
 
 _WORST = 1e150  # SciPy squares it
 _REPORT_PERIOD = 0.2
@@ -153,6 +146,8 @@ def evolve(
         clock.tick(stage, best_cost)
         return clock.stopped
 
+    from scipy.optimize import differential_evolution  # here: see mr_damper_ros.start
+
     low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
     # SciPy refuses a start that rounding, when it scales the bounds, puts outside of them.
     margin = 1e-9 * (high - low)
@@ -171,7 +166,14 @@ def evolve(
         init="latinhypercube",
         x0=None if start is None else np.clip(start, low + margin, high - margin),
         callback=follow,
-        **{_GENERATOR_KEYWORD: np.random.default_rng(settings.seed)},
+        **{generator_keyword(): np.random.default_rng(settings.seed)},
     )
     clock.skip(settings.generations - generations)
     return np.asarray(result.x), float(result.fun), evaluations
+
+
+def generator_keyword() -> str:
+    """SciPy's name of the argument for the random numbers: it was renamed in 1.15."""
+    from scipy.optimize import differential_evolution  # here: see mr_damper_ros.start
+
+    return "rng" if "rng" in inspect.signature(differential_evolution).parameters else "seed"

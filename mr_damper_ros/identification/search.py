@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from scipy.optimize import leastsq, minimize
 
 from mr_damper_ros.damper.sigmoid import Array
 
@@ -78,6 +77,8 @@ class LocalSearch:
 
     def nelder_mead(self) -> None:
         """Nelder-Mead from the best so far, with new axes as long as it moves far."""
+        from scipy import optimize  # here: see mr_damper_ros.start
+
         if math.isinf(self.best_cost):
             self.try_out(self.best)
         for _ in range(_MOST_RESTARTS):
@@ -94,7 +95,7 @@ class LocalSearch:
             def cost(steps: Array, centre: Array = centre, axes: Array = axes) -> float:
                 return self.try_out(centre + axes @ steps)
 
-            result = minimize(
+            result = optimize.minimize(
                 cost,
                 simplex[0],
                 method="Nelder-Mead",
@@ -123,7 +124,9 @@ class LocalSearch:
             plain = self.problem.jacobian(unknowns)
             return plain if root is None else plain * root[:, np.newaxis]
 
-        found, *_ = leastsq(
+        from scipy import optimize  # here: see mr_damper_ros.start
+
+        found, *_ = optimize.leastsq(
             residual,
             self.best,
             Dfun=jacobian,

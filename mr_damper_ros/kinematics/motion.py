@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from mr_damper_ros.damper.sigmoid import Array, peak_velocity
 from mr_damper_ros.kinematics.sine import Sine, fit_sine
@@ -79,6 +78,8 @@ def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
     A filter too long for the motion leaves part of the motion in the residual (discrepancy
     principle); one too short passes more noise than it must.
     """
+    from scipy.signal import savgol_coeffs, savgol_filter  # here: see mr_damper_ros.start
+
     noise = displacement_noise(displacement)
     length = _SHORTEST_FILTER
     candidate = length

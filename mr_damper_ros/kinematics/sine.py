@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from mr_damper_ros.damper.sigmoid import Array
 
@@ -66,6 +65,8 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
         columns = basis(cycles_per_sample)
         weights = np.linalg.lstsq(columns, u, rcond=None)[0]
         return weights, columns @ weights - u
+
+    from scipy.optimize import least_squares  # here: see mr_damper_ros.start
 
     scale = float(np.std(u))
     fit = least_squares(

@@ -27,7 +27,7 @@ from mr_damper_ros.streaming.tracker import (
 )
 from mr_damper_ros.streaming.windows import RawWindow
 
-WORK_MODULE = __name__
+WORK_MODULE = "mr_damper_ros.nodes.work"
 """What the worker must load for the tasks of a pipeline."""
 
 

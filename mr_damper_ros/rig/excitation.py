@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from mr_damper_ros.damper.sigmoid import Array
 
@@ -195,6 +194,8 @@ class SampledMotion:
 
     def __init__(self, displacement: Array, period: float) -> None:
         """Samples [m] of shape (n,), n >= 4, ``period`` [s] apart; raises ExcitationError."""
+        from scipy.interpolate import CubicSpline  # here: see mr_damper_ros.start
+
         _require_positive(period=period)
         samples = np.array(displacement, dtype=np.float64)
         if samples.ndim != 1 or samples.size < 4 or not np.isfinite(samples).all():

@@ -11,7 +11,6 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.rig.recording import DEFAULT_START_NS, Recording
@@ -398,6 +397,8 @@ def _read_mat(path: Path, columns: Sequence[Column], variable: str | None) -> _T
 
 def _mat_variables(path: Path) -> dict[str, Array]:
     """Real matrices of numbers in the file."""
+    from scipy.io import loadmat  # here: see mr_damper_ros.start
+
     stored = BytesIO(path.read_bytes())
     try:
         content = loadmat(stored)
