@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ from mr_damper_ros.damper.sigmoid import (
     coefficient_parameter_jacobian,
     operating_point_coefficients,
 )
+from mr_damper_ros.identification.determination import noise_level, plausible_ranges
 from mr_damper_ros.identification.evolution import (
     EvolutionSettings,
     GlobalProgress,
@@ -42,7 +43,6 @@ from mr_damper_ros.identification.laws import (
     CoefficientTable,
     fit_laws,
     searched_laws,
-    shape_bounds,
 )
 from mr_damper_ros.identification.observability import (
     determined_parameters,
@@ -70,9 +70,6 @@ _EVOLUTION_SAMPLES = 200
 _CLEARLY_BETTER = 0.98
 """A search from elsewhere must lower the mean square by this factor to be preferred."""
 
-_GAIN_RANGE = 100.0
-"""Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
-
 _USUAL_LAG = 0.02
 """Time constant [s] that a lag of coil and fluid hardly exceeds. Until it is known, what it may
 hide at the begin of a window is left out."""
@@ -88,11 +85,26 @@ _RIDGE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
+class Candidate:
+    """Where a local search on the samples began (``origin``), and what it found.
+
+    ``parameters`` (p,); ``cost``: mean square of the weighted residual over the search's samples.
+    """
+
+    origin: str
+    parameters: Array
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
 class GlobalFit:
     """Result of a global identification.
 
     ``covariance`` (p, p) of the parameters, zero where a parameter was held; ``nrmse`` (k,):
-    RMSE/std of the force, window by window; ``message`` says how it ended.
+    RMSE/std of the force, window by window; ``message`` says how it ended. ``noise`` (k,) [N]:
+    what each window's own coefficients leave of its force; ``cost``: mean square over all samples
+    of the residual in units of it, 1 where nothing but noise is left. ``candidates``: the local
+    searches of which this is the outcome.
     """
 
     parameter_set: ParameterSet
@@ -101,6 +113,9 @@ class GlobalFit:
     evaluations: int
     success: bool
     message: str
+    noise: Array
+    cost: float
+    candidates: tuple[Candidate, ...] = ()
 
     def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array]:
         """Coefficients (7,) and their standard errors at (peak velocity [m/s], current [A])."""
@@ -141,6 +156,7 @@ def identify_global(
     report: Report | None = None,
     *,
     method: str = "global",
+    known: Array | None = None,
 ) -> GlobalFit:
     """One parameter set for all windows.
 
@@ -149,7 +165,8 @@ def identify_global(
     "global" as described above; "nelder_mead" and "least_squares" search on the samples from the
     laws; "differential_evolution" searches on the samples over all free parameters at once, as
     the thesis does. ``report`` hears of the progress and may stop the search: the best so far is
-    then returned with ``success`` False.
+    then returned with ``success`` False. ``known`` (p,): the outcome of an earlier search, from
+    which this one starts as well.
 
     Raises ValueError where there are no windows, a force does not change, or for an unknown
     method.
@@ -157,7 +174,7 @@ def identify_global(
     if method not in METHODS:
         raise ValueError(f"method '{method}' is unknown: use one of {', '.join(METHODS)}")
     start = np.asarray(start, dtype=float)
-    search = _GlobalSearch(windows, start, settings, report)
+    search = _GlobalSearch(windows, start, settings, report, known)
     message = "converged"
     try:
         search.run(method)
@@ -176,15 +193,16 @@ class _GlobalSearch:
         start: Array,
         settings: EvolutionSettings,
         report: Report | None,
+        known: Array | None,
     ) -> None:
         if not windows:
             raise ValueError("there are no windows to identify from")
         self.windows = windows
+        self._known = known
         self._start = start
         self._settings = settings
-        most = max(_SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
         self._names = EXTENDED_NAMES[: start.size]
-        self._thinned = [window.thinned(most) for window in windows]
+        self._thinned = thinned_for_search(windows)
         top_current = max(float(np.max(np.abs(window.current))) for window in windows)
         self._neutral = neutral_shape(start, top_current)
         self.evaluations = 0
@@ -195,16 +213,15 @@ class _GlobalSearch:
             [fit.operating_point[0] for fit in self.fits],
             [fit.operating_point[1] for fit in self.fits],
         )
-        bounds = shape_bounds(max(speeds), top_current)
-        self._bounds = {**bounds, **dict.fromkeys(("k2", "k3"), (-_GAIN_RANGE, _GAIN_RANGE))}
+        self._bounds = parameter_ranges(windows, start)
         if is_extended(start):
             self._varied |= varied_extension(currents)
-            self._bounds.update(extension_bounds(windows))
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
         self._report = report
         self.free: frozenset[str] = frozenset()
         self.best = start
         self.shortcoming = ""
+        self.candidates: list[Candidate] = []
 
     def run(self, method: str) -> None:
         # The laws from two starts, and once more if the samples leave parameters open.
@@ -212,7 +229,7 @@ class _GlobalSearch:
         direct = self._settings.generations if method == "differential_evolution" else 0
         self._clock = ProgressClock(max(2 * laws + direct, 1), self._report)
         candidates = self._candidates(self._varied_between)
-        self.best = min(candidates, key=self.pooled.mean_square)
+        self.best = self._best_of(candidates)
         self.free = self._determined(self.best)
         if self._varied <= self.free:
             self._clock.skip(laws)
@@ -223,22 +240,23 @@ class _GlobalSearch:
             self._clock.skip(laws - again)
             candidates = self._candidates(determined)
         if method == "differential_evolution":
-            self.best = min(candidates, key=self.pooled.mean_square)
-            known = self.pooled.mean_square(self.best)
-            candidates = [self._evolve_samples()]
+            self.best = self._best_of(candidates)
+            by_laws = self.pooled.mean_square(self.best)
+            candidates = {"all free parameters": self._evolve_samples()}
         if self._clock.stopped:
+            self.best = self._best_of({"laws": self.best, **candidates})
             raise StopRequestedError
-        polished = [
-            self._local(self.pooled, candidate, method == "nelder_mead") for candidate in candidates
-        ]
-        costs = [self.pooled.mean_square(parameters) for parameters in polished]
-        best = int(np.argmin(costs))
+        for origin, parameters in candidates.items():
+            polished = self._local(self.pooled, parameters, method == "nelder_mead")
+            cost = self.pooled.mean_square(polished)
+            self.candidates.append(Candidate(origin, polished, cost))
+        first, best = self.candidates[0], min(self.candidates, key=lambda found: found.cost)
         # The first keeps most of the start: the others must be better, not just different.
-        self.best = polished[best if costs[best] < _CLEARLY_BETTER * costs[0] else 0]
+        self.best = (best if best.cost < _CLEARLY_BETTER * first.cost else first).parameters
         if is_extended(self.best):
             self._take_in_the_extension()
         self.best = self._local(self.whole_misfit(), self.best, False)
-        if method == "differential_evolution" and self.pooled.mean_square(self.best) > known:
+        if method == "differential_evolution" and self.pooled.mean_square(self.best) > by_laws:
             self.shortcoming = (
                 "differential evolution ended in a poorer minimum than the laws of the method "
                 "global give: allow more generations, or use that method"
@@ -275,14 +293,25 @@ class _GlobalSearch:
     def _misfit(self, windows: Sequence[Window], slowest_lag: float) -> PooledMisfit:
         return PooledMisfit(windows, [fit.rmse for fit in self.fits], slowest_lag)
 
-    def _candidates(self, free: frozenset[str]) -> list[Array]:
-        """Where to start on the samples.
+    def _candidates(self, free: frozenset[str]) -> dict[str, Array]:
+        """Where to start on the samples, by origin.
 
         The laws, with the start's values for what is not free or with none of its dependences;
         and the best of the windows' own fits, which assume no dependence at all.
         """
-        laws = [self._fit_laws(start, free) for start in (self._start, self._neutral)]
-        return [*laws, min((fit.parameters for fit in self.fits), key=self.pooled.mean_square)]
+        candidates = {
+            "laws, as the start has the rest": self._fit_laws(self._start, free),
+            "laws, no other dependence": self._fit_laws(self._neutral, free),
+            "coefficients of one window": min(
+                (fit.parameters for fit in self.fits), key=self.pooled.mean_square
+            ),
+        }
+        if self._known is not None:
+            candidates["an earlier search"] = self._known
+        return candidates
+
+    def _best_of(self, candidates: Mapping[str, Array]) -> Array:
+        return min(candidates.values(), key=self.pooled.mean_square)
 
     def _fit_laws(self, start: Array, free: frozenset[str]) -> Array:
         table = CoefficientTable(
@@ -297,9 +326,7 @@ class _GlobalSearch:
         return np.concatenate((parameters, rest))
 
     def _determined(self, parameters: Array) -> frozenset[str]:
-        residual = self.pooled.residual(parameters)
-        spread = math.sqrt(float(np.mean(residual**2)) * residual.size / _independent(residual))
-        jacobian = self.pooled.jacobian(parameters) / spread
+        jacobian = self.pooled.jacobian(parameters) / noise_level(self.pooled, parameters)
         return determined_parameters(jacobian, self._varied, self._ranges)
 
     def _evolve_samples(self) -> Array:
@@ -319,7 +346,12 @@ class _GlobalSearch:
             return misfit.population_cost(sets)
 
         found, _, count = evolve(
-            cost, bounds, self._settings, self._clock, stage="all free parameters"
+            cost,
+            bounds,
+            self._settings,
+            self._clock,
+            stage="all free parameters",
+            start=None if self._known is None else self._known[places],
         )
         self.evaluations += count
         result = centre.copy()
@@ -358,6 +390,22 @@ class _GlobalSearch:
         finally:
             self.evaluations += search.evaluations
         return problem.parameters(search.best)
+
+
+def thinned_for_search(windows: Sequence[Window]) -> list[Window]:
+    """The windows with as many samples as a search needs."""
+    most = max(_SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
+    return [window.thinned(most) for window in windows]
+
+
+def parameter_ranges(
+    windows: Sequence[Window], parameters: Array
+) -> dict[str, tuple[float, float]]:
+    """Plausible ranges of the shape parameters, and of the extension if these (p,) have one."""
+    speeds, _ = operating_points_within(windows)
+    top_current = max(float(np.max(np.abs(window.current))) for window in windows)
+    ranges = plausible_ranges(max(speeds), top_current)
+    return {**ranges, **extension_bounds(windows)} if is_extended(parameters) else ranges
 
 
 def extension_bounds(windows: Sequence[Window]) -> dict[str, tuple[float, float]]:
@@ -437,8 +485,8 @@ def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
     places = [place for place, name in enumerate(names) if name in search.free.difference(held)]
     covariance = np.zeros((best.size, best.size))
     errors = np.full(best.size, math.nan)
+    misfit = search.whole_misfit()
     if places:
-        misfit = search.whole_misfit()
         block = np.ix_(places, places)
         covariance[block] = least_squares_covariance(
             misfit.jacobian(best, places), misfit.residual(best)
@@ -469,4 +517,7 @@ def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
         evaluations=search.evaluations,
         success=message == "converged",
         message=message,
+        noise=np.array([fit.rmse for fit in search.fits]),
+        cost=misfit.mean_square(best),
+        candidates=tuple(search.candidates),
     )
