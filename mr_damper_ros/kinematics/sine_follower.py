@@ -22,6 +22,9 @@ _FEWEST_CYCLES = 1.0
 _POINTS = 256
 """The fit takes every so-many-th sample, so that its cost does not grow with the rate."""
 
+_FITS_PER_CYCLE = 25
+"""More would follow a steady sine no better, and cost more than all else at a small block size."""
+
 _NOISE_SAMPLES = 256
 _NOISE_FACTOR = 1.5
 _LEAVING = 5.0
@@ -46,9 +49,10 @@ class SineFollower:
         self._samples = np.empty(0)
         self._most = max(round(memory / period), 2)
         self._omega = 0.0
-        # Weights of sine, cosine and offset about the newest sample, None without a steady sine;
-        # and the residual [m] that it is allowed.
+        # Weights of sine, cosine and offset about the last sample of the fit, None without a steady
+        # sine; samples that have come since; and the residual [m] that is allowed.
         self._weights: Array | None = None
+        self._since = 0
         self._allowed = 0.0
 
     def ahead(self, count: int) -> tuple[Array, Array, Array] | None:
@@ -59,7 +63,7 @@ class SineFollower:
         if self._weights is None:
             return None
         by_sine, by_cosine, _ = self._weights.tolist()
-        angle = self._omega * self._period * np.arange(1, count + 1)
+        angle = self._omega * self._period * np.arange(self._since + 1, self._since + count + 1)
         sine, cosine = np.sin(angle), np.cos(angle)
         centred = by_sine * sine + by_cosine * cosine
         velocity = self._omega * (by_sine * cosine - by_cosine * sine)
@@ -73,13 +77,18 @@ class SineFollower:
         return float(np.abs(error).max()) <= _LEAVING * self._allowed
 
     def learn(self, displacement: Array, half_cycle: float) -> None:
-        """Fit the sine to these samples too.
+        """Fit the sine to these samples too, if it is time to.
 
         ``half_cycle`` [s] is the time between the last two reversals, NaN while unknown: the
         start of the frequency.
         """
         self._samples = np.concatenate((self._samples, displacement))[-self._most :]
+        self._since += displacement.size
+        turned = self._omega * self._period * self._since / (2.0 * math.pi)
+        if self._omega != 0.0 and turned < 1.0 / _FITS_PER_CYCLE:
+            return
         self._weights = None
+        self._since = 0
         steps = 1
         if self._omega == 0.0:
             if math.isnan(half_cycle):

@@ -1,0 +1,98 @@
+"""What can be done between two blocks is done there, and changes nothing."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.streaming.motion_follower import MotionFollower
+from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
+
+PERIOD = 1e-3
+STEADY = known.run(current=1.0, samples=4000, seed=None).displacement
+UNSTEADY = STEADY * np.linspace(1.0, 2.0, STEADY.size)
+SETS = [
+    ParameterSet(known.PLAUSIBLE * scale, set_id=f"{scale}", current_range=(0.0, 2.0))
+    for scale in (1.0, 1.1)
+]
+
+
+def predictor() -> ForcePredictor:
+    made = ForcePredictor(PredictorSettings())
+    made.set_parameters(SETS[0])
+    made.add_current(known.T0, 1.0)
+    return made
+
+
+def blocks(displacement: Array, *sizes: int) -> list[SampleBlock]:
+    return known.blocks(displacement, np.zeros(displacement.size), sizes)
+
+
+@known.fixed(10)
+@given(
+    st.sampled_from([STEADY, UNSTEADY]),
+    st.lists(st.sampled_from([7, 10, 40]), min_size=1, max_size=4),
+    st.integers(0, 2**32 - 1),
+)
+def test_catching_up_changes_no_prediction(
+    displacement: Array, sizes: list[int], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    prompt, late = predictor(), predictor()
+    for number, block in enumerate(blocks(displacement[:2000], *sizes)):
+        if rng.random() < 0.1:
+            # What was reckoned ahead does not hold any more.
+            change = int(rng.integers(2))
+            for made in (prompt, late):
+                if change:
+                    made.set_parameters(SETS[number % 2])
+                else:
+                    made.add_current(block.start_ns, 0.5 + 0.1 * (number % 5))
+        first, second = prompt.predict(block), late.predict(block)
+        np.testing.assert_array_equal(first.force, second.force)
+        assert (first.valid, first.reason, first.set_id) == (
+            second.valid,
+            second.reason,
+            second.set_id,
+        )
+        prompt.catch_up()
+
+
+def test_a_current_that_steps_in_the_next_block_counts_there() -> None:
+    made, plain = predictor(), predictor()
+    *before, last = blocks(STEADY, 10)
+    for block in before:
+        made.predict(block)
+        made.catch_up()
+        plain.predict(block)
+    step_ns = last.start_ns + round(5 * PERIOD * NANOSECONDS)
+    made.add_current(step_ns, 0.2)
+    unchanged, changed = plain.predict(last).force, made.predict(last).force
+    np.testing.assert_array_equal(changed[:5], unchanged[:5])
+    assert (changed[5:] != unchanged[5:]).all()
+
+
+def test_the_motion_of_a_steady_sine_is_foreseen() -> None:
+    follower = MotionFollower(PERIOD, 40.0, 10.0)
+    *before, last = blocks(STEADY, 10)
+    for block in before:
+        follower.follow(block.displacement)
+    follower.catch_up()
+    assert follower.foreseen is not None
+    assert follower.follow(last.displacement) is follower.foreseen
+
+
+def test_a_block_that_leaves_the_sine_is_followed_as_it_is() -> None:
+    follower = MotionFollower(PERIOD, 40.0, 10.0)
+    *before, last = blocks(STEADY, 10)
+    for block in before:
+        follower.follow(block.displacement)
+    follower.catch_up()
+    motion = follower.follow(last.displacement + np.linspace(0.0, 1e-3, 10))
+    assert motion is not follower.foreseen
+    assert motion.velocity[-1] > follower.follow(last.displacement).velocity[0]
