@@ -59,6 +59,9 @@ __all__ = ["METHODS", "GlobalFit", "GlobalProgress", "identify_global"]
 
 METHODS = ("global", "nelder_mead", "least_squares", "differential_evolution")
 
+STOPPED = "stopped before it converged: this is the best so far"
+"""Message of a fit that ``report`` has stopped."""
+
 _SEARCH_SAMPLES = 8000
 _FEWEST_SEARCH_SAMPLES = 250
 """The search thins the windows to so many samples in all, and each to no fewer than that; the
@@ -180,7 +183,7 @@ def identify_global(
         search.run(method)
         message = search.shortcoming or message
     except StopRequestedError:
-        message = "stopped before it converged: this is the best so far"
+        message = STOPPED
     return _result(search, method, message)
 
 

@@ -1,0 +1,223 @@
+"""Searches from several seeds: the best, how far they agree, and what a record keeps of them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.identification.evolution import EvolutionSettings, GlobalProgress
+from mr_damper_ros.identification.global_fit import GlobalFit, identify_global
+from mr_damper_ros.identification.multi_start import (
+    MultiStart,
+    RecordError,
+    SearchRecord,
+    identify_from_seeds,
+)
+from mr_damper_ros.identification.window import Window
+
+FEW = EvolutionSettings(generations=20, population=6, seed=3)
+CURRENTS = (0.0, 0.5, 1.0, 1.5)
+
+
+@cache
+def windows() -> tuple[Window, ...]:
+    return tuple(
+        known.run(frequency=2.0, current=i, seed=seed, samples=250, period=2e-3).window
+        for seed, i in enumerate(CURRENTS)
+    )
+
+
+def searched(
+    count: int,
+    report: Callable[[GlobalProgress], bool] | None = None,
+    record: SearchRecord | None = None,
+    method: str = "global",
+) -> MultiStart:
+    return identify_from_seeds(
+        windows(), LITERATURE, FEW, count, report, method=method, record=record
+    )
+
+
+def empty(method: str = "global", settings: EvolutionSettings = FEW) -> SearchRecord:
+    return SearchRecord(windows(), LITERATURE, settings, method)
+
+
+def assert_same(first: GlobalFit, second: GlobalFit) -> None:
+    np.testing.assert_array_equal(first.parameter_set.values, second.parameter_set.values)
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+    assert (first.cost, first.evaluations) == (second.cost, second.evaluations)
+
+
+def stopping(after: int) -> Callable[[GlobalProgress], bool]:
+    heard: list[GlobalProgress] = []
+
+    def report(progress: GlobalProgress) -> bool:
+        heard.append(progress)
+        return len(heard) < after
+
+    return report
+
+
+# -- several seeds -----------------------------------------------------------------------------
+
+
+def test_each_search_is_that_of_its_seed() -> None:
+    found = searched(2)
+    assert list(found.fits) == [3, 4]
+    for seed, fit in found.fits.items():
+        alone = identify_global(
+            windows(), LITERATURE, EvolutionSettings(generations=20, population=6, seed=seed)
+        )
+        assert_same(fit, alone)
+
+
+def test_the_best_is_the_one_with_the_lowest_cost() -> None:
+    found = searched(3)
+    assert found.best.cost == min(fit.cost for fit in found.fits.values())
+
+
+def test_the_cost_counts_in_units_of_the_noise() -> None:
+    found = searched(1).best
+    expected = [
+        known.rms(window.predicted_force(found.parameter_set.values) - window.force) / noise
+        for window, noise in zip(windows(), found.noise, strict=True)
+    ]
+    assert found.cost == pytest.approx(np.mean(np.square(expected)))
+
+
+def test_the_candidates_tell_where_they_come_from() -> None:
+    candidates = searched(1).best.candidates
+    assert len({candidate.origin for candidate in candidates}) == len(candidates) == 3
+    assert min(c.cost for c in candidates) <= 1.1
+
+
+def shifted(fit: GlobalFit, by: float, cost: float) -> GlobalFit:
+    """The same fit with f0 so many standard errors away."""
+    values: Array = fit.parameter_set.values.copy()
+    values[0] += by * fit.parameter_set.standard_errors[0]
+    return replace(fit, parameter_set=replace(fit.parameter_set, values=values), cost=cost)
+
+
+def test_the_spread_is_that_of_the_searches_that_are_as_good() -> None:
+    fit = searched(1).best
+    fits = {
+        0: fit,
+        1: shifted(fit, 2.0, 1.005 * fit.cost),
+        2: shifted(fit, 9.0, 1.1 * fit.cost),
+    }
+    found = MultiStart(fits)
+    assert found.as_good == (0, 1)
+    assert found.spread[0] == pytest.approx(2.0)
+    assert np.all(found.spread[~fit.parameter_set.observable] == 0.0)
+
+
+def test_one_search_has_no_spread() -> None:
+    assert np.isnan(searched(1).spread).all()
+
+
+def test_less_than_one_start_is_refused() -> None:
+    with pytest.raises(ValueError, match="starts is 0: at least 1 is needed"):
+        searched(0)
+
+
+def test_the_progress_names_the_search() -> None:
+    stages: list[str] = []
+
+    def report(progress: GlobalProgress) -> bool:
+        stages.append(progress.stage)
+        return True
+
+    searched(2, report)
+    assert stages[0].startswith("search 1 of 2, ")
+    assert stages[-1].startswith("search 2 of 2, ")
+
+
+# -- records -----------------------------------------------------------------------------------
+
+
+def test_a_record_survives_json() -> None:
+    record = empty()
+    first = searched(1, record=record)
+    again = empty()
+    again.take(json.loads(json.dumps(record.document())))
+    assert_same(first.best, again.fits[3])
+    assert again.fits[3].candidates[0].origin == first.best.candidates[0].origin
+
+
+def test_finished_searches_are_not_done_again() -> None:
+    record = empty()
+    first = searched(1, record=record)
+    heard: list[str] = []
+
+    def report(progress: GlobalProgress) -> bool:
+        heard.append(progress.stage)
+        return True
+
+    assert_same(searched(1, report, record).best, first.best)
+    assert heard == []
+
+
+def test_more_starts_go_on_from_fewer() -> None:
+    record = empty()
+    searched(1, record=record)
+    whole = searched(2)
+    for seed, fit in searched(2, record=record).fits.items():
+        assert_same(fit, whole.fits[seed])
+
+
+@pytest.mark.parametrize("after", [1, 10, 45])
+@pytest.mark.parametrize("method", ["global", "differential_evolution"])
+def test_a_resumed_search_ends_no_worse(method: str, after: int) -> None:
+    record = empty(method)
+    stopped = searched(1, stopping(after), record, method)
+    resumed = searched(1, None, record, method)
+    assert not stopped.best.success
+    assert resumed.best.cost <= stopped.best.cost
+    assert record.is_finished(3)
+
+
+def test_what_was_found_is_kept_as_soon_as_it_is_there() -> None:
+    kept: list[int] = []
+    identify_from_seeds(
+        windows(), LITERATURE, FEW, 2, keep=lambda record: kept.append(len(record.fits))
+    )
+    assert kept == [1, 2]
+
+
+OTHER = {
+    "other settings": empty(settings=EvolutionSettings(generations=21, population=6)),
+    "another method": empty("least_squares"),
+    "another start": SearchRecord(windows(), known.PLAUSIBLE, FEW, "global"),
+    "other windows": SearchRecord(windows()[:2], LITERATURE, FEW, "global"),
+}
+
+
+@pytest.mark.parametrize("name", OTHER)
+def test_a_record_of_another_search_is_refused(name: str) -> None:
+    with pytest.raises(RecordError, match="it is of another search"):
+        empty().take(OTHER[name].document())
+
+
+@pytest.mark.parametrize(
+    "document",
+    [None, [], {}, {"version": 1}, {"version": 9}, {**empty().document(), "found": {"1": {}}}],
+    ids=str,
+)
+def test_what_is_no_record_is_refused(document: object) -> None:
+    with pytest.raises(RecordError, match="begin a new one"):
+        empty().take(document)
+
+
+def test_a_set_from_before_is_a_candidate_too() -> None:
+    fit = identify_global(windows(), LITERATURE, FEW, known=known.PLAUSIBLE)
+    assert "an earlier search" in [candidate.origin for candidate in fit.candidates]
+    assert math.isfinite(fit.cost)
