@@ -21,6 +21,7 @@ from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.damper.models import Model as ForceModel
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.identification.acceptance import NO_BETTER
+from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
 from mr_damper_ros.nodes.model import ModelParameters
@@ -318,6 +319,51 @@ def test_it_predicts_with_what_the_identifier_finds(
     second = rig.run(later)
     assert second[-1].valid
     assert second[-1].parameter_set.startswith("window-")
+
+
+EXTENDED = np.array([*parameters(CONDITION), 0.008, 0.0, 4000.0, 60.0])
+HYSTERETIC = np.array([4000.0, 3000.0, -20.0, 900.0, 3e-4, 0.4, 1.5])
+
+
+@pytest.mark.parametrize(("model", "truth"), [("sigmoid_lag", EXTENDED), ("bouc_wen", HYSTERETIC)])
+def test_identifier_and_model_follow_a_damper_of_another_model(
+    start: Any,
+    listener: Listener,
+    recording: Recording,
+    tmp_path: Path,
+    model: str,
+    truth: np.ndarray,
+) -> None:
+    motion = window_motion(recording.displacement, recording.period)
+    clean = MODELS[model].force(truth, motion, 1.5, recording.period)
+    noise = np.random.default_rng(0).normal(0.0, 5.0, clean.size)
+    made = replace(recording, force=clean + noise)
+    options = {"model": model, "method": "least_squares"}
+    if model == "sigmoid_lag":
+        # One run says nothing of the shape, and the lag comes from a global identification.
+        weaker = truth * np.where(np.arange(truth.size) == 0, 0.8, 1.0)
+        path = tmp_path / "weaker.yaml"
+        path.write_text(ParameterSet(weaker, model=model, set_id="weaker").to_yaml())
+        options["initial_parameters"] = str(path)
+    sets = listener.listen(DamperParameters, "damper/parameters", quality.latched())
+    reports = listener.listen(FitReport, "damper/fit_report")
+    start("identifier", **options)
+    rig = Rig(start, listener, listeners=2)
+    listener.until(lambda: sets, "the initial set")
+    rig.run(made)
+    listener.until(lambda: any(r.accepted for r in reports), "an accepted window")
+    listener.wait_for_finding("model: parameters", "predicting with window-")
+    newest = sets[-1]
+    assert (newest.model, newest.names) == (model, list(MODELS[model].parameter_names))
+    has_coefficients = model == "sigmoid_lag"
+    assert np.isfinite(reports[0].coefficients).all() == has_coefficients
+
+    again = rig.run(replace(made, start_ns=made.start_ns + 10**10))
+    assert again[-1].valid, again[-1].reason
+    late = int(SETTLED / made.period) // BLOCK * BLOCK
+    predicted = np.concatenate([from_field(f.force) for f in again])[late:]
+    nrmse = np.sqrt(np.mean((predicted - clean[late:]) ** 2)) / np.std(clean[late:])
+    assert nrmse < 0.02
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
