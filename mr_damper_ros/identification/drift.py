@@ -66,11 +66,24 @@ def force_scale(baselines: Baselines, fit: WindowFit) -> ForceScale:
     branch = -np.sin(phase)
     reference = _loop(baseline.coefficients, velocity, branch)
     present = _loop(fit.coefficients, velocity, branch)
+    jacobian = coefficient_jacobian(Coefficients(*fit.coefficients), velocity, branch)
+    return scale_between(reference, present, jacobian, fit.coefficient_covariance)
+
+
+def scale_between(
+    reference: Array, present: Array, jacobian: Array, covariance: Array
+) -> ForceScale:
+    """Scale that maps one force (n,) [N] onto another in the least-squares sense.
+
+    ``jacobian`` (n, k) is that of the present force by unknowns of this ``covariance`` (k, k).
+    """
     power = float(reference @ reference)
-    gradient = (
-        reference @ coefficient_jacobian(Coefficients(*fit.coefficients), velocity, branch) / power
-    )
-    variance = float(gradient @ fit.coefficient_covariance @ gradient)
+    if power == 0.0:
+        return ForceScale()
+    # An unknown that the samples do not determine does not change the force either.
+    determined = ~np.isnan(np.diag(covariance))
+    gradient = (reference @ jacobian / power)[determined]
+    variance = float(gradient @ covariance[np.ix_(determined, determined)] @ gradient)
     return ForceScale(float(present @ reference) / power, math.sqrt(max(variance, 0.0)))
 
 

@@ -12,16 +12,18 @@ from dataclasses import replace
 import numpy as np
 
 from mr_damper_ros.damper.models import Model
+from mr_damper_ros.damper.parameters import DEFAULT_MODEL
 from mr_damper_ros.damper.sigmoid import SCALE_INDICES, SHAPE_PARAMETER_NAMES, Array
 from mr_damper_ros.identification.change import ScaleFit
-from mr_damper_ros.identification.drift import Baselines, ForceScale, force_scale
+from mr_damper_ros.identification.drift import Baselines, ForceScale, force_scale, scale_between
 from mr_damper_ros.identification.fit import WindowFit, fit_window
 from mr_damper_ros.identification.model_fit import (
+    ModelMisfit,
     as_model_fit,
     fit_model,
     is_sigmoid,
     model_force,
-    model_force_scale,
+    unsettled_samples,
 )
 from mr_damper_ros.identification.unscented import FilterState, as_fit
 from mr_damper_ros.identification.window import ScaleMisfit, Window, scale_parameter_errors
@@ -98,10 +100,23 @@ def strengthened(
 def scale_of_force(
     model: Model, window: Window, fit: WindowFit, baselines: Baselines
 ) -> ForceScale:
-    """Force of a fit of the window over that of the baseline; see :mod:`drift`."""
-    if is_sigmoid(model):
+    """Force of a fit of the window over that of the baseline, with its standard error.
+
+    Of the sigmoid law the two loops of the coefficients are compared, see :mod:`drift`; of any
+    other model the forces predicted over the motion of the window, so its noise plays no part.
+    """
+    if model.name == DEFAULT_MODEL:
         return force_scale(baselines, fit)
     baseline = baselines.get(fit.operating_point)
     if baseline is None:
         return ForceScale()
-    return model_force_scale(model, window, fit, baseline.parameters)
+    if is_sigmoid(model):
+        jacobian = ScaleMisfit(window, fit.parameters).jacobian(fit.scales)
+    else:
+        jacobian = ModelMisfit(model, window, fit.parameters).parameter_jacobian(fit.parameters)
+    settled = ~unsettled_samples(model, window, fit.parameters)
+    reference, present = (
+        model_force(model, window, parameters)[settled]
+        for parameters in (baseline.parameters, fit.parameters)
+    )
+    return scale_between(reference, present, jacobian[settled], fit.covariance)

@@ -17,7 +17,6 @@ import numpy as np
 
 from mr_damper_ros.damper.models import Model
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
-from mr_damper_ros.identification.drift import ForceScale
 from mr_damper_ros.identification.fit import CONVERGED, METHODS, POOR_START, WindowFit
 from mr_damper_ros.identification.search import LocalSearch, StopRequestedError
 from mr_damper_ros.identification.uncertainty import least_squares_covariance
@@ -262,25 +261,6 @@ def _mean_square(search: LocalSearch) -> float:
 def _differences(search: LocalSearch) -> int:
     assert isinstance(search.problem, ModelMisfit)
     return search.problem.differences
-
-
-def model_force_scale(model: Model, window: Window, fit: WindowFit, baseline: Array) -> ForceScale:
-    """Scale that maps the force of parameters ``baseline`` (p,) onto that of a fit of the window.
-
-    Both are predicted over the motion of the window, so its noise plays no part; the standard
-    error carries the covariance of the fit.
-    """
-    misfit = ModelMisfit(model, window, fit.parameters)
-    reference = model_force(model, window, baseline)[misfit.settled]
-    present = model_force(model, window, fit.parameters)[misfit.settled]
-    power = float(reference @ reference)
-    if power == 0.0:
-        return ForceScale()
-    jacobian = misfit.parameter_jacobian(fit.parameters)[misfit.settled]
-    # A parameter that the samples do not determine does not change the force either.
-    gradient = np.where(np.isnan(np.diag(fit.covariance)), 0.0, reference @ jacobian / power)
-    variance = float(gradient @ np.nan_to_num(fit.covariance) @ gradient)
-    return ForceScale(float(present @ reference) / power, math.sqrt(max(variance, 0.0)))
 
 
 def cold_starts(model: Model, window: Window) -> Array:

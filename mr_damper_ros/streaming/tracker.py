@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mr_damper_ros.damper.extension import SIGMOID_COUNT
 from mr_damper_ros.damper.models import MODELS, Model
 from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterSet, known_model
 from mr_damper_ros.damper.sigmoid import Array
@@ -621,12 +622,13 @@ class WindowTracker:
 
     def _global_is_due(self) -> bool:
         period = self._settings.global_period
-        return (
-            period > 0
-            and self._accepted_since_global >= period
-            and is_sigmoid(self._model)
-            and self._reservoir.operating_points > 1
-        )
+        if period == 0 or not is_sigmoid(self._model):
+            return False
+        extension = slice(SIGMOID_COUNT, None)
+        if self._model.name != DEFAULT_MODEL and not self.parameters.observable[extension].any():
+            # No window fit finds the lag, the stiffness and the offset; one operating point does.
+            return self._accepted_since_global > 0
+        return self._accepted_since_global >= period and self._reservoir.operating_points > 1
 
     def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
         """Task of a global identification of the reservoir, with other settings if given."""

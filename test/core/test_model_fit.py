@@ -13,7 +13,6 @@ from mr_damper_ros.identification.model_fit import (
     ModelMisfit,
     fit_model,
     model_force,
-    model_force_scale,
     unsettled_samples,
 )
 from mr_damper_ros.identification.window import Window
@@ -169,13 +168,3 @@ def test_a_force_that_does_not_change_is_refused() -> None:
     still = Window(here.motion, np.full(2000, 3.0), here.current, here.period)
     with pytest.raises(ValueError, match="the force does not change"):
         fit_model(MODELS["bingham"], still)
-
-
-@pytest.mark.parametrize("name", ["bingham", "bouc_wen"])
-def test_a_weaker_damper_has_a_smaller_force_scale(name: str) -> None:
-    model, here = MODELS[name], window(name)
-    weaker = Window(here.motion, 0.9 * here.force, here.current, here.period)
-    fit = fit_model(model, weaker, known.EXAMPLES[name])
-    scale = model_force_scale(model, weaker, fit, known.EXAMPLES[name])
-    assert 0.0 < scale.standard_error < 0.005
-    assert abs(scale.value - 0.9) < 4.0 * scale.standard_error

@@ -129,6 +129,21 @@ def test_the_extended_law_reports_coefficients_and_keeps_what_it_knows_of_the_la
     assert error == pytest.approx(NOISE, rel=0.1)
 
 
+def test_lag_stiffness_and_offset_are_found_after_the_first_window() -> None:
+    tracked = tracker("sigmoid_lag", global_period=20)
+    (first,) = fed(tracked, window("sigmoid_lag", 2))
+    assert first.global_due
+    report = tracked.complete_global(run_global(tracked.global_task()))
+    assert report.accepted, report.reason
+    assert report.nrmse_after < 1.1 * NOISE / np.std(damper("sigmoid_lag")[1])
+    lag = known.EXAMPLES["sigmoid_lag"][16] + known.EXAMPLES["sigmoid_lag"][17]
+    assert tracked.parameters.as_dict()["tau0"] == pytest.approx(lag, rel=0.1)
+    (later,) = fed(tracked, window("sigmoid_lag", 3, 0.9))
+    assert not later.global_due
+    # What is said of the strength does not depend on what was known of the lag.
+    assert later.scale.value == pytest.approx(0.9, abs=0.01)
+
+
 @pytest.mark.parametrize("model", ["hyperbolic_tangent", "bouc_wen", "sigmoid_lag"])
 def test_a_burst_of_noise_never_replaces_a_good_set(model: str) -> None:
     tracked = tracker(model)

@@ -466,6 +466,11 @@ def test_it_ends_cleanly_and_its_worker_with_it(
         (lambda folder: {"hop": 3.0}, "hop (3 s) is longer than window (2 s)"),
         (lambda folder: {"initial_parameters": folder / "none.yaml"}, "initial_parameters: cannot"),
         (lambda folder: {"state_dir": folder / "file" / "state"}, "state_dir: cannot"),
+        (
+            lambda folder: {"model": "bouc_wen", "tracker": "unscented"},
+            "tracker 'unscented' follows model 'sigmoid' only: choose tracker 'window'",
+        ),
+        (lambda folder: {"model": "magic"}, "must be one of bingham, hyperbolic_tangent"),
         (lambda folder: {"method": "guess"}, "must be one of nelder_mead, least_squares"),
         (lambda folder: {"evolution__mutation": 3.0}, "evolution.mutation must be from"),
     ],
