@@ -8,6 +8,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 
 from benchmarks import (
@@ -28,6 +29,12 @@ OUTPUT = Path("build/bench.json")
 
 Measure = Callable[[], list[Figure]]
 
+
+def _of_nodes(module: str, **options: float) -> Measure:
+    """Figures of a module that needs ROS, which is loaded only when they are measured."""
+    return lambda: import_module(f"benchmarks.{module}").figures(**options)
+
+
 FULL: dict[str, Measure] = {
     "window_refit": window_refit.figures,
     "whole_damper": whole_damper.figures,
@@ -39,6 +46,8 @@ FULL: dict[str, Measure] = {
     "utfsm_extended": utfsm_extended.figures,
     "earthquake_online": earthquake_online.figures,
     "earthquake_static": earthquake_static.figures,
+    "streaming_load": _of_nodes("streaming_load"),
+    "lossy_link": _of_nodes("lossy_link"),
 }
 """Every module of figures, in the order of the table."""
 
@@ -48,6 +57,8 @@ QUICK: dict[str, Measure] = {
     "repeated_evolution": lambda: repeated_evolution.figures(runs=4),
     "drift": lambda: drift.figures(duration=120.0),
     "force_step": lambda: force_step.figures(offsets=(0.0, 0.5)),
+    "streaming_load": _of_nodes("streaming_load", duration=30.0, latency_duration=30.0),
+    "lossy_link": _of_nodes("lossy_link", duration=20.0),
 }
 """Shorter versions of the long ones, for development: their figures are not the real ones."""
 

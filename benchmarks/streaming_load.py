@@ -52,18 +52,79 @@ class Counter:
         self.end = max(self.end, sequence + count)
 
 
-@dataclass(frozen=True)
-class Load:
-    """What became of a stream: samples lost in all, fits, and processor time by node [s/s]."""
+class Tally:
+    """What became of the samples of a bridge, heard by an observer that subscribes before it.
 
-    lost: int
-    where: str
-    fits: int
-    cpu: dict[str, float]
+    ``fits`` are the times [s] that the fits took.
+    """
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        self._samples, self._forces = Counter(), Counter()
+        self._in_nodes: dict[str, int] = {}
+        self.fits: list[float] = []
+        observer.listen(
+            MtsSamples,
+            "mts/samples",
+            lambda message: self._samples.take(message.seq, len(message.force)),
+            quality.lossless(),
+        )
+        observer.listen(
+            PredictedForce,
+            "damper/predicted_force",
+            lambda message: self._forces.take(message.seq, len(message.force)),
+            quality.lossless(),
+        )
+        observer.listen(
+            FitReport,
+            "damper/fit_report",
+            lambda message: self.fits.append(message.duration),
+            quality.lossless(),
+        )
+        observer.listen(
+            DiagnosticArray,
+            "/diagnostics",
+            lambda message: self._in_nodes.update(_losses(message)),
+            quality.stream(),
+        )
+
+    def wait_for(self, samples: int, patience: float) -> None:
+        """Wait until so many samples have come."""
+        self._observer.until(lambda: self._samples.end >= samples, "the samples", patience)
+
+    def finish(self) -> None:
+        """Wait for the predictions of what has come, and for what the nodes say about it."""
+        last = self._samples.end
+        self._observer.until(lambda: self._forces.end >= last, "the last predictions")
+        self._in_nodes.clear()
+        self._observer.until(lambda: len(self._in_nodes) == 2, "the diagnostics of both nodes")
+
+    @property
+    def _losses(self) -> dict[str, int]:
+        return {
+            "at the subscriber": self._samples.missing,
+            "of the predictions": self._forces.missing,
+            **self._in_nodes,
+        }
+
+    @property
+    def lost(self) -> int:
+        """Samples and predictions lost anywhere."""
+        return sum(self._losses.values())
+
+    @property
+    def where(self) -> str:
+        """The same in words."""
+        return ", ".join(f"{count} {place}" for place, count in self._losses.items())
 
 
-def measure_load(sample_rate: float, block_size: int, duration: float) -> Load:
-    """Stream from the bridge through identifier and model on two cores for ``duration`` [s]."""
+def measure_load(
+    sample_rate: float, block_size: int, duration: float
+) -> tuple[Tally, dict[str, float]]:
+    """Stream from the bridge through identifier and model on two cores for ``duration`` [s].
+
+    Returns what became of the samples, and the processor time of each node [s/s].
+    """
     with ExitStack() as stack:
         stack.enter_context(_two_cores())
         domain = stack.enter_context(closing(Domain()))
@@ -72,66 +133,24 @@ def measure_load(sample_rate: float, block_size: int, duration: float) -> Load:
             for name in ("identifier", "model")
         }
         observer = stack.enter_context(closing(Observer(domain)))
-        samples, forces = Counter(), Counter()
-        fits: list[float] = []
-        lost_in_nodes: dict[str, int] = {}
-        observer.listen(
-            MtsSamples,
-            "mts/samples",
-            lambda message: samples.take(message.seq, len(message.force)),
-            quality.lossless(),
-        )
-        observer.listen(
-            PredictedForce,
-            "damper/predicted_force",
-            lambda message: forces.take(message.seq, len(message.force)),
-            quality.lossless(),
-        )
-        observer.listen(
-            FitReport, "damper/fit_report", lambda message: fits.append(message.duration), 1000
-        )
-        observer.listen(
-            DiagnosticArray,
-            "/diagnostics",
-            lambda message: lost_in_nodes.update(_losses(message)),
-            100,
-        )
+        tally = Tally(observer)
         observer.wait_for_publishers("damper/predicted_force")
         observer.wait_for_publishers("damper/fit_report")
-        nodes["bridge"] = stack.enter_context(
-            closing(
-                start_node(
-                    "bridge",
-                    domain,
-                    emulated__sample_rate=sample_rate,
-                    block_size=block_size,
-                    wait_for_subscribers=3,
-                    wait_timeout=PATIENCE,
-                )
-            )
+        bridge = start_node(
+            "bridge",
+            domain,
+            emulated__sample_rate=sample_rate,
+            block_size=block_size,
+            wait_for_subscribers=3,
+            wait_timeout=PATIENCE,
         )
-        observer.until(lambda: samples.end > 0, "the first samples")
+        stack.enter_context(closing(bridge))
+        tally.wait_for(1, PATIENCE)
         began, before = time.monotonic(), _cpu(nodes)
-        wanted = round(sample_rate * duration)
-        observer.until(
-            lambda: samples.end >= wanted, "the samples", patience=1.5 * duration + PATIENCE
-        )
+        tally.wait_for(round(sample_rate * duration), 1.5 * duration + PATIENCE)
         elapsed, after = time.monotonic() - began, _cpu(nodes)
-        last = samples.end
-        observer.until(lambda: forces.end >= last, "the last predictions")
-        lost_in_nodes.clear()
-        observer.until(lambda: len(lost_in_nodes) == 2, "the diagnostics of both nodes")
-        losses = {
-            "on the way here": samples.missing,
-            "of the predictions": forces.missing,
-            **lost_in_nodes,
-        }
-        return Load(
-            lost=sum(losses.values()),
-            where=", ".join(f"{count} {place}" for place, count in losses.items()),
-            fits=len(fits),
-            cpu={name: (after[name] - before[name]) / elapsed for name in nodes},
-        )
+        tally.finish()
+        return tally, {name: (after[name] - before[name]) / elapsed for name in nodes}
 
 
 def _losses(message: DiagnosticArray) -> Iterator[tuple[str, int]]:
@@ -293,20 +312,20 @@ def figures(
     """``lost_...``, ``latency_ratio_...`` and ``cpu_..._percent``."""
     result: list[Figure] = []
     for key, sample_rate, block_size in (("lost_1khz", 1000.0, 10), ("lost_5khz", 5000.0, 50)):
-        load = measure_load(sample_rate, block_size, duration)
+        tally, used = measure_load(sample_rate, block_size, duration)
+        if key == "lost_1khz":
+            cpu = used
         result.append(
             Figure(
                 key,
-                load.lost,
+                tally.lost,
                 f"Samples lost in {duration:g} s at {sample_rate:g} Hz in blocks of {block_size}: "
                 "bridge, identifier and model on two cores, a window fitted every second; at "
                 "either node, and at a subscriber of samples and predictions.",
                 (0.0, 0.0),
-                f"{load.where}; {load.fits} fits.",
+                f"{tally.where}; {len(tally.fits)} fits.",
             )
         )
-        if key == "lost_1khz":
-            cpu = load.cpu
     latencies = measure_latency(1000.0, 10, latency_duration)
     for name, quantile in (("p50", 0.5), ("p99", 0.99)):
         times = [1e3 * float(np.quantile(x, quantile)) for x in (latencies.model, latencies.relay)]
