@@ -4,7 +4,8 @@ The process is a fresh interpreter (nothing is forked: DDS threads do not surviv
 by hand rather than by ``multiprocessing``, which would run the node's main script again in the
 child and load rclpy there. Tasks and answers are pickles over a private socket pair.
 
-- A worker that dies is noticed at once and replaced; the interrupted task is tried once more.
+- A worker that dies is noticed at once and replaced; the interrupted task is tried once more. So
+  it is where a worker gives no sign of life, because it is stopped or hangs in a call into C.
 - A task that exceeds its time budget is asked to stop with what it has; a worker that does not
   answer is killed and replaced, and the task has failed.
 - The worker dies with its parent, however that one ends.
@@ -34,6 +35,16 @@ _GRACE = 1.0
 
 _START_LIMIT = 60.0
 """Seconds after which a process that has not reported for work counts as dead."""
+
+_BEAT = 0.25
+"""Seconds between two signs of life of a worker, whatever it works on."""
+
+_SILENCE_LIMIT = 1.5
+"""Seconds without a sign of life after which a worker is taken to hang."""
+
+_LONGEST_LOOK = 0.1
+"""What passes between two looks counts as silence up to this [s]: a node that was itself held up,
+with the whole computer perhaps, has not listened."""
 
 _RESTART_PAUSE = 1.0
 """Seconds between two starts where the process does not even come up."""
@@ -79,9 +90,9 @@ Outcome = Progress | Done | Failed
 class Control:
     """What a task in the worker is given to talk to the node; its methods may be called often."""
 
-    def __init__(self, number: int, connection: Connection, stopped: set[int]) -> None:
+    def __init__(self, number: int, send: Callable[[Any], None], stopped: set[int]) -> None:
         self._number = number
-        self._connection = connection
+        self._send = send
         self._stopped = stopped
 
     def should_stop(self) -> bool:
@@ -90,7 +101,7 @@ class Control:
 
     def report(self, value: Any) -> bool:
         """Deliver any picklable value as a :class:`Progress`; False where the task should stop."""
-        self._connection.send(("progress", self._number, value))
+        self._send(("progress", self._number, value))
         return not self.should_stop()
 
 
@@ -179,6 +190,8 @@ class Worker:
         self._started: float | None = None  # the task, in a process that is ready
         self._stop_asked: float | None = None
         self._next_start = 0.0
+        self._looked = time.monotonic()
+        self._silence = 0.0
         self._process: _Process | None = _Process(self._module)
 
     @property
@@ -223,8 +236,12 @@ class Worker:
     def poll(self) -> list[Outcome]:
         """What has happened since the last call, and what is overdue. Never blocks."""
         outcomes: list[Outcome] = []
+        now = time.monotonic()
+        self._silence += min(now - self._looked, _LONGEST_LOOK)
+        self._looked = now
         if self._process is not None:
             for kind, *content in self._process.messages():
+                self._silence = 0.0
                 outcomes += self._received(kind, content)
         outcomes += self._overdue()
         if self._process is None and time.monotonic() >= self._next_start:
@@ -264,6 +281,8 @@ class Worker:
             self._process.ready = True
             self._started = time.monotonic()
             return []
+        if kind == "alive":
+            return []
         number, value = content
         if self._task is None or number != self._number:
             return []
@@ -280,6 +299,8 @@ class Worker:
             if now - process.started > _START_LIMIT:
                 return self._replace(f"the worker did not start within {_START_LIMIT:g} s")
             return []
+        if self._silence > _SILENCE_LIMIT:
+            return self._replace("the worker process hangs")
         if self._task is None or self._started is None:
             return []
         over_budget = now - self._started > self._budget
@@ -330,11 +351,25 @@ def serve(descriptor: int) -> None:
                     tasks.put(message[1:])
         os._exit(0)
 
-    threading.Thread(target=receive, daemon=True).start()
-    connection.send(("ready",))
+    sending = threading.Lock()
+
+    def send(message: Any) -> None:
+        data = message if isinstance(message, bytes) else pickle.dumps(message)
+        with sending:
+            connection.send_bytes(data)
+
+    def beat() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                time.sleep(_BEAT)
+                send(("alive",))
+
+    send(("ready",))
+    for work in (receive, beat):
+        threading.Thread(target=work, daemon=True).start()
     while True:
         number, call = pickle.loads(tasks.get())
-        connection.send_bytes(_answer(number, call, Control(number, connection, stopped)))
+        send(_answer(number, call, Control(number, send, stopped)))
 
 
 def _answer(number: int, call: bytes, control: Control) -> bytes:

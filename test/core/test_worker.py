@@ -46,6 +46,13 @@ def die_once(path, control):
         os.kill(os.getpid(), signal.SIGKILL)
     return "second try"
 
+def hang_once(path, control):
+    marker = pathlib.Path(path)
+    if not marker.exists():
+        marker.write_text("hung")
+        os.kill(os.getpid(), signal.SIGSTOP)
+    return "second try"
+
 def die(control):
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -215,6 +222,55 @@ def test_a_stopped_worker_does_not_block_the_node(
     assert isinstance(ending(worker), Failed)
     worker.submit(tasks.call, len, b"x" * 10**7)
     assert ending(worker) == Done(3, 10**7)
+
+
+def test_a_worker_that_is_stopped_without_a_task_is_replaced(
+    make_worker: Callable[[], Worker], tasks: Any
+) -> None:
+    worker = make_worker()
+    worker.submit(tasks.call, operator.add, 1, 1)
+    ending(worker)
+    pid = worker.pid or 0
+    os.kill(pid, signal.SIGSTOP)
+    wait_until(lambda: worker.poll() or worker.replaced, "a new worker")
+    assert is_gone(pid)
+    assert worker.take_notices() == ["the worker process hangs: the worker is replaced"]
+
+
+def test_the_task_of_a_worker_that_hangs_starts_again(
+    make_worker: Callable[[], Worker], tasks: Any, tmp_path: Path
+) -> None:
+    worker = make_worker()
+    # No budget is exceeded: it is the silence that tells.
+    number = worker.submit(tasks.hang_once, str(tmp_path / "marker"))
+    assert ending(worker) == Done(number, "second try")
+    assert worker.replaced == 1
+    assert "hangs" in worker.take_notices()[0]
+
+
+def test_a_worker_that_works_long_is_left_alone(
+    make_worker: Callable[[], Worker], tasks: Any
+) -> None:
+    worker = make_worker()
+    number = worker.submit(tasks.call, time.sleep, 2.0)
+    assert ending(worker) == Done(number, None)
+    assert worker.replaced == 0
+
+
+def test_a_node_that_was_held_up_itself_blames_nobody(
+    make_worker: Callable[[], Worker], tasks: Any
+) -> None:
+    worker = make_worker()
+    worker.submit(tasks.call, operator.add, 1, 1)
+    ending(worker)
+    pid = worker.pid or 0
+    os.kill(pid, signal.SIGSTOP)
+    time.sleep(2.0)
+    worker.poll()
+    os.kill(pid, signal.SIGCONT)
+    number = worker.submit(tasks.call, operator.add, 1, 1)
+    assert ending(worker) == Done(number, 2)
+    assert worker.replaced == 0
 
 
 def test_the_task_of_a_killed_worker_starts_again(
