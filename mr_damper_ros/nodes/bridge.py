@@ -15,7 +15,7 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState, Temperature
 
-from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterSet
+from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import current_message, header, samples_message
@@ -33,6 +33,7 @@ from mr_damper_ros.rig import thesis
 from mr_damper_ros.rig.bags import read_bag
 from mr_damper_ros.rig.emulator import (
     Damper,
+    ModelDamper,
     RigBlock,
     RigSettings,
     TemperatureDependentDamper,
@@ -86,7 +87,7 @@ class EmulatedParameters(Table):
         _THESIS_TEMPERATURES,
         f"The damper in the machine: {_THESIS_TEMPERATURES} (the thesis' at 28 °C and 71 °C, its "
         "force in between by the emulated temperature), a condition of the thesis such as "
-        "5.0mm_1Hz_1.5A, or the path of a parameter file (YAML).",
+        "5.0mm_1Hz_1.5A, or the path of a parameter file (YAML) of any model.",
         read_only=True,
     )
     hot_force: float = option(
@@ -496,9 +497,8 @@ def _damper(rig: EmulatedParameters) -> Damper:
         )
     if rig.damper.endswith((".yaml", ".yml")):
         given = ParameterSet.from_yaml(Path(rig.damper).read_text(encoding="utf-8"))
-        values = given.of_model(DEFAULT_MODEL).values
-    else:
-        values = thesis.parameters(thesis.find(rig.damper))
+        return ModelDamper(given, 1.0 / rig.sample_rate, rig.hot_force)
+    values = thesis.parameters(thesis.find(rig.damper))
     return TemperatureDependentDamper(values, scaled(values, rig.hot_force))
 
 

@@ -8,18 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, force
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, force, peak_velocity
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.rig.excitation import Excitation, Kinematics
 from mr_damper_ros.rig.recording import DEFAULT_START_NS, Recording
 from mr_damper_ros.streaming.blocks import NANOSECONDS
 
 THESIS_FORCE_NOISE = 5.53
 """Standard deviation [N] of the force error after the fit in the thesis (section 4.6)."""
+
+_COLD, _HOT = 28.0, 71.0
+"""Temperatures [°C] at which the thesis identified its damper."""
 
 _CHUNK = 100
 """Samples made at a time. Temperature is constant within; fixed, so that blocks do not matter."""
@@ -67,8 +73,8 @@ class TemperatureDependentDamper:
 
     cold: Array
     hot: Array
-    cold_celsius: float = 28.0
-    hot_celsius: float = 71.0
+    cold_celsius: float = _COLD
+    hot_celsius: float = _HOT
 
     def __post_init__(self) -> None:
         if not self.hot_celsius > self.cold_celsius:
@@ -83,6 +89,27 @@ class TemperatureDependentDamper:
         weight = min(max(weight, 0.0), 1.0)
         cold = force(self.cold, *motion, current)
         return cold + weight * (force(self.hot, *motion, current) - cold)
+
+
+class ModelDamper:
+    """A damper of any model, whose strength changes linearly with its temperature.
+
+    ``hot_force`` is the factor on it at 71 °C, relative to 28 °C. It follows samples ``period``
+    [s] apart and remembers their motion as its model does.
+    """
+
+    def __init__(self, parameters: ParameterSet, period: float, hot_force: float = 1.0) -> None:
+        self._parameters = parameters
+        self._stream = parameters.law.stream(period)
+        self._hot_force = hot_force
+
+    def force(self, motion: Kinematics, current: Array, celsius: float) -> Array:
+        """Force [N], shape (n,)."""
+        weight = float(np.interp(celsius, (_COLD, _HOT), (0.0, 1.0)))
+        values = self._parameters.values.copy()
+        values[self._parameters.law.strength_indices] *= 1.0 + weight * (self._hot_force - 1.0)
+        whole = Motion(*motion, peak_velocity=peak_velocity(*motion), sine=None)
+        return self._stream.follow(np.clip(values, *self._parameters.law.bounds), whole, current)
 
 
 @dataclass(frozen=True)
@@ -225,7 +252,8 @@ class EmulatedRig:
         thermal: ThermalModel | None = None,
         events: Sequence[ForceStep] = (),
     ) -> None:
-        self._damper = damper
+        # A damper may remember the motion: each rig has its own.
+        self._damper = deepcopy(damper)
         self._excitation = excitation
         self._current = (
             current

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
+import known
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mr_damper_ros.damper import sigmoid
+from mr_damper_ros.damper.models import MODELS
+from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.rig.emulator import (
     ConstantDamper,
     CurrentSchedule,
     EmulatedRig,
     EmulatorError,
     ForceStep,
+    ModelDamper,
     RigSettings,
     TemperatureDependentDamper,
     ThermalModel,
@@ -45,6 +50,30 @@ MOTIONS = [
         SampledMotion(0.004 * np.sin(np.linspace(0.0, 30.0, 301)) ** 2, 0.02), id="sampled"
     ),
 ]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_damper_of_any_model_has_the_force_of_its_model(model: str) -> None:
+    parameters = ParameterSet(known.EXAMPLES[model], model=model)
+    damper = ModelDamper(parameters, SILENT.period)
+    for _ in range(2):  # it starts at rest in every rig
+        block = EmulatedRig(damper, SINE, 1.0, settings=SILENT).next_block(1050)
+        u, v, a = SINE.at(np.arange(1050) * SILENT.period)
+        motion = Motion(u, v, a, sigmoid.peak_velocity(u, v, a), None)
+        expected = parameters.law.force(parameters.values, motion, 1.0, SILENT.period)
+        np.testing.assert_allclose(block.force, expected, rtol=0.0, atol=1e-9)
+
+
+def test_a_damper_of_any_model_weakens_as_it_heats() -> None:
+    parameters = ParameterSet(known.EXAMPLES["bingham"], model="bingham")
+    motion = SINE.at(np.arange(100) * SILENT.period)
+    cold, mild, hot, hotter = (
+        ModelDamper(parameters, SILENT.period, 0.74).force(motion, np.ones(100), celsius)
+        for celsius in (20.0, 49.5, 71.0, 90.0)
+    )
+    np.testing.assert_allclose(mild, 0.87 * cold)
+    np.testing.assert_allclose(hot, 0.74 * cold)
+    np.testing.assert_array_equal(hotter, hot)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
