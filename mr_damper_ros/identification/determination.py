@@ -32,6 +32,8 @@ _NEGLIGIBLE = 0.05
 """Left out of the words: what moves by less than this part of the largest move, and changes the
 force by less than this part of the largest change."""
 
+_MOST_WORDS = 5
+
 _ROUNDING = 1e-10
 """A move that the samples notice less than this, of what they may notice, is one they do not."""
 
@@ -53,13 +55,13 @@ class Combination:
 
     @property
     def words(self) -> str:
-        """The names with their weights, as in ``0.38 I1 + k4``."""
+        """The names with the largest weights, as in ``0.38 I1 + k4``."""
         terms: list[str] = []
-        for name, weight in self.weights.items():
+        for name, weight in list(self.weights.items())[:_MOST_WORDS]:
             size = "" if abs(weight) == 1.0 else f"{abs(weight):.2g} "
             sign = "- " if weight < 0.0 else "+ "
             terms.append(f"{sign if terms else ''}{size}{name}")
-        return " ".join(terms)
+        return " ".join(terms) + (" ..." if len(self.weights) > _MOST_WORDS else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +170,9 @@ def _combinations(
         move = move / np.max(np.abs(move))
         order = [lead, *(place for place in np.argsort(-np.abs(move)) if place != lead)]
         change = np.abs(move) * lengths
-        told = (np.abs(move) >= _NEGLIGIBLE) | (change > _NEGLIGIBLE * change.max())
+        told = (np.abs(move) >= _NEGLIGIBLE) | (
+            change > max(_NEGLIGIBLE * change.max(), _ROUNDING * largest)
+        )
         weights = {names[k]: float(move[k]) for k in order if told[k]}
         noticed = float(np.linalg.norm(triangular @ move))
         error = 1.0 / noticed if noticed > _ROUNDING * largest else math.inf

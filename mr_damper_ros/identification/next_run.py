@@ -59,12 +59,22 @@ _MAJORITY = 0.5
 class RigRange:
     """What the rig may do: so much ``peak_velocity`` [m/s] and ``current`` [A], and less.
 
-    Runs are advised at its ``amplitude`` [m].
+    Runs are advised at its ``amplitude`` [m]. Raises ValueError for values that no rig has.
     """
 
     amplitude: float
     peak_velocity: float
     current: float
+
+    def __post_init__(self) -> None:
+        for name in ("amplitude", "peak_velocity"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"the rig's largest {name.replace('_', ' ')} is {getattr(self, name)}: "
+                    "it must be positive"
+                )
+        if not 0.0 <= self.current < math.inf:
+            raise ValueError(f"the rig's largest current is {self.current}: give it in ampere")
 
     @classmethod
     def of_windows(cls, windows: Sequence[Window]) -> RigRange:

@@ -101,6 +101,8 @@ class ProfileLikelihood:
 
     def _curvatures(self, jacobian: Array, residual: Array) -> tuple[Array, Array]:
         """Standard errors (q,) of what is observable; the variances of white noise over theirs."""
+        if not self._seen.size:
+            return np.empty(0), np.empty(0)
         variances = np.diag(least_squares_covariance(jacobian, residual))
         freedom = max(residual.size - self._seen.size, 1)
         white = np.diag(normal_inverse(jacobian)) * float(residual @ residual) / freedom

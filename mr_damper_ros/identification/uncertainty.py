@@ -58,7 +58,11 @@ def least_squares_covariance(
     blocks = max(n // length, min(_FEWEST_BLOCKS, n))
     edges = np.linspace(0, n, blocks, endpoint=False).astype(int)
     scores = np.add.reduceat(jacobian * residual[:, np.newaxis], edges, axis=0)
-    return np.asarray(bread @ (scores.T @ scores) @ bread * (n / freedom))
+    # What is not determined must not make the others unknown.
+    lost = np.isnan(bread)
+    bread = np.where(lost, 0.0, bread)
+    sandwich = bread @ (scores.T @ scores) @ bread * (n / freedom)
+    return np.asarray(np.where(lost, np.nan, sandwich))
 
 
 def correlation_length(residual: Array) -> int:

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,20 @@ from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, Array
 from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
-from mr_damper_ros.identification.global_fit import METHODS, GlobalFit, identify_global
+from mr_damper_ros.identification.global_fit import METHODS, GlobalFit
+from mr_damper_ros.identification.multi_start import (
+    RecordError,
+    SearchRecord,
+    identify_from_seeds,
+)
+from mr_damper_ros.identification.next_run import RigRange
+from mr_damper_ros.identification.parallel import Processes, Tell
+from mr_damper_ros.identification.window import Window
 from mr_damper_ros.streaming.state import read_parameter_file
+from mr_damper_ros.tools import findings
 from mr_damper_ros.tools.console import run_tool, write_text
 from mr_damper_ros.tools.progress import ProgressLine
+from mr_damper_ros.tools.temperature import temperature_maps
 from mr_damper_ros.tools.windows import BagWindows, bag_windows, metrics
 
 _DEFAULTS = EvolutionSettings()
@@ -73,6 +84,48 @@ def _parser() -> argparse.ArgumentParser:
         default=_DEFAULTS.generations,
         help="of differential evolution, at most (default %(default)s)",
     )
+    parser.add_argument(
+        "--starts",
+        type=int,
+        default=1,
+        metavar="N",
+        help="search from N seeds, that given and those that follow it; the best is the result "
+        "(default 1)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        metavar="N",
+        help="processes that read the bags, search and make the profiles; they do not change the "
+        "result (default 1)",
+    )
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        metavar="FILE",
+        help="keep in FILE what each search has found, also when stopped, and go on from it: "
+        "finished searches are not done again, one that was stopped is, from what it had found",
+    )
+    parser.add_argument(
+        "--profile",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="profile likelihood of these parameters, with their 95 %% intervals",
+    )
+    parser.add_argument(
+        "--top-velocity",
+        type=float,
+        metavar="M/S",
+        help="largest peak velocity of a run that may be advised (default: that of the bags)",
+    )
+    parser.add_argument(
+        "--top-current",
+        type=float,
+        metavar="A",
+        help="largest current of a run that may be advised (default: that of the bags)",
+    )
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the set as YAML")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all results as JSON")
     return parser
@@ -83,18 +136,68 @@ def _identify(options: argparse.Namespace) -> int:
     settings = EvolutionSettings(
         strategy=options.strategy, generations=options.generations, seed=options.seed
     )
-    bags = [bag_windows(path) for path in options.bags]
-    windows = [window for bag in bags for window in bag.windows]
-    began = time.monotonic()
-    with ProgressLine() as progress:
-        fit = identify_global(windows, start, settings, progress, method=options.method)
-    document = _document(fit, bags, options.method, time.monotonic() - began)
+    with Processes(options.workers) as processes:
+        bags = [bag for bag in processes.map(_read, options.bags) if bag is not None]
+        windows = [window for bag in bags for window in bag.windows]
+        record = SearchRecord(windows, start, settings, options.method)
+        if options.resume is not None and options.resume.exists():
+            _take(record, options.resume)
+        began = time.monotonic()
+        with ProgressLine() as progress:
+            found = identify_from_seeds(
+                windows,
+                start,
+                settings,
+                options.starts,
+                progress,
+                method=options.method,
+                processes=processes,
+                record=record,
+                keep=None if options.resume is None else partial(_keep, options.resume),
+            )
+            duration = time.monotonic() - began
+            fit = found.best
+            more = findings.determined(fit, windows, _rig(windows, options))
+            more += findings.searches(found)
+            if options.profile:
+                more += findings.profiles(fit, windows, options.profile, processes, progress)
+    if any(celsius is not None for bag in bags for celsius in bag.temperatures):
+        maps = temperature_maps(bags, fit.parameter_set.values).identified
+        more += findings.temperatures(maps)
+    document = _document(fit, bags, options.method, duration) | more.document
     print(_table(fit.parameter_set, document))
+    print("\n".join(more.lines))
     if options.output is not None:
         write_text(options.output, fit.parameter_set.to_yaml())
     if options.json is not None:
         write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
     return 0
+
+
+def _read(path: Path, tell: Tell) -> BagWindows:
+    return bag_windows(path)
+
+
+def _take(record: SearchRecord, path: Path) -> None:
+    try:
+        record.take(json.loads(path.read_text(encoding="utf-8")))
+    except ValueError as error:
+        detail = error if isinstance(error, RecordError) else "it is not the record of a search"
+        raise ValueError(f"cannot resume from {path}: {detail}") from error
+
+
+def _keep(path: Path, record: SearchRecord) -> None:
+    write_text(path, json.dumps(record.document()) + "\n")
+
+
+def _rig(windows: Sequence[Window], options: argparse.Namespace) -> RigRange:
+    done = RigRange.of_windows(windows)
+    speed, current = options.top_velocity, options.top_current
+    return RigRange(
+        amplitude=done.amplitude,
+        peak_velocity=done.peak_velocity if speed is None else speed,
+        current=done.current if current is None else current,
+    )
 
 
 def _start(source: str, model: str) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import known
@@ -212,3 +213,18 @@ def test_the_worst_standard_error_falls_from_run_to_run() -> None:
 
 def test_all_shape_parameters_have_a_plausible_range() -> None:
     assert set(RANGES) == set(SHAPE_PARAMETER_NAMES)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"peak_velocity": 0.0}, "largest peak velocity is 0.0: it must be positive"),
+        ({"peak_velocity": math.nan}, "largest peak velocity is nan"),
+        ({"amplitude": -1.0}, "largest amplitude is -1.0"),
+        ({"current": -0.5}, "largest current is -0.5: give it in ampere"),
+    ],
+    ids=str,
+)
+def test_a_rig_that_cannot_be_is_refused(changes: dict[str, float], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        replace(RIG, **changes)

@@ -48,6 +48,16 @@ def test_a_column_of_zeros_is_unknown_and_leaves_the_others_alone() -> None:
     np.testing.assert_allclose(rest, normal_inverse(jacobian), rtol=1e-9)
 
 
+def test_what_is_unknown_leaves_the_others_alone_where_the_residual_is_correlated() -> None:
+    jacobian, residual = design(), correlated(0, 0.95)
+    padded = np.insert(jacobian, 1, 0.0, axis=1)
+    covariance = least_squares_covariance(padded, residual)
+    assert np.isnan(np.diag(covariance)).tolist() == [False, True, False, False]
+    rest = np.delete(np.delete(covariance, 1, axis=0), 1, axis=1)
+    expected = least_squares_covariance(jacobian, residual)
+    np.testing.assert_allclose(rest, expected, rtol=0.01)
+
+
 def test_two_columns_alike_are_unknown_and_leave_the_others_alone() -> None:
     jacobian = design()
     doubled = np.column_stack((jacobian, 3.0 * jacobian[:, 1]))

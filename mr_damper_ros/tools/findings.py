@@ -1,0 +1,248 @@
+"""What else is known of an identified set: for the terminal as lines, for JSON as a document."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mr_damper_ros.damper.extension import extension_of, is_extended
+from mr_damper_ros.identification.determination import (
+    Determination,
+    determination,
+    noise_level,
+    parameter_spans,
+)
+from mr_damper_ros.identification.evolution import GlobalProgress
+from mr_damper_ros.identification.global_fit import (
+    GlobalFit,
+    parameter_ranges,
+    thinned_for_search,
+)
+from mr_damper_ros.identification.multi_start import MultiStart
+from mr_damper_ros.identification.next_run import ExtraRun, RigRange, extra_runs
+from mr_damper_ros.identification.parallel import Processes, Tell
+from mr_damper_ros.identification.pooled import PooledMisfit
+from mr_damper_ros.identification.profile import Profile, ProfileLikelihood
+from mr_damper_ros.identification.search import StopRequestedError
+from mr_damper_ros.identification.temperature import TemperatureMap
+from mr_damper_ros.identification.window import Window
+from mr_damper_ros.tools.progress import ProgressLine
+
+_POLL = 0.2
+"""Seconds between two looks at whether a profile is to be given up."""
+
+_POINTS = 9
+"""Temperatures at which a map is written out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What there is to say of a set besides the set."""
+
+    lines: list[str]
+    document: dict[str, Any]
+
+    def __add__(self, other: Findings) -> Findings:
+        return Findings(self.lines + other.lines, self.document | other.document)
+
+
+def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> PooledMisfit:
+    """The misfit that the set was searched with."""
+    values = fit.parameter_set.values
+    slowest = 0.0
+    if is_extended(values):
+        currents = np.array([np.max(np.abs(window.current)) for window in windows])
+        slowest = float(np.max(extension_of(values).time_constant(currents)))
+    return PooledMisfit(thinned_for_search(windows), fit.noise.tolist(), slowest)
+
+
+def determined(fit: GlobalFit, windows: Sequence[Window], rig: RigRange) -> Findings:
+    """What the windows determine, and the runs within the range of the rig that would do more."""
+    found = fit.parameter_set
+    misfit = search_misfit(fit, windows)
+    jacobian = misfit.jacobian(found.values) / noise_level(misfit, found.values)
+    spans = parameter_spans(jacobian, found.values, parameter_ranges(windows, found.values))
+    result = determination(jacobian, found.law.parameter_names, spans)
+    noise = float(np.median(fit.noise))
+    runs = extra_runs(misfit, noise, found.values, found.observable, rig)
+    lines = [
+        f"the data determine {result.rank} of {len(result.names)} combinations of the parameters "
+        f"(condition {result.condition:.2g})",
+        *(f"not determined: {combination.words}" for combination in result.open),
+        *_advice(found.observable, runs, rig),
+    ]
+    entry = _determination_entry(result)
+    advice = [
+        {
+            "amplitude": run.amplitude,
+            "frequency": run.frequency,
+            "current": run.current,
+            "determines": list(run.determines),
+            "worst_error": run.worst_error,
+            "sentence": run.sentence,
+        }
+        for run in runs
+    ]
+    return Findings(lines, {"determination": entry, "advice": advice})
+
+
+def _advice(observable: np.ndarray, runs: Sequence[ExtraRun], rig: RigRange) -> list[str]:
+    if np.all(observable):
+        return []
+    if runs:
+        return [run.sentence for run in runs]
+    return [
+        f"no run up to {rig.peak_velocity:.3g} m/s and {rig.current:.3g} A would determine more: "
+        "give --top-velocity or --top-current if the rig may do more"
+    ]
+
+
+def _determination_entry(result: Determination) -> dict[str, Any]:
+    return {
+        "rank": result.rank,
+        "condition": _number(result.condition),
+        "singular_values": result.singular_values.tolist(),
+        "open": [
+            {
+                "words": combination.words,
+                "weights": dict(combination.weights),
+                "standard_error": _number(combination.standard_error),
+            }
+            for combination in result.open
+        ],
+    }
+
+
+def profiles(
+    fit: GlobalFit,
+    windows: Sequence[Window],
+    names: Sequence[str],
+    processes: Processes,
+    progress: ProgressLine,
+) -> Findings:
+    """Profile likelihoods of the named parameters; those not begun when stopped are left out.
+
+    Raises ValueError for a name that the law does not have.
+    """
+    law = fit.parameter_set.law.parameter_names
+    for name in names:
+        if name not in law:
+            raise ValueError(f"there is no parameter '{name}' to profile: use {', '.join(law)}")
+    misfit = search_misfit(fit, windows)
+    ranges = parameter_ranges(windows, fit.parameter_set.values)
+    tasks = [
+        (misfit, fit.parameter_set.values, fit.parameter_set.observable, ranges, n) for n in names
+    ]
+    found = [p for p in processes.map(_profile, tasks, lambda _, news: progress(news)) if p]
+    lines = [
+        f"profile of {p.name}: least at {p.best:.6g}, 95 % interval "
+        f"{p.interval[0]:.6g} to {p.interval[1]:.6g}"
+        for p in found
+    ]
+    document = {
+        p.name: {
+            "values": p.values.tolist(),
+            "ratio": p.ratio.tolist(),
+            "best": p.best,
+            "interval": [_number(end) for end in p.interval],
+        }
+        for p in found
+    }
+    return Findings(lines, {"profiles": document})
+
+
+def _profile(task: tuple[PooledMisfit, Any, Any, Any, str], tell: Tell) -> Profile | None:
+    misfit, values, observable, ranges, name = task
+    told = time.monotonic()
+    stopped = False
+
+    def should_stop() -> bool:
+        nonlocal told, stopped
+        if time.monotonic() - told > _POLL:
+            told = time.monotonic()
+            stopped = not tell(GlobalProgress(f"profile of {name}", 0, 1, math.nan, math.nan))
+        return stopped
+
+    try:
+        return ProfileLikelihood(misfit, values, observable, ranges, should_stop).of(name)
+    except StopRequestedError:
+        return None
+
+
+def searches(found: MultiStart) -> Findings:
+    """Costs of the searches and of their candidates, and how far they agree."""
+    best = found.best
+    names = best.parameter_set.law.parameter_names
+    lines = []
+    if best.candidates:
+        costs = ", ".join(f"{c.cost:.5g} ({c.origin})" for c in best.candidates)
+        lines.append(f"cost of the local searches, 1 = noise: {costs}")
+    if len(found.fits) > 1:
+        spread, places = found.spread, [fit.cost for fit in found.fits.values()]
+        lines.append(
+            f"{len(found.fits)} searches ended at costs {min(places):.6g} to {max(places):.6g}, "
+            f"{len(found.as_good)} of them within 1 % of the best"
+        )
+        if len(found.as_good) > 1:
+            widest = int(np.argmax(spread))
+            lines.append(
+                f"these differ by up to {spread[widest]:.2g} standard errors ({names[widest]})"
+            )
+    entries = [
+        {
+            "seed": seed,
+            "cost": fit.cost,
+            "parameters": fit.parameter_set.as_dict(),
+            "evaluations": fit.evaluations,
+            "message": fit.message,
+            "candidates": [
+                {
+                    "origin": c.origin,
+                    "cost": c.cost,
+                    "parameters": dict(zip(names, c.parameters.tolist(), strict=True)),
+                }
+                for c in fit.candidates
+            ],
+        }
+        for seed, fit in found.fits.items()
+    ]
+    of_each = {name: _number(x) for name, x in zip(names, found.spread.tolist(), strict=True)}
+    return Findings(lines, {"searches": entries, "spread": of_each})
+
+
+def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
+    """How the force falls with temperature, and how well it tells the temperature."""
+    lines, entries = [], []
+    for found in maps:
+        speed, current = found.operating_point
+        middle = 0.5 * (found.low + found.high)
+        kelvin = found.temperature(found.scale(middle)).standard_error
+        lines.append(
+            f"at {speed:.3g} m/s and {current:.3g} A the force changes by "
+            f"{found.slope(middle):+.2%} per kelvin, from {found.low:.3g} to {found.high:.3g} °C; "
+            f"it tells the temperature to {kelvin:.2g} K"
+        )
+        points = [(c, found.scale(c)) for c in np.linspace(found.low, found.high, _POINTS).tolist()]
+        entries.append(
+            {
+                "operating_point": {"peak_velocity": speed, "current": current},
+                "range": [found.low, found.high],
+                "windows": found.windows,
+                "coefficients": found.coefficients.tolist(),
+                "covariance": found.covariance.tolist(),
+                "temperature": [celsius for celsius, _ in points],
+                "force_scale": [scale.value for _, scale in points],
+                "force_scale_standard_error": [scale.standard_error for _, scale in points],
+            }
+        )
+    return Findings(lines, {"temperature_maps": entries})
+
+
+def _number(value: float) -> float | None:
+    """The value as JSON can hold it: null where it is infinite or unknown."""
+    return value if math.isfinite(value) else None
