@@ -372,7 +372,7 @@ class Identifier(Node):
         self._diagnostics = Diagnostics(
             self,
             {
-                "input": lambda: self._inputs.samples_finding(self._assembler.lost_samples),
+                "input": lambda: self._inputs.samples_finding(self._assembler.sequence),
                 "current": self._inputs.current_finding,
                 "window": self._window_finding,
                 "fit": self._fit_finding,
@@ -648,14 +648,13 @@ class Identifier(Node):
     # Diagnostics
 
     def _window_finding(self) -> Finding:
-        values = {"repeated samples": self._assembler.repeated_samples}
         if self._assembler.waits_for_current:
             return Finding(
                 WARN,
-                "a window is full but waits for a supply current stamped at or after its end",
-                values,
+                "a window is full but waits for a supply current stamped at or after its end: is "
+                "one published, with stamps on the clock of the samples?",
             )
-        return Finding(OK, f"window {self._assembler.fill:.0%} full", values)
+        return Finding(OK, f"window {self._assembler.fill:.0%} full")
 
     def _fit_finding(self) -> Finding:
         report = self._last_report

@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.quality import overridable
-from mr_damper_ros.streaming.blocks import BlockError, SampleBlock
+from mr_damper_ros.streaming.blocks import BlockError, BlockSequence, SampleBlock
 
 SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"
@@ -84,7 +84,7 @@ class Inputs:
         self._on_block = on_block
         self._on_current = on_current
         self._value = math.nan
-        self._lost = 0
+        self._interruptions = 0
         for message_type, topic, callback in (
             (MtsSamples, SAMPLES_TOPIC, self._take_samples),
             (SupplyCurrent, CURRENT_TOPIC, self._take_current),
@@ -110,16 +110,25 @@ class Inputs:
         self._current.accept(1)
         self._on_current(to_nanoseconds(message.header.stamp), message.current)
 
-    def samples_finding(self, lost: int) -> Finding:
-        """How the samples come in; ``lost`` counts those missing since the start."""
+    def samples_finding(self, sequence: BlockSequence) -> Finding:
+        """How the samples come in, and how they followed each other in the node's ``sequence``."""
         rate, fault = self._samples.take_rate(), self._samples.take_fault()
-        newly_lost, self._lost = lost - self._lost, lost
-        if not fault and newly_lost > 0:
-            fault = f"{newly_lost} samples were lost: is the computer or the network overloaded?"
+        before, self._interruptions = self._interruptions, sequence.interruptions
+        interruptions = self._interruptions - before
+        if not fault and interruptions:
+            fault = sequence.last_interruption
+            if interruptions > 1:
+                fault += f" ({interruptions} interruptions of the stream since the last report)"
         return Finding(
             WARN if fault else OK,
             fault or f"{rate:.0f} samples/s",
-            {"samples/s": f"{rate:.1f}", "lost": lost, "rejected messages": self._samples.rejected},
+            {
+                "samples/s": f"{rate:.1f}",
+                "lost": sequence.lost_samples,
+                "repeated": sequence.repeated_samples,
+                "interruptions": sequence.interruptions,
+                "rejected messages": self._samples.rejected,
+            },
         )
 
     def current_finding(self) -> Finding:

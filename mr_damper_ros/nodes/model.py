@@ -150,7 +150,7 @@ class Model(Node):
         self._diagnostics = Diagnostics(
             self,
             {
-                "input": lambda: self._inputs.samples_finding(self._predictor.lost_samples),
+                "input": lambda: self._inputs.samples_finding(self._predictor.sequence),
                 "current": self._inputs.current_finding,
                 "parameters": self._parameters_finding,
                 "prediction": self._prediction_finding,

@@ -27,6 +27,10 @@ _REPEAT_HORIZON = 1.0
 """A block older than the last one by less than this [s] is a repeat, by more a jump back."""
 
 
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6
+"""Stamps count nanoseconds, and seconds in 31 bits."""
+
+
 class BlockError(ValueError):
     """A block that cannot be used; the message says what is wrong with it."""
 
@@ -38,7 +42,7 @@ class SampleBlock:
     ``start_ns`` is the stamp of sample 0, ``sequence`` its index since the source started.
 
     Raises BlockError where there are no samples, lengths differ, a value is not finite, or the
-    period is not positive.
+    period is not positive or beyond what stamps can follow.
     """
 
     start_ns: int
@@ -53,8 +57,11 @@ class SampleBlock:
             raise BlockError("the block holds no samples")
         if self.force.size != n:
             raise BlockError(f"the block holds {n} displacements but {self.force.size} forces")
-        if not (math.isfinite(self.period) and self.period > 0.0):
-            raise BlockError(f"the sample period is {self.period} s: it must be positive")
+        if not _SHORTEST_PERIOD <= self.period <= _LONGEST_PERIOD:
+            raise BlockError(
+                f"the sample period is {self.period} s: it must be positive, "
+                f"from {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g} s"
+            )
         for name in ("displacement", "force"):
             finite = np.isfinite(getattr(self, name))
             if np.count_nonzero(finite) != n:
@@ -92,12 +99,18 @@ class Continuity:
 
 
 class BlockSequence:
-    """Remembers the last block of a stream and judges the next one."""
+    """Remembers the last block of a stream and judges the next one.
+
+    Counted since the start: samples lost, samples that came again or too late, and blocks that did
+    not follow the one before, of the last of which there is a sentence.
+    """
 
     def __init__(self) -> None:
         self._last: SampleBlock | None = None
         self.lost_samples = 0
         self.repeated_samples = 0
+        self.interruptions = 0
+        self.last_interruption = ""
 
     @property
     def last(self) -> SampleBlock | None:
@@ -107,6 +120,9 @@ class BlockSequence:
     def follow(self, block: SampleBlock) -> Continuity:
         """Judge a block and, unless it is a repeat, make it the last one."""
         verdict = self._judge(block)
+        if verdict.sentence:
+            self.interruptions += 1
+            self.last_interruption = verdict.sentence
         if verdict.kind == "repeat":
             self.repeated_samples += block.sample_count
             return verdict
@@ -122,7 +138,7 @@ class BlockSequence:
             return Continuity(
                 "changed_period",
                 sentence=f"the sample period changed from {last.period:g} s to {block.period:g} s: "
-                "the window starts again",
+                "what was being collected starts again",
             )
         late = (block.start_ns - last.end_ns) / NANOSECONDS
         missing = block.sequence - (last.sequence + last.sample_count)
@@ -132,15 +148,21 @@ class BlockSequence:
             # The stamps go on but the count does not: the source was started again.
             return Continuity(
                 "gap",
-                sentence="the sample count was set back or forward: the window starts again",
+                sentence="the sample count was set back or forward (a source that was started "
+                "again?): what was being collected starts again",
             )
         if late > 0.0:
             lost = max(missing, 0)
-            detail = f"{lost} samples were lost" if lost else f"the samples pause for {late:.3g} s"
-            return Continuity("gap", lost, f"{detail}: the window starts again")
+            detail = (
+                f"{lost} samples were lost (an overloaded computer or network?)"
+                if lost
+                else f"the samples pause for {late:.3g} s"
+            )
+            return Continuity("gap", lost, f"{detail}: what was being collected starts again")
         if block.end_ns <= last.end_ns and -late < _REPEAT_HORIZON and missing < 0:
             return Continuity("repeat", sentence="a block came twice or too late: it is ignored")
         return Continuity(
             "jump_back",
-            sentence=f"the stamps jump back by {-late:.3g} s: the window starts again",
+            sentence=f"the stamps jump back by {-late:.3g} s: what was being collected "
+            "starts again",
         )

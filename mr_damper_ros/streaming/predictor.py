@@ -74,9 +74,9 @@ class ForcePredictor:
         self._begun_at = 0
 
     @property
-    def lost_samples(self) -> int:
-        """Samples missing from the stream, by the sequence numbers."""
-        return self._sequence.lost_samples
+    def sequence(self) -> BlockSequence:
+        """How the blocks have followed each other so far."""
+        return self._sequence
 
     @property
     def parameters(self) -> ParameterSet | None:
@@ -142,7 +142,7 @@ class ForcePredictor:
         if self._parameters is None:
             reason = "no parameters yet: start the identifier or give parameter_file"
         elif not self._current.known_from(block.start_ns):
-            reason = "no supply current yet: is it published on supply/current?"
+            reason = self._missing_current(block)
         if reason or self._parameters is None:
             return self._invalid(block, reason, verdict.sentence)
         current = self._current.at(block.start_ns, block.period, block.sample_count)
@@ -176,6 +176,17 @@ class ForcePredictor:
             valid=not reason,
             reason=reason,
             continuity=verdict.sentence,
+        )
+
+    def _missing_current(self, block: SampleBlock) -> str:
+        """Why the current of a block is not known."""
+        last = self._current.last_stamp_ns
+        if last is None:
+            return "no supply current yet: is it published on supply/current?"
+        ahead = (last - block.start_ns) / NANOSECONDS
+        return (
+            f"no supply current yet that holds for these samples: the newest is stamped {ahead:.3g}"
+            " s after their begin; are both stamped by one clock?"
         )
 
     def _doubt_of_memory(self) -> str:

@@ -75,14 +75,9 @@ class WindowAssembler:
         self._part = 0
 
     @property
-    def lost_samples(self) -> int:
-        """Samples missing from the stream, by the sequence numbers."""
-        return self._sequence.lost_samples
-
-    @property
-    def repeated_samples(self) -> int:
-        """Samples that came twice or too late and were ignored."""
-        return self._sequence.repeated_samples
+    def sequence(self) -> BlockSequence:
+        """How the blocks have followed each other so far."""
+        return self._sequence
 
     @property
     def fill(self) -> float:

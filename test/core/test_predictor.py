@@ -316,7 +316,7 @@ def test_after_a_gap_the_velocity_settles_again() -> None:
     prediction = made.predict(blocks[410])
     assert "still settling" in prediction.reason
     assert "100 samples were lost" in prediction.continuity
-    assert made.lost_samples == 100
+    assert made.sequence.lost_samples == 100
 
 
 def test_after_a_gap_the_force_comes_back() -> None:

@@ -103,9 +103,12 @@ def test_a_gap_starts_the_window_again() -> None:
 def test_a_gap_is_told_once() -> None:
     made = assembler()
     cut(stream(100, last=800) + stream(100, first=900), made)
-    assert made.take_events() == ["100 samples were lost: the window starts again"]
+    assert made.take_events() == [
+        "100 samples were lost (an overloaded computer or network?): "
+        "what was being collected starts again"
+    ]
     assert made.take_events() == []
-    assert made.lost_samples == 100
+    assert made.sequence.lost_samples == 100
 
 
 def test_repeated_blocks_change_nothing() -> None:
@@ -113,8 +116,8 @@ def test_repeated_blocks_change_nothing() -> None:
     made = assembler()
     windows = cut([b for pair in zip(blocks, blocks, strict=True) for b in pair], made)
     assert starts(windows) == starts(cut(stream(100)))
-    assert made.repeated_samples == COUNT
-    assert made.lost_samples == 0
+    assert made.sequence.repeated_samples == COUNT
+    assert made.sequence.lost_samples == 0
 
 
 def test_a_bag_that_loops_gives_the_same_windows_again() -> None:
