@@ -42,6 +42,8 @@ _LONGEST_MEMORY = 0.25
 """No more than this part of a window is left out because its past is not known."""
 
 
+# A set may hold any finite numbers: what overflows, here and below, is judged by its misfit.
+@np.errstate(over="ignore", invalid="ignore")
 def model_force(model: Model, window: Window, parameters: Array) -> Array:
     """Force [N] of a model at the samples of a window, shape (..., n), parameters (..., p)."""
     if is_sigmoid(model):
@@ -97,40 +99,38 @@ class ModelMisfit:
         self.settled = ~unsettled_samples(model, window, self._given)
 
     @property
+    @np.errstate(over="ignore", invalid="ignore")
     def start(self) -> Array:
         """The unknowns of the parameters given, or next to them, if those are on a bound."""
         margin = np.minimum(_INSIDE * self._sizes, 0.25 * (self._high - self._low))
         values = np.clip(self._given[self._free], self._low + margin, self._high - margin)
-        with np.errstate(invalid="ignore"):
-            above = (values - self._low) / self._sizes + 1.0
-            share = 2.0 * (values - self._low) / (self._high - self._low) - 1.0
-            return np.where(
-                np.isinf(self._low),
-                values / self._sizes,
-                np.where(np.isinf(self._high), np.sqrt(above**2 - 1.0), np.arcsin(share)),
-            )
+        above = (values - self._low) / self._sizes + 1.0
+        share = 2.0 * (values - self._low) / (self._high - self._low) - 1.0
+        return np.where(
+            np.isinf(self._low),
+            values / self._sizes,
+            np.where(np.isinf(self._high), np.sqrt(above**2 - 1.0), np.arcsin(share)),
+        )
 
+    @np.errstate(over="ignore", invalid="ignore")
     def _values(self, unknowns: Array) -> tuple[Array, Array]:
         """Values (f,) of the free parameters, and their derivatives by the unknowns."""
         root = np.sqrt(unknowns**2 + 1.0)
-        with np.errstate(invalid="ignore"):
-            half = 0.5 * (self._high - self._low)
-            values = np.where(
-                np.isinf(self._low),
-                unknowns * self._sizes,
-                np.where(
-                    np.isinf(self._high),
-                    self._low + (root - 1.0) * self._sizes,
-                    self._low + half * (1.0 + np.sin(unknowns)),
-                ),
-            )
-            slopes = np.where(
-                np.isinf(self._low),
-                self._sizes,
-                np.where(
-                    np.isinf(self._high), unknowns / root * self._sizes, half * np.cos(unknowns)
-                ),
-            )
+        half = 0.5 * (self._high - self._low)
+        values = np.where(
+            np.isinf(self._low),
+            unknowns * self._sizes,
+            np.where(
+                np.isinf(self._high),
+                self._low + (root - 1.0) * self._sizes,
+                self._low + half * (1.0 + np.sin(unknowns)),
+            ),
+        )
+        slopes = np.where(
+            np.isinf(self._low),
+            self._sizes,
+            np.where(np.isinf(self._high), unknowns / root * self._sizes, half * np.cos(unknowns)),
+        )
         return np.clip(values, self._low, self._high), slopes
 
     def parameters(self, unknowns: Array) -> Array:

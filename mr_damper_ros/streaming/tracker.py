@@ -395,12 +395,17 @@ def _evidence(
     settled = ~unsettled_samples(model, window, after)
     spread = float(np.std(window.force))
     old, new = (model_force(model, window, set_) for set_ in (before, after))
+    if not np.isfinite(old).all():
+        # Whatever was loaded there, anything is better.
+        old = np.full(old.size, math.inf)
     rmse_before, rmse_after = (
         float(np.sqrt(np.mean((force - window.force)[held_back & settled] ** 2)))
         for force in (old, new)
     )
     power = float(old[settled] @ old[settled])
-    change = float(new[settled] @ old[settled]) / power - 1.0 if power > 0.0 else math.inf
+    change = math.inf
+    if 0.0 < power < math.inf:
+        change = float(new[settled] @ old[settled]) / power - 1.0
     return Evidence(rmse_before / spread, rmse_after / spread, rmse_after, change)
 
 

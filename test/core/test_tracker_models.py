@@ -226,6 +226,15 @@ def test_a_tracker_goes_on_from_its_text(model: str) -> None:
     assert reports[0].nrmse_after == reports[1].nrmse_after
 
 
+def test_a_set_beyond_all_numbers_is_replaced_by_the_first_good_window() -> None:
+    huge = known.EXAMPLES["bouc_wen"].copy()
+    huge[:4] = 1.7e308
+    tracked = tracker("bouc_wen", ParameterSet(huge, model="bouc_wen"))
+    (report,) = fed(tracked, window("bouc_wen", 2))
+    assert report.accepted, report.reason
+    assert report.nrmse_after < 1.1 * NOISE / np.std(damper("bouc_wen")[1])
+
+
 def test_a_set_of_another_model_is_refused() -> None:
     other = start_set("bingham")
     tracked = tracker("bouc_wen")
