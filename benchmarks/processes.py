@@ -5,6 +5,7 @@ Only what is started here is ever ended; everything that is waited for has a dea
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import signal
@@ -76,6 +77,8 @@ class Process:
             env={**os.environ, **environment},
             start_new_session=True,
         )
+        # Where the benchmark fails, nothing of it goes on.
+        atexit.register(self._process.kill)
 
     @property
     def pid(self) -> int:
@@ -133,6 +136,7 @@ class Process:
         """End it and forget its output."""
         self.stop()
         os.close(self._log)
+        atexit.unregister(self._process.kill)
 
 
 def resident_bytes(pid: int) -> int:
