@@ -372,7 +372,7 @@ def test_a_window_with_nan_is_refused(name: str) -> None:
     arrays = {"force": window.force.copy(), "current": window.current.copy()}
     arrays[name][7] = np.nan
     with pytest.raises(ValueError, match=f"the {name} holds NaN or infinite values"):
-        Window(window.motion, **arrays)
+        Window(window.motion, arrays["force"], arrays["current"])
 
 
 def test_the_operating_point_of_a_sine_is_its_peak_velocity() -> None:
@@ -388,3 +388,70 @@ def test_a_part_of_a_window_keeps_its_samples_together() -> None:
     np.testing.assert_array_equal(part.motion.velocity, window.motion.velocity[mask])
     np.testing.assert_array_equal(part.motion.acceleration, window.motion.acceleration[mask])
     assert part.sample_count == mask.sum()
+
+
+# -- the start as a prior ----------------------------------------------------------------------
+
+SETTLED = 1e-2
+"""Standard errors by which a prior may move a scale that the window determines."""
+
+
+def half_stroke(seed: int) -> Window:
+    """Samples of one direction only, from rest to full speed: scales trade with each other."""
+    return known.run(frequency=0.2, samples=1000, phase=-0.6, seed=seed).window
+
+
+def wandered(window: Window, *, start_is_known: bool) -> float:
+    """The largest ratio of a scale to its true value, f0 and all others but v_d and f_d."""
+    fit = fit_window(window, known.PLAUSIBLE, method="least_squares", start_is_known=start_is_known)
+    ratios = np.abs(fit.scales / ScaleMisfit(window, known.PLAUSIBLE).start)
+    return float(np.max(np.maximum(ratios, 1.0 / ratios)))
+
+
+def test_scales_that_a_window_leaves_open_do_not_wander_from_a_known_start() -> None:
+    assert wandered(half_stroke(1), start_is_known=False) > 30.0
+    assert wandered(half_stroke(1), start_is_known=True) < 10.0
+
+
+def test_a_prior_costs_no_more_than_a_trace_of_the_fit() -> None:
+    window = half_stroke(1)
+    alone, prior = (
+        fit_window(window, known.PLAUSIBLE, method="least_squares", start_is_known=known_)
+        for known_ in (False, True)
+    )
+    assert alone.rmse <= prior.rmse < AT_THE_NOISE * alone.rmse
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("robust", [False, True])
+def test_a_prior_does_not_move_what_the_window_determines(method: str, robust: bool) -> None:
+    window = known.run().window
+    start = known.PLAUSIBLE.copy()
+    start[SCALE_INDICES] *= 1.5
+    alone, prior = (
+        fit_window(window, start, method=method, robust=robust, start_is_known=known_)
+        for known_ in (False, True)
+    )
+    moved = (prior.scales - alone.scales) / np.sqrt(np.diag(alone.covariance))
+    assert np.max(np.abs(moved)) < SETTLED
+    np.testing.assert_allclose(prior.covariance, alone.covariance, rtol=0.02)
+
+
+def test_a_known_start_brings_the_fit_nearer_to_the_truth() -> None:
+    # Over many windows the prior is worth its weight: the error of the yield force falls.
+    errors = {}
+    for start_is_known in (False, True):
+        fits = [
+            fit_window(
+                half_stroke(seed),
+                known.PLAUSIBLE,
+                method="least_squares",
+                start_is_known=start_is_known,
+            )
+            for seed in range(8)
+        ]
+        truth = ScaleMisfit(half_stroke(0), known.PLAUSIBLE).start
+        errors[start_is_known] = known.rms(
+            np.array([fit.scales[0] / truth[0] - 1.0 for fit in fits])
+        )
+    assert errors[True] < 0.2 * errors[False]
