@@ -26,10 +26,13 @@ from mr_damper_ros.damper.extension import (
 )
 from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.sigmoid import (
+    SCALE_PARAMETER_NAMES,
+    SHAPE_PARAMETER_NAMES,
     Array,
     coefficient_parameter_jacobian,
     operating_point_coefficients,
 )
+from mr_damper_ros.identification.adaptation import adapted
 from mr_damper_ros.identification.determination import noise_level, plausible_ranges
 from mr_damper_ros.identification.evolution import (
     EvolutionSettings,
@@ -79,6 +82,8 @@ hide at the begin of a window is left out."""
 
 _MOST_ROUNDS = 4
 """So often the extension is found anew, as long as that changes what the windows determine."""
+
+_SHAPES_OF_LAWS = (("a1", "k2", "a2", "I0"), ("k0",), ("a4",), ("k3", "a3", "I1"))
 
 _MEANINGLESS = 0.01
 """A step that lowers the misfit by so many of its variances is a tenth of a standard error."""
@@ -163,9 +168,10 @@ def identify_global(
 ) -> GlobalFit:
     """One parameter set for all windows.
 
-    ``start`` (16,) or (20,) tells the law, and the values that undetermined parameters keep; a
-    time constant that would become negative is held at 0 and counts as undetermined. ``method``:
-    "global" as described above; "nelder_mead" and "least_squares" search on the samples from the
+    ``start`` (16,) or (20,) tells the law, and the values that undetermined parameters keep (one
+    with which the windows cannot be fitted takes that of :func:`neutral_shape`); a time constant
+    that would become negative is held at 0 and counts as undetermined. ``method``: "global" as
+    described above; "nelder_mead" and "least_squares" search on the samples from the
     laws; "differential_evolution" searches on the samples over all free parameters at once, as
     the thesis does. ``report`` hears of the progress and may stop the search: the best so far is
     then returned with ``success`` False. ``known`` (p,): the outcome of an earlier search, from
@@ -253,9 +259,11 @@ class _GlobalSearch:
             polished = self._local(self.pooled, parameters, method == "nelder_mead")
             cost = self.pooled.mean_square(polished)
             self.candidates.append(Candidate(origin, polished, cost))
+            self.best = self._best_of({"so far": self.best, origin: polished})
         first, best = self.candidates[0], min(self.candidates, key=lambda found: found.cost)
         # The first keeps most of the start: the others must be better, not just different.
         self.best = (best if best.cost < _CLEARLY_BETTER * first.cost else first).parameters
+        self._return_to_start()
         if is_extended(self.best):
             self._take_in_the_extension()
         self.best = self._local(self.whole_misfit(), self.best, False)
@@ -264,6 +272,45 @@ class _GlobalSearch:
                 "differential evolution ended in a poorer minimum than the laws of the method "
                 "global give: allow more generations, or use that method"
             )
+
+    def _return_to_start(self) -> None:
+        """Give what is not determined the start's value, as far as the windows agree with it.
+
+        A search from elsewhere, which was better, holds it elsewhere.
+        """
+        moved = self._moved()
+        laws = [[name for name in law if name in moved] for law in _SHAPES_OF_LAWS]
+        for names in (moved, *laws, *([name] for name in moved)):
+            still = self._moved()
+            if names and set(names) <= set(still):
+                self._try_start_of(names)
+
+    def _moved(self) -> list[str]:
+        """Shape parameters that are not determined and not where the start has them."""
+        determined = self._determined(self.best)
+        return [
+            name
+            for name in SHAPE_PARAMETER_NAMES
+            if not (name in self.free and name in determined)
+            and self.best[self._names.index(name)] != self._start[self._names.index(name)]
+        ]
+
+    def _try_start_of(self, names: Sequence[str]) -> None:
+        best, free = self.best, self.free
+        places = [self._names.index(name) for name in names]
+        trial = best.copy()
+        trial[places] = self._start[places]
+        self.free = free.difference(names)
+        linear = self.free.intersection((*SCALE_PARAMETER_NAMES, "k2", "k3"))
+        try:
+            found = self._local(self.pooled, adapted(self.windows, best, trial, linear), False)
+        except StopRequestedError:
+            self.best, self.free = best, free
+            raise
+        if _CLEARLY_BETTER * self.pooled.mean_square(found) <= self.pooled.mean_square(best):
+            self.best = found
+        else:
+            self.free = free
 
     def _fit_windows(self, start: Array) -> None:
         self.fits = [fit_window(w, start, method="least_squares") for w in self._thinned]
@@ -388,7 +435,8 @@ class _GlobalSearch:
             independent = _independent(pooled.residual(start))
             search.least_squares(tolerance=_MEANINGLESS / independent)
         except StopRequestedError:
-            self.best = problem.parameters(search.best)
+            found = problem.parameters(search.best)
+            self.best = min((self.best, found), key=pooled.mean_square)
             raise
         finally:
             self.evaluations += search.evaluations
