@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import resources
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from mr_damper_ros.identification.parallel import Processes, Tell
 
 _CODE = ("damper", "damper/models", "kinematics", "identification", "rig", "thesis")
 
@@ -69,49 +67,31 @@ class Campaign:
         path = self.settings.folder / "data" / f"{name}-{_code_digest()}.jsonl"
         known = _read(path)
         missing = [place for place, key in enumerate(keys) if key not in known]
-        if missing:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("a", encoding="utf-8") as file:
-                file.write("\n")  # after the incomplete line of a campaign that was killed
-                for done, (place, result) in enumerate(
-                    self._results(function, tasks, missing), start=1
-                ):
-                    known[keys[place]] = result
-                    file.write(json.dumps([keys[place], result]) + "\n")
-                    file.flush()
-                    # Ten lines at most for a log.
-                    if done % max(len(missing) // 10, 1) == 0:
-                        self.say(f"{name}: {len(tasks) - len(missing) + done} of {len(tasks)}")
+        if not missing:
+            return [known[key] for key in keys]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        count = len(tasks) - len(missing)
+        with path.open("a", encoding="utf-8") as file:
+            file.write("\n")  # after the incomplete line of a campaign that was killed
+
+            def keep(index: int, result: Any) -> None:
+                nonlocal count
+                key, count = keys[missing[index]], count + 1
+                known[key] = result
+                file.write(json.dumps([key, result]) + "\n")
+                file.flush()
+                # Ten lines or so for a log.
+                if count == len(tasks) or count % max(len(missing) // 10, 1) == 0:
+                    self.say(f"{name}: {count} of {len(tasks)}")
+
+            with Processes(self.settings.workers) as processes:
+                chosen = [tasks[place] for place in missing]
+                processes.map(partial(_call, function), chosen, done=keep)
         return [known[key] for key in keys]
 
-    def _results(
-        self, function: Callable[..., Any], tasks: Sequence[Task], missing: Sequence[int]
-    ) -> Any:
-        if self.settings.workers == 1 or len(missing) == 1:
-            for place in missing:
-                yield place, _plain(function(**tasks[place]))
-            return
-        # One thread each: the libraries' own threads would only get in each other's way.
-        for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            os.environ.setdefault(variable, "1")
-        pool = ProcessPoolExecutor(
-            self.settings.workers, mp_context=get_context("spawn"), initializer=_ignore_interrupts
-        )
-        try:
-            waiting = {pool.submit(_call, function, tasks[place]): place for place in missing}
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
 
-
-def _call(function: Callable[..., Any], task: Task) -> Any:
+def _call(function: Callable[..., Any], task: Task, tell: Tell) -> Any:
     return _plain(function(**task))
-
-
-def _ignore_interrupts() -> None:
-    # Ctrl-C goes to all processes of a terminal; the first one decides.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _plain(value: Any) -> Any:

@@ -125,17 +125,16 @@ def show(data: dict[str, Any]) -> list[Block]:
             "change of half the force span over 1–5 Hz (5 mm, 0.5 A)",
             "%",
             100.0 * float(spread),
-            None,
-            "4.3: minimal",
+            "minimal",
+            "4.3, Fig. 32; erratum",
         ),
         *(
             Compared(
-                f"compression peak over extension peak, {name.split('_')[-1]}",
+                f"extension peak below compression peak (5 mm, 1 Hz, {find(name).current:.1f} A)",
                 "%",
                 100.0 * value,
-                None if "0.0A" in name else 100.0 * facts.ASYMMETRY_LIMIT,
-                "4.1" if "0.0A" in name else "4.1: less than 10 %",
-                relative=False,
+                "asymmetric" if "0.0A" in name else f"< {100.0 * facts.ASYMMETRY_LIMIT:.0f}",
+                "4.1, Fig. 29" if "0.0A" in name else "4.1, Fig. 30",
             )
             for name, value in data["asymmetry"].items()
         ),
@@ -143,8 +142,8 @@ def show(data: dict[str, Any]) -> list[Block]:
             "half the force span, 7.5 over 5.0 mm (1 Hz, 0.5 A)",
             "1",
             stroke["half_span"][2] / stroke["half_span"][1],
-            None,
-            "4.4: a decrease at 7.5 mm",
+            "< 1",
+            "4.4, Fig. 34",
         ),
     ]
     slopes = Table(
@@ -195,7 +194,7 @@ def show(data: dict[str, Any]) -> list[Block]:
             "stroke", "Displacement dependency, 1 Hz, 0.5 A (thesis Fig. 34, 35).", STROKE_SERIES
         ),
         comparison("dependency", "Stated dependencies.", values),
-        comparison("temperature", "Force of the sets of tables 8 and 9, evaluated.", heat),
+        comparison("temperature", "Force of the sets of tables 8 and 9.", heat),
         Table(
             "temperature_parameters",
             "Tables 8 and 9, and their difference. Signs of a0, a1, a2, I0, I1, k0 and k5 differ: "
@@ -203,13 +202,18 @@ def show(data: dict[str, Any]) -> list[Block]:
             "temperature.",
             ("Temperature", *PARAMETER_NAMES),
             [
-                ("28 °C", *(float(x) for x in THESIS_28_CELSIUS)),
-                ("71 °C", *(float(x) for x in THESIS_71_CELSIUS)),
-                ("difference", *(float(x) for x in THESIS_71_CELSIUS - THESIS_28_CELSIUS)),
+                ("28 °C", *map(_two_decimals, THESIS_28_CELSIUS)),
+                ("71 °C", *map(_two_decimals, THESIS_71_CELSIUS)),
+                ("difference", *map(_two_decimals, THESIS_71_CELSIUS - THESIS_28_CELSIUS)),
+                ("stated, without sign", *map(_two_decimals, facts.HEATED)),
             ],
         ),
         _temperature_figure(),
     ]
+
+
+def _two_decimals(value: float) -> str:
+    return f"{value:.2f}".replace("-", "−")
 
 
 def _loop_panels(curves: list[tuple[str, Condition, Array]]) -> Any:

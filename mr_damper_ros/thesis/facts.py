@@ -31,6 +31,20 @@ VELOCITY_PER_HERTZ = 0.06
 ASYMMETRY_LIMIT = 0.10
 """With current, peak forces of the two directions differ by less than this (4.1)."""
 
+HEATED = np.array(
+    [5.03, 0.85, 1.17, 484.86, 6.98, 9.04, 0.21, 10.2, 1.05, 0.05, 0.36, 215.71, 3.87, 0.08, 0.12]
+    + [0.02]
+)
+"""Difference of the sets of 28 and 71 °C, sign dropped (tables 8 and 9)."""
+
+METHODS_APART = np.array(
+    [0.03, 0.10, 0.05, 79.0, 0.09, 11.04, 0.21, 0.02, 65.1, 0.21, 0.06, 17.55, 24.04, 0.0, 0.0, 0.0]
+)
+"""Difference of both methods' sets of 2.5 mm, 1 Hz, 0 A, sign dropped (tables 15 and 16)."""
+
+OUTLIERS = ("a0", "k5", "k6")
+"""Parameters whose box plots are said to have a considerable number of outliers (4.6)."""
+
 PEAK_COLD, PEAK_WARM = 1332.0, 989.0
 """Peak force [N] at 28 and 71 °C, 1.5 A, 5 mm, 1 Hz (4.5)."""
 

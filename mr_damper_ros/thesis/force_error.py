@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, force
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
 from mr_damper_ros.identification.fit import fit_window
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.rig.thesis import DISPLACEMENT_NOISE
@@ -60,13 +60,9 @@ def identify(name: str, seed: int) -> dict[str, Any]:
     sine = w.motion.sine
     if sine is None:
         raise ValueError(f"the displacement of {name} is no sine")
-    m = w.motion
-
-    def predicted(parameters: Array) -> Array:
-        return force(parameters, m.displacement, m.velocity, m.acceleration, w.current)
 
     def norm(parameters: Array) -> float:
-        return float(np.linalg.norm(predicted(parameters) - w.force))
+        return float(np.linalg.norm(w.predicted_force(parameters) - w.force))
 
     # Appendix D prints the literature set twice, with either sign of k5.
     flipped = LITERATURE.copy()
@@ -77,7 +73,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
     # A fifth of the cycle is enough for the figures.
     shown = slice(0, round(1.0 / sine.frequency / run.period))
     displacement_error = sine.displacement(run.time) + sine.offset - run.displacement
-    force_error = predicted(seven.parameters) - w.force
+    force_error = w.predicted_force(seven.parameters) - w.force
     return {
         "sine": {
             "amplitude": sine.amplitude,
@@ -89,7 +85,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
         "nelder_mead_16": {
             "parameters": found.tolist(),
             "evaluations": evaluations,
-            "statistics": normal_statistics(predicted(found) - w.force),
+            "statistics": normal_statistics(w.predicted_force(found) - w.force),
             "rmse": cost / np.sqrt(w.sample_count),
         },
         "nelder_mead_7": {
@@ -104,10 +100,10 @@ def identify(name: str, seed: int) -> dict[str, Any]:
         "time": run.time[shown].tolist(),
         "displacement": run.displacement[shown].tolist(),
         "fitted_displacement": (sine.displacement(run.time) + sine.offset)[shown].tolist(),
-        "velocity": m.velocity[shown].tolist(),
+        "velocity": w.motion.velocity[shown].tolist(),
         "force": w.force[shown].tolist(),
-        "fitted_force": predicted(seven.parameters)[shown].tolist(),
-        "literature_force": predicted(flipped)[shown].tolist(),
+        "fitted_force": w.predicted_force(seven.parameters)[shown].tolist(),
+        "literature_force": w.predicted_force(flipped)[shown].tolist(),
     }
 
 

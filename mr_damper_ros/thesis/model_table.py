@@ -14,7 +14,7 @@ from mr_damper_ros.identification.model_fit import fit_model, model_force
 from mr_damper_ros.identification.window import Window
 from mr_damper_ros.rig.readers import read_record
 from mr_damper_ros.thesis import facts
-from mr_damper_ros.thesis.campaign import Campaign
+from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.dependency import sound_conditions
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import window
@@ -76,9 +76,22 @@ def resynthesised(name: str, noise_seed: int) -> dict[str, Any]:
 
 def recorded(path: str, current: float) -> dict[str, Any]:
     """Task: all models on a real record."""
-    record = read_record(path, "time:s,displacement:mm,velocity:mm/s,force:N", current=current)
-    whole = Window.from_samples(record.displacement, record.force, record.current, record.period)
+    whole = read(path, current)
     return {"models": _judged(whole.thinned(SAMPLES), whole)}
+
+
+def read(path: str, current: float) -> Window:
+    """A real record, measured at a current [A]."""
+    record = read_record(path, "time:s,displacement:mm,velocity:mm/s,force:N", current=current)
+    return Window.from_samples(record.displacement, record.force, record.current, record.period)
+
+
+def records(settings: Settings) -> list[Path]:
+    """Files of the real records; none where no recordings are given."""
+    if settings.recordings is None:
+        return []
+    paths = sorted(settings.recordings.glob("*.txt"))
+    return paths[::7] if settings.quick else paths
 
 
 def current_of(path: Path) -> float:
@@ -98,10 +111,8 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     tasks = [{"name": name, "noise_seed": settings.seed} for name in names]
     runs = dict(zip(names, campaign.each("models", resynthesised, tasks), strict=True))
     data: dict[str, Any] = {"runs": runs, "records": None}
-    if settings.recordings is not None:
-        paths = sorted(settings.recordings.glob("*.txt"))
-        if settings.quick:
-            paths = paths[::7]
+    paths = records(settings)
+    if paths:
         tasks = [{"path": str(path), "current": current_of(path)} for path in paths]
         results = campaign.each("models_recorded", recorded, tasks)
         data["records"] = dict(zip([path.stem for path in paths], results, strict=True))

@@ -12,28 +12,22 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import (
     COEFFICIENT_NAMES,
     PARAMETER_NAMES,
     Array,
     operating_point_coefficients,
 )
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.identification.global_fit import identify_global
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.rig.thesis import find, parameters
-from mr_damper_ros.thesis import facts
+from mr_damper_ros.thesis import facts, one_set
 from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.dependency import sound_conditions
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
-from mr_damper_ros.thesis.runs import cycle, window
+from mr_damper_ros.thesis.runs import cycle
 from mr_damper_ros.thesis.style import GREY, INK, MARKS, panels
 
 CONDITION = "5.0mm_1Hz_1.5A"
 _STARTS_PER_TASK = 10
-_KEPT = 4
-"""One sample in so many goes into the set for all conditions."""
 
 
 def scaled_jacobian(name: str, noise_seed: int, values: Array) -> Array:
@@ -62,31 +56,11 @@ def descents(noise_seed: int, seeds: list[list[int]]) -> list[dict[str, Any]]:
     return results
 
 
-def one_set(names: list[str], noise_seed: int, keep: int, generations: int) -> dict[str, Any]:
-    """Task: one set of sixteen parameters for all conditions."""
-    windows = [window(name, noise_seed).part(slice(None, None, keep)) for name in names]
-    fit = identify_global(windows, LITERATURE, EvolutionSettings(generations=generations))
-    found = fit.parameter_set
-    rms = [float(np.std(w.force)) for w in windows]
-    return {
-        "parameters": found.values.tolist(),
-        "errors": [None if np.isnan(x) else float(x) for x in found.standard_errors],
-        "nrmse": fit.nrmse.tolist(),
-        "rmse": [float(n * s) for n, s in zip(fit.nrmse, rms, strict=True)],
-        "evaluations": fit.evaluations,
-    }
-
-
 def compute(campaign: Campaign) -> dict[str, Any]:
     """Data of the section."""
     settings = campaign.settings
-    names = [condition.name for condition in sound_conditions()]
-    keep = 4 * _KEPT if settings.quick else _KEPT
-    (whole,) = campaign.each(
-        "one_set",
-        one_set,
-        [{"names": names, "noise_seed": settings.seed, "keep": keep, "generations": 500}],
-    )
+    whole = one_set.identified(campaign)
+    names, values = whole["names"], np.array(whole["laws"]["sigmoid"]["parameters"])
     seeds = campaign.seeds(settings.runs, 5)
     parts = [seeds[k : k + _STARTS_PER_TASK] for k in range(0, len(seeds), _STARTS_PER_TASK)]
     tasks = [{"noise_seed": settings.seed, "seeds": part} for part in parts]
@@ -95,7 +69,6 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     truth = parameters(find(CONDITION))
     single = scaled_jacobian(CONDITION, settings.seed, truth)
     _, one, directions = np.linalg.svd(single, full_matrices=False)
-    values = np.array(whole["parameters"])
     pooled = np.vstack([scaled_jacobian(name, settings.seed, values) for name in names])
     together = np.linalg.svd(pooled, compute_uv=False)
 
@@ -116,9 +89,6 @@ def compute(campaign: Campaign) -> dict[str, Any]:
         "starts": len(fits),
         "good": good.tolist(),
         "coefficients": coefficients.tolist(),
-        "one_set": whole,
-        "conditions": names,
-        "kept": keep,
     }
 
 
@@ -139,11 +109,13 @@ def _walks(noise_seed: int, truth: Array, directions: Array) -> dict[str, list[f
 
 def headline(data: dict[str, Any]) -> str:
     """The result in a sentence."""
-    one = np.array(data["singular_one"])
-    whole = data["one_set"]["nrmse"]
+    determined = [
+        int(np.sum(np.array(data[key]) > 1e-6 * data[key][0]))
+        for key in ("singular_one", "singular_all")
+    ]
     return (
-        f"one run determines {int(np.sum(one > 1e-6 * one[0]))} of sixteen directions; one set for "
-        f"all conditions has a median NRMSE of {100 * float(np.median(whole)):.0f} %."
+        f"one run determines {determined[0]} of sixteen directions, all runs together "
+        f"{determined[1]}."
     )
 
 
@@ -168,13 +140,6 @@ def show(data: dict[str, Any]) -> list[Block]:
             float(np.std(coefficients[:, k]) / max(abs(np.mean(coefficients[:, k])), 1e-12)),
         )
         for k, name in enumerate(COEFFICIENT_NAMES)
-    ]
-    whole = data["one_set"]
-    values = [
-        (name, value, error, _verdict(value, error))
-        for name, value, error in zip(
-            PARAMETER_NAMES, whole["parameters"], whole["errors"], strict=True
-        )
     ]
     return [
         Text(
@@ -203,40 +168,7 @@ def show(data: dict[str, Any]) -> list[Block]:
             steady,
         ),
         _scatter_figure(good),
-        Text(
-            f"One set of sixteen parameters for all {len(data['conditions'])} sound conditions, "
-            "identified by this package's global method (laws by differential evolution, then "
-            f"least squares on every {data['kept']}th sample). The thesis has one set per "
-            "condition and says that parameters must be estimated anew for each. One set errs most "
-            "where there is no current: the law ties the offset of the force to the yield force, "
-            "but from 0 to 1.5 A (5 mm, 1 Hz) the yield force grows seventeenfold and the offset "
-            "not quite twofold."
-        ),
-        Table(
-            "one_set",
-            "One set for all conditions; standard errors follow from the misfit.",
-            ("Parameter", "Value", "Standard error", "Determined"),
-            values,
-        ),
-        _one_set_figure(data),
-        Table(
-            "one_set_errors",
-            "Error of the one set, condition by condition.",
-            ("Condition", "RMSE [N]", "NRMSE [%]"),
-            [
-                (name.replace("_", " "), rmse, 100.0 * nrmse)
-                for name, rmse, nrmse in zip(
-                    data["conditions"], whole["rmse"], whole["nrmse"], strict=True
-                )
-            ],
-        ),
     ]
-
-
-def _verdict(value: float, error: float | None) -> str:
-    if error is None:
-        return "no: kept its start"
-    return "yes" if error < 0.5 * abs(value) else "hardly: the error is as large as the value"
 
 
 def _singular_figure(data: dict[str, Any]) -> Picture:
@@ -249,7 +181,7 @@ def _singular_figure(data: dict[str, Any]) -> Picture:
         shown = np.maximum(data[key], 1e-13)
         a.semilogy(x, shown, MARKS[number], color=INK[number], label=label)
     a.axhline(1.0, color="0.4", lw=0.7)
-    a.text(16.4, 1.3, "a change of 100 % equals the noise", ha="right", color="0.4", fontsize=7)
+    a.text(8.0, 0.6, "a change of 100 % equals the noise", va="top", color="0.4", fontsize=7)
     a.set(xlabel="Direction", ylabel="Singular value [1]", xticks=x)
     a.legend(loc="lower left")
     return Picture(
@@ -326,17 +258,4 @@ def _scatter_figure(good: Array) -> Picture:
         "Sets that fit the same run equally well, to the noise: pairs of parameters that trade "
         "against each other, in the units of the thesis.",
         figure,
-    )
-
-
-def _one_set_figure(data: dict[str, Any]) -> Picture:
-    figure, axes = panels(1, 1, 7.0, 3.0)
-    a = axes[0, 0]
-    names = data["conditions"]
-    x = np.arange(len(names))
-    a.bar(x, 100.0 * np.array(data["one_set"]["nrmse"]), color="0.45", width=0.7)
-    a.set_xticks(x, [n.replace("_", " ") for n in names], rotation=90, fontsize=6.5)
-    a.set_ylabel("NRMSE [%]")
-    return Picture(
-        "one_set", "Error of one set of sixteen parameters in every sound condition.", figure
     )

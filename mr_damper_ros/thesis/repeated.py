@@ -20,7 +20,7 @@ from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.de import evolve
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
-from mr_damper_ros.thesis.runs import cycle
+from mr_damper_ros.thesis.runs import cycle, title
 from mr_damper_ros.thesis.style import GREY, INK, panels
 
 AS_CAPTIONED = "5.0mm_1Hz_0.0A"
@@ -139,11 +139,16 @@ def show(data: dict[str, Any]) -> list[Block]:
             "and the thesis'.",
             ("Run", "RMSE min/median/max [N]", "Std of force [N]", "Variance off by a factor of"),
             [
-                (name.replace("_", " "), quality(part), part["spread"], part["variance_distance"])
+                (title(name), quality(part), part["spread"], part["variance_distance"])
                 for name, part in ((AS_CAPTIONED, captioned), (AS_FOUND, found))
             ],
         ),
         *(_table(data, statistic) for statistic in STATISTICS),
+        Text(
+            f"Outliers of our box plots: {_outliers(np.array(found['parameters']))}. The thesis "
+            f"names {', '.join(facts.OUTLIERS)}; with the variance of table 10 a0 can have none "
+            "(section on errata)."
+        ),
         _box_figure(data),
         _variance_figure(data),
         _loop_figure(data),
@@ -171,6 +176,19 @@ def _table(data: dict[str, Any], statistic: str) -> Table:
         ("Parameter", "Ours, 1.5 A", "Thesis", "Difference", "Ours, 0 A"),
         rows,
     )
+
+
+def outliers(sets: Array) -> dict[str, int]:
+    """Number of outliers of each parameter of sets (r, 16): beyond 1.5 boxes from the box."""
+    low, high = np.quantile(sets, [0.25, 0.75], axis=0)
+    reach = 1.5 * (high - low)
+    count = np.sum((sets < low - reach) | (sets > high + reach), axis=0)
+    return {name: int(n) for name, n in zip(PARAMETER_NAMES, count, strict=True)}
+
+
+def _outliers(sets: Array) -> str:
+    counted = {name: count for name, count in outliers(sets).items() if count > 0}
+    return ", ".join(f"{count} of {name}" for name, count in counted.items()) or "none"
 
 
 def _box_figure(data: dict[str, Any]) -> Picture:
@@ -232,7 +250,7 @@ def _loop_figure(data: dict[str, Any]) -> Picture:
         for row in part["loops"]:
             a.plot([*v, v[0]], [*row, row[0]], color=GREY, lw=0.4)
         a.plot(v, part["force"], ".", color=INK[1], ms=3)
-        a.set(title=name.replace("_", " "), xlabel="Velocity [m/s]", ylabel="Force [N]")
+        a.set(title=title(name), xlabel="Velocity [m/s]", ylabel="Force [N]")
     return Picture(
         "repeated_loops",
         "Loops of all runs (grey) on the run averaged over its cycles (dots), for the captioned "

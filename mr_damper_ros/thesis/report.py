@@ -7,6 +7,7 @@ import csv
 import html
 import io
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +47,7 @@ Block = Text | Table | Picture
 
 @dataclass(frozen=True)
 class Compared:
-    """A value of ours beside the thesis' (None where the thesis states none).
+    """A value of ours beside the thesis' (None where the thesis states none, or its words).
 
     ``relative`` is False where the true value is zero, so that a relative difference says nothing.
     """
@@ -54,16 +55,16 @@ class Compared:
     quantity: str
     unit: str
     ours: float
-    thesis: float | None
+    thesis: float | str | None
     where: str
     relative: bool = True
 
     @property
     def difference(self) -> float | None:
         """(ours - thesis) / |thesis|."""
-        if self.thesis is None or self.thesis == 0.0 or not math.isfinite(self.ours):
+        if self.thesis is None or isinstance(self.thesis, str) or self.thesis == 0.0:
             return None
-        if not self.relative:
+        if not self.relative or not math.isfinite(self.ours):
             return None
         return (self.ours - self.thesis) / abs(self.thesis)
 
@@ -92,7 +93,7 @@ def comparison(name: str, caption: str, values: Sequence[Compared]) -> Table:
 
 
 def shown(value: Cell) -> str:
-    """A cell as text: four digits, no more."""
+    """A cell as text: four significant digits, and all of those before the point."""
     if value is None:
         return "–"
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -101,10 +102,27 @@ def shown(value: Cell) -> str:
         return str(value)
     if not math.isfinite(value):
         return "–"
-    if value != 0.0 and not 1e-3 <= abs(value) < 1e5:
+    if value == 0.0:
+        return "0"
+    if not 1e-3 <= abs(value) < 1e5:
         mantissa, exponent = f"{value:.2e}".split("e")
-        return f"{mantissa}·10^{int(exponent)}".replace("-", "−")
-    return f"{value:.4g}".replace("-", "−")
+        power = str(int(exponent)).translate(_SUPERSCRIPTS)
+        return f"{mantissa}·10{power}".replace("-", "−")
+    return (f"{value:.0f}" if abs(value) >= 999.95 else f"{value:#.4g}").replace("-", "−")
+
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def with_error(value: float, error: float) -> str:
+    """A value with its standard error."""
+    return f"{to_error(value, error)} ± {to_error(error, error)}"
+
+
+def to_error(value: float, error: float) -> str:
+    """A value to the second digit of its standard error, which must be positive."""
+    decimals = max(1 - math.floor(math.log10(error)), 0)
+    return f"{value:.{decimals}f}".replace("-", "−")
 
 
 def write_table(folder: Path, table: Table) -> None:
@@ -181,20 +199,48 @@ def _block(folder: Path, block: Block) -> str:
     )
 
 
+_WIDE = 12
+"""A table of more columns is set smaller in print."""
+
+_SHORT = 27
+"""Characters below which the text of a cell stays on a line."""
+
+_LONG = 40
+"""A table of more rows may go over pages."""
+
+
 def _table(table: Table) -> str:
-    head = "".join(f"<th>{html.escape(column)}</th>" for column in table.columns)
+    numbers = [_numeric(column[0]) for column in zip(*table.rows, strict=True)]
+    head = "".join(
+        f"<th{_classes(number=number)}>{html.escape(column)}</th>"
+        for column, number in zip(table.columns, numbers, strict=True)
+    )
     rows = []
     for row in table.rows:
-        cells = []
-        for value in row:
-            numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
-            kind = ' class="number"' if numeric or value is None else ""
-            cells.append(f"<td{kind}>{html.escape(shown(value))}</td>")
-        rows.append(f"<tr>{''.join(cells)}</tr>")
+        cells = "".join(
+            f"<td{_classes(number=number, short=len(text) < _SHORT)}>{html.escape(text)}</td>"
+            for text, number in zip(map(shown, row), numbers, strict=True)
+        )
+        rows.append(f"<tr>{cells}</tr>")
+    kind = _classes(table=True, wide=len(table.columns) > _WIDE, long=len(table.rows) > _LONG)
     return (
-        f'<div class="table"><p class="caption">{html.escape(table.caption)}</p>'
+        f'<div{kind}><p class="caption">{html.escape(table.caption)}</p>'
         f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
     )
+
+
+def _numeric(value: Cell) -> bool:
+    if isinstance(value, str):
+        return _NUMBER.match(value) is not None
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+_NUMBER = re.compile(r"[<>+−]? ?\d[\d.]*( ± [\d.]+)?( %| \*)?$")
+
+
+def _classes(**chosen: bool) -> str:
+    names = " ".join(name for name, on in chosen.items() if on)
+    return f' class="{names}"' if names else ""
 
 
 _STYLE = """
@@ -214,9 +260,16 @@ figcaption,.caption{font-size:.9rem;color:var(--soft);margin:.3rem 0;max-width:4
 font-variant-numeric:tabular-nums;border-bottom:1px solid var(--ink)}
 th{text-align:left;border-top:1px solid var(--ink);border-bottom:1px solid var(--ink);
 vertical-align:bottom}
-th,td{padding:.18rem .7rem .18rem 0}td.number{text-align:right;white-space:nowrap}
+th,td{padding:.18rem .7rem .18rem 0}.number{text-align:right}
+.short{white-space:nowrap}
 tbody tr+tr td{border-top:1px solid var(--line)}
-@media print{:root{--ink:#000;--paper:#fff;--soft:#333;--line:#bbb;--mark:#f0f0f0}
-figure img{filter:none}body{font-size:10pt;max-width:none;margin:0}
-table{font-size:7.5pt}.table{overflow:visible}tr{break-inside:avoid}}
+@page{size:A4;margin:14mm}
+@media print{:root{color-scheme:light;--ink:#000;--paper:#fff;--soft:#333;--line:#bbb;
+--mark:#f0f0f0}
+html{font-size:12px}body{font-size:9pt;max-width:none;margin:0;padding:0}
+figure img{filter:none;max-height:105mm}p,nav li,.caption,figcaption{max-width:none}
+h2{break-after:avoid;margin-top:1.5rem}p{orphans:3;widows:3}.caption{break-after:avoid}
+table{font-size:7pt}.wide table{font-size:5.4pt}.wide th,.wide td{padding-right:.3rem}
+.table{overflow:visible}tr{break-inside:avoid}
+.table:not(.long){break-inside:avoid}}
 """

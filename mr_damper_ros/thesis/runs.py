@@ -38,6 +38,14 @@ def window(name: str, seed: int) -> Window:
     return Window.from_samples(run.displacement, run.force, run.current, run.period)
 
 
+def title(name: str) -> str:
+    """Name of a condition for readers: ``2.5 mm, 1 Hz, 0.0 A``."""
+    condition = find(name)
+    return (
+        f"{1e3 * condition.amplitude:.1f} mm, {condition.frequency:g} Hz, {condition.current:.1f} A"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Loop:
     """One cycle: displacement [m], velocity [m/s], acceleration [m/s²], force [N], shape (n,)."""

@@ -16,6 +16,7 @@ from mr_damper_ros.thesis import (
     methods,
     model_table,
     observability,
+    one_set,
     optimisers,
     repeated,
     sensitivity,
@@ -87,7 +88,7 @@ SECTIONS = (
     ),
     Section(
         "observability",
-        "What the thesis could not show: what the data determine",
+        "What the thesis could not show: why the parameters scatter",
         observability.compute,
         observability.show,
         observability.headline,
@@ -98,6 +99,13 @@ SECTIONS = (
         model_table.compute,
         model_table.show,
         model_table.headline,
+    ),
+    Section(
+        "one-set",
+        "What the thesis could not show: one set for all conditions",
+        one_set.compute,
+        one_set.show,
+        one_set.headline,
     ),
     Section("errata", "Errata", errata.compute, errata.show, errata.headline),
 )

@@ -15,8 +15,8 @@ from mr_damper_ros.rig.thesis import find, parameters
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison
-from mr_damper_ros.thesis.runs import loop, window
-from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels
+from mr_damper_ros.thesis.runs import Loop, loop, window
+from mr_damper_ros.thesis.style import DASHES, INK, MARKS, legend_above, panels
 
 CONDITION = "2.5mm_1Hz_0.0A"
 WITH_CURRENT = "2.5mm_1Hz_1.0A"
@@ -26,13 +26,12 @@ CHANGES = (0.01, 0.05, 0.10, 0.15, 0.20)
 def squared_change(condition: str, seed: int) -> dict[str, list[float]]:
     """Sum of the squared change of the force [N²] by parameter, one for each of ``CHANGES``."""
     values = parameters(find(condition))
-    w = window(condition, seed)
-    m = w.motion
+    m = window(condition, seed).motion
     sets = np.repeat(values[np.newaxis], 1 + len(CHANGES) * len(PARAMETER_NAMES), axis=0)
     for place in range(len(PARAMETER_NAMES)):
         for step, change in enumerate(CHANGES):
             sets[1 + place * len(CHANGES) + step, place] *= 1.0 + change
-    forces = force(sets, m.displacement, m.velocity, m.acceleration, w.current)
+    forces = force(sets, m.displacement, m.velocity, m.acceleration, find(condition).current)
     sums = np.sum((forces[1:] - forces[0]) ** 2, axis=1).reshape(-1, len(CHANGES))
     return {name: row.tolist() for name, row in zip(PARAMETER_NAMES, sums, strict=True)}
 
@@ -90,14 +89,14 @@ def show(data: dict[str, Any]) -> list[Block]:
         ),
         _figure(passive),
         _loops_figure(),
+        _changes_figure(passive),
     ]
 
 
 def _figure(passive: dict[str, list[float]]) -> Picture:
     figure, axes = panels(1, 2, 6.8, 3.0, sharey=True)
     percent = [100.0 * change for change in CHANGES]
-    names = [name for name in PARAMETER_NAMES if passive[name][-1] > 0.0]
-    names.sort(key=lambda name: -passive[name][-1])
+    names = _strongest(passive)
     for place, part in enumerate((names[:5], names[5:])):
         a = axes[0, place]
         for number, name in enumerate(part):
@@ -109,42 +108,73 @@ def _figure(passive: dict[str, list[float]]) -> Picture:
                 color=INK[number],
                 label=name,
             )
+            a.plot(percent[-1:], facts.SENSITIVITY[name], "x", color=INK[number], ms=6)
         a.set_xlabel("Change of the parameter [%]")
         a.legend(loc="lower right", ncols=2)
     axes[0, 0].set_ylabel("Sum of squared change [N²]")
     return Picture(
         "sensitivity",
-        "Sum of the squared change of the force (thesis Fig. 42–52 b), 2.5 mm, 1 Hz, 0 A; I0, I1, "
-        "a2, a3, k2, k3 are zero.",
+        "Sum of the squared change of the force (thesis Fig. 42–52 b), 2.5 mm, 1 Hz, 0 A; crosses: "
+        "tables 13 and 14. I0, I1, a2, a3, k2, k3 have no effect.",
         figure,
     )
 
 
 def _loops_figure() -> Picture:
-    condition = find(CONDITION)
-    shown = ("f0", "k5", "k1e", "k1c", "k0", "k4", "a0", "a1")
-    figure, axes = panels(2, 4, 7.0, 3.6, sharex=True, sharey=True)
-    for place, name in enumerate(shown):
-        a = axes.ravel()[place]
-        for number, change in enumerate((0.0, 0.10, 0.20)):
-            values = parameters(condition).copy()
-            values[PARAMETER_NAMES.index(name)] *= 1.0 + change
-            turn = loop(values, condition)
-            a.plot(
-                1e3 * turn.velocity,
-                turn.force,
-                ls=DASHES[number],
-                color=(INK[0], INK[2], INK[1])[number],
-                label=f"+{100 * change:.0f} %",
-            )
-        a.set_title(name)
-    for a in axes[-1]:
-        a.set_xlabel("Velocity [mm/s]")
-    for a in axes[:, 0]:
-        a.set_ylabel("Force [N]")
+    figure, axes = panels(1, 4, 7.0, 2.1, sharex=True, sharey=True)
+    for a, name in zip(axes[0], ("f0", "k5", "k1e", "k1c"), strict=True):
+        for number, change in enumerate(_DRAWN):
+            turn = _changed(name, change)
+            a.plot(1e3 * turn.velocity, turn.force, label=f"+{100 * change:.0f} %", **_line(number))
+        a.set(title=name, xlabel="Velocity [mm/s]")
+    axes[0, 0].set_ylabel("Force [N]")
     axes[0, 0].legend(loc="upper left", fontsize=6.5, handlelength=1.8)
     return Picture(
         "sensitivity_loops",
-        "Loops with one parameter changed (thesis Fig. 42–52 a), 2.5 mm, 1 Hz, 0 A.",
+        "Loops with one of the four strongest parameters changed (thesis Fig. 42, 47, 48, 51 a), "
+        "2.5 mm, 1 Hz, 0 A.",
         figure,
     )
+
+
+def _changes_figure(passive: dict[str, list[float]]) -> Picture:
+    figure, axes = panels(2, 5, 7.4, 3.6, sharex=True)
+    for a, name in zip(axes.ravel(), _strongest(passive), strict=True):
+        for number, change in enumerate(_DRAWN[1:], start=1):
+            turn = _changed(name, change)
+            moved = turn.force - _changed(name, 0.0).force
+            a.plot(1e3 * turn.velocity, moved, label=f"+{100 * change:.0f} %", **_line(number))
+        a.set_title(name)
+        a.locator_params(axis="y", nbins=4)
+    for a in axes[-1]:
+        a.set_xlabel("Velocity [mm/s]")
+    for a in axes[:, 0]:
+        a.set_ylabel("Change of force [N]")
+    legend_above(figure, axes[0, 0], 2)
+    return Picture(
+        "sensitivity_changes",
+        "Change of the force where one parameter is changed, for all that have an effect at 0 A "
+        "(thesis Fig. 42–52), 2.5 mm, 1 Hz. Mind the scales: those of the first row reach from "
+        "twenty newtons to a few, those of the last panels are below one.",
+        figure,
+    )
+
+
+_DRAWN = (0.0, 0.10, 0.20)
+
+
+def _line(number: int) -> dict[str, Any]:
+    return {"ls": DASHES[number], "color": (INK[0], INK[2], INK[1])[number]}
+
+
+def _changed(name: str, change: float) -> Loop:
+    condition = find(CONDITION)
+    values = parameters(condition).copy()
+    values[PARAMETER_NAMES.index(name)] *= 1.0 + change
+    return loop(values, condition)
+
+
+def _strongest(sums: dict[str, list[float]]) -> list[str]:
+    """Parameters with an effect, the strongest first."""
+    names = [name for name in PARAMETER_NAMES if sums[name][-1] > 0.0]
+    return sorted(names, key=lambda name: -sums[name][-1])

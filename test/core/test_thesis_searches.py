@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -12,7 +16,15 @@ from mr_damper_ros.rig.thesis import find, parameters
 from mr_damper_ros.thesis import facts, observability, optimisers, repeated, sensitivity
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.de import STRATEGIES, evolve
-from mr_damper_ros.thesis.report import Chapter, Compared, Table, Text, shown, write_report
+from mr_damper_ros.thesis.report import (
+    Chapter,
+    Compared,
+    Table,
+    Text,
+    shown,
+    with_error,
+    write_report,
+)
 from mr_damper_ros.thesis.runs import cycle
 from mr_damper_ros.thesis.style import styled
 from mr_damper_ros.tools import reproduce
@@ -89,6 +101,56 @@ def test_results_do_not_depend_on_workers_and_are_kept(tmp_path, monkeypatch):
     again = Campaign(Settings(tmp_path / "one")).each("evolution", counted, tasks)
     assert again == one
     assert len(calls) == 1
+
+
+def test_tables_do_not_depend_on_the_number_of_workers(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(repeated, "GENERATIONS", 20)
+    tables = []
+    for workers in ("1", "2"):
+        folder = tmp_path / workers
+        words = ["--quick", "--runs", "2", "--seed", "3", "--only", "repeated"]
+        assert reproduce.main([*words, "--workers", workers, "--output", str(folder)]) == 0
+        tables.append({p.name: p.read_bytes() for p in (folder / "tables").iterdir()})
+    assert capsys.readouterr().out.count("report.html") == 2
+    assert "repeated_variance.csv" in tables[0]
+    assert tables[0] == tables[1]
+
+
+PROGRAM = """
+import sys, time
+from pathlib import Path
+from mr_damper_ros.thesis.campaign import Campaign, Settings
+def task(place, seconds):
+    time.sleep(seconds)
+    return place
+def say(text):
+    print(text, flush=True)
+if __name__ == "__main__":
+    campaign = Campaign(Settings(Path(sys.argv[1]), workers=2), say)
+    seconds = [0, 0, float(sys.argv[2]), float(sys.argv[2])]
+    campaign.each("name", task, [{"place": k, "seconds": s} for k, s in enumerate(seconds)])
+"""
+
+
+# Ctrl-C waits for the tasks that run; a kill must not.
+@pytest.mark.parametrize(("stop", "seconds"), [(signal.SIGINT, "1"), (signal.SIGKILL, "600")])
+def test_a_stopped_campaign_keeps_what_is_done_and_leaves_no_process(tmp_path, stop, seconds):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    command = [sys.executable, str(program), str(tmp_path), seconds]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout is not None
+        said = [process.stdout.readline() for _ in range(2)]
+        process.send_signal(stop)
+        # The workers hold the standard output too: it ends with the last of them.
+        assert process.stdout.read() == ""
+    assert said == ["name: 1 of 4\n", "name: 2 of 4\n"]
+    assert process.returncode == -stop
+    (file,) = (tmp_path / "data").iterdir()
+    kept = [json.loads(line)[1] for line in file.read_text().splitlines() if line]
+    assert sorted(kept) == [0, 1]
 
 
 def test_seeds_differ_between_runs_and_purposes(tmp_path):
@@ -168,10 +230,33 @@ def test_relative_difference(ours, thesis, difference):
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(None, "–"), (3, "3"), (-0.5, "−0.5"), (1234567.0, "1.23·10^6"), (float("nan"), "–")],
+    [
+        (None, "–"),
+        (3, "3"),
+        (0.0, "0"),
+        (-0.5, "−0.5000"),
+        (999.96, "1000"),
+        (23456.7, "23457"),
+        (1234567.0, "1.23·10⁶"),
+        (-1.5e-12, "−1.50·10⁻¹²"),
+        (float("nan"), "–"),
+        ("as it is", "as it is"),
+    ],
 )
 def test_cells(value, text):
     assert shown(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (586.73, 6.72, "586.7 ± 6.7"),
+        (-1.8449, 0.0131, "−1.845 ± 0.013"),
+        (1234.0, 350.0, "1234 ± 350"),
+    ],
+)
+def test_values_with_errors(value, error, text):
+    assert with_error(value, error) == text
 
 
 def test_report_needs_nothing_from_outside_and_shows_the_numbers(tmp_path):
