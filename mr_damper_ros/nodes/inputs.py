@@ -18,6 +18,9 @@ from mr_damper_ros.streaming.blocks import BlockError, BlockSequence, SampleBloc
 SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"
 
+_PACE_TOLERANCE = 0.2
+"""Blocks of a tenth of a second make the number in a second uncertain by so much."""
+
 _SILENCE = 2.0
 """Seconds without a message after which a stream counts as silent."""
 
@@ -50,6 +53,11 @@ class Stream:
             f"a message on {self._topic} is ignored: {reason}", throttle_duration_sec=10.0
         )
 
+    @property
+    def silent(self) -> bool:
+        """Whether nothing has come for a while, or ever."""
+        return self._last is None or time.monotonic() - self._last >= _SILENCE
+
     def take_rate(self) -> float:
         """Samples per second since the last call."""
         now = time.monotonic()
@@ -62,7 +70,7 @@ class Stream:
         rejected, self._rejected_since = self._rejected_since, 0
         if rejected:
             return f"{rejected} messages on {self._topic} could not be used: {self._rejection}"
-        if self._last is not None and time.monotonic() - self._last < _SILENCE:
+        if not self.silent:
             return ""
         if self._node.count_publishers(self._topic) == 0:
             return f"nobody publishes {self._topic}: is the bridge running in this namespace?"
@@ -110,6 +118,11 @@ class Inputs:
         self._current.accept(1)
         self._on_current(to_nanoseconds(message.header.stamp), message.current)
 
+    @property
+    def silent(self) -> bool:
+        """Whether no samples have come for a while, or ever."""
+        return self._samples.silent
+
     def samples_finding(self, sequence: BlockSequence) -> Finding:
         """How the samples come in, and how they followed each other in the node's ``sequence``."""
         rate, fault = self._samples.take_rate(), self._samples.take_fault()
@@ -121,7 +134,7 @@ class Inputs:
                 fault += f" ({interruptions} interruptions of the stream since the last report)"
         return Finding(
             WARN if fault else OK,
-            fault or f"{rate:.0f} samples/s",
+            fault or f"{rate:.0f} samples/s{_pace(rate, sequence)}",
             {
                 "samples/s": f"{rate:.1f}",
                 "lost": sequence.lost_samples,
@@ -143,3 +156,11 @@ class Inputs:
                 "rejected messages": self._current.rejected,
             },
         )
+
+
+def _pace(rate: float, sequence: BlockSequence) -> str:
+    """A remark where samples come faster or slower than their period says; empty elsewhere."""
+    pace = rate * sequence.last.period if sequence.last else 0.0
+    if abs(pace - 1.0) <= _PACE_TOLERANCE or rate == 0.0:
+        return ""
+    return f", {pace:.2g} times what their period says: is this a replay at another rate?"

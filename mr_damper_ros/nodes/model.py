@@ -229,8 +229,8 @@ class Model(Node):
     def _prediction_finding(self) -> Finding:
         nrmse = self._error.nrmse
         values = {"NRMSE": f"{nrmse:.4f}"}
-        if self._last is None:
-            return Finding(STALE, "nothing to predict yet", values)
+        if self._last is None or self._inputs.silent:
+            return Finding(STALE, "nothing to predict: no samples come", values)
         if not self._last.valid:
             return Finding(WARN, f"not valid: {self._last.reason}", values)
         if math.isnan(nrmse):
@@ -239,6 +239,8 @@ class Model(Node):
 
     def _latency_finding(self) -> Finding:
         slowest, self._slowest = self._slowest, 0.0
+        if slowest == 0.0:
+            return Finding(STALE, "no block since the last report")
         return Finding(
             OK,
             f"at most {1e3 * slowest:.2f} ms from a block to its prediction",

@@ -205,7 +205,10 @@ class ForcePredictor:
         assert last is not None
         age = (block.end_ns - last) / NANOSECONDS
         if age > self._settings.current_timeout:
-            return f"the supply current is {age:.1f} s old: is it still published?"
+            return (
+                f"the supply current is {age:.1f} s old: is it still published, with stamps on the "
+                "clock of the samples?"
+            )
         limit = self._settings.parameters_timeout
         if limit > 0.0 and self._confirmed_ns is not None:
             age = (block.end_ns - self._confirmed_ns) / NANOSECONDS

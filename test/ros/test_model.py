@@ -369,7 +369,7 @@ def test_identifier_and_model_follow_a_damper_of_another_model(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_it_ends_cleanly(start: Any, listener: Listener, number: signal.Signals) -> None:
     model = start("model")
-    listener.wait_for_finding("model: latency", "ms from a block")
+    listener.wait_for_finding("model: latency", "no block since the last report")
     model.stop(number)
 
 
