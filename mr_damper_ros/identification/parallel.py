@@ -170,6 +170,10 @@ def _begin(stop: Any, told: SimpleQueue[tuple[int, Any]]) -> None:
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    # The parent may have died before that was said.
+    parent = multiprocessing.parent_process()
+    if parent is not None and not parent.is_alive():
+        os._exit(1)
 
 
 def _call(function: Callable[[Task, Tell], Result], task: Task, index: int) -> Result:
