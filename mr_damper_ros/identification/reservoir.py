@@ -64,6 +64,5 @@ class Reservoir:
             older = 0
         if older is not None:
             del self._windows[older], self._points[older]
-        stride = max(window.sample_count // _MOST_SAMPLES, 1)
-        self._windows.append(window.part(slice(None, None, stride)))
+        self._windows.append(window.thinned(_MOST_SAMPLES))
         self._points.append(fit.operating_point)

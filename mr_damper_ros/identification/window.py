@@ -98,7 +98,8 @@ class Window:
         coarser = following_stride(whole.motion, whole.period)
         motion = whole.part(slice(None, None, coarser))
         coarse = Window(motion.motion, motion.force, motion.current, coarser * whole.period)
-        return replace(few, places=few.places / coarser, whole=coarse)
+        places = np.minimum(few.places / coarser, coarse.sample_count - 1.0)
+        return replace(few, places=places, whole=coarse)
 
     @property
     def _places(self) -> Array:
