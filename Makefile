@@ -10,7 +10,7 @@ export PYTHON
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
-.PHONY: help setup demo thesis bench test test-noble lint format clean distclean
+.PHONY: help setup demo thesis bench soak test test-noble lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -32,6 +32,11 @@ bench: setup ## Measure the figures of the identification; writes build/bench.js
 	@. ./env.bash
 	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 	exec python -m benchmarks.bench $(ARGS)
+
+soak: setup ## Kill, stream for hours, feed what is hostile: an hour; writes build/soak.json
+	@. ./env.bash
+	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+	exec python -m benchmarks.soak $(ARGS)
 
 test: setup ## Run all tests: core, packaging, and nodes over real DDS
 	@. ./env.bash
