@@ -17,7 +17,7 @@ from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.dependency import sound_conditions
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
-from mr_damper_ros.thesis.runs import window
+from mr_damper_ros.thesis.runs import title, window
 from mr_damper_ros.thesis.style import GREY, INK, MARKS, panels
 
 SAMPLES = 500
@@ -229,7 +229,7 @@ def _parameters(data: dict[str, Any]) -> Table:
         rows.append((model.title, text.replace("-", "−")))
     return Table(
         "model_parameters",
-        f"Identified parameters of {_SHOWN.replace('_', ' ')}.",
+        f"Identified parameters of {title(_SHOWN)}.",
         ("Model", "Parameters"),
         rows,
     )
@@ -276,6 +276,6 @@ def _loops_figure(shown: dict[str, Any]) -> Picture:
         a.set_ylabel("Force [N]")
     return Picture(
         "model_loops",
-        f"Loops of the models (lines) on {_SHOWN.replace('_', ' ')}, re-synthesised (dots).",
+        f"Loops of the models (lines) on {title(_SHOWN)}, re-synthesised (dots).",
         figure,
     )

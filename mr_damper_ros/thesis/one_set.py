@@ -29,6 +29,9 @@ GENERATIONS = 500
 _KEPT, _QUICK_KEPT = 4, 16
 """One sample in so many of a re-synthesised run is used."""
 
+_OPEN = 100.0
+"""A standard error of so many times the value says that nothing is known."""
+
 
 def resynthesised(
     names: list[str], noise_seed: int, keep: int, law: str, generations: int
@@ -177,13 +180,16 @@ def show(data: dict[str, Any]) -> list[Block]:
             ),
             rows,
         ),
-        _errors_figure(data),
+        _errors_figure(runs, "one_set", "sound condition, re-synthesised"),
         _loops_figure(data),
         _parameters(data),
         _errors(runs, "one_set_errors", "condition"),
     ]
     if real is not None:
-        blocks.append(_errors(real, "one_set_errors_recorded", "real record (utfsm)"))
+        blocks += [
+            _errors_figure(real, "one_set_recorded", "real record (utfsm)"),
+            _errors(real, "one_set_errors_recorded", "real record (utfsm)"),
+        ]
     return blocks
 
 
@@ -211,15 +217,17 @@ def _parameters(data: dict[str, Any]) -> Table:
         rows.append((name, units[name], *cells))
     return Table(
         "one_set_parameters",
-        "The sets with their standard errors, which follow from the misfit. “Held”: not "
-        "determined by the data, so it keeps its start.",
+        "The sets with their standard errors, which follow from the misfit. “Open”: the data do "
+        "not determine the parameter.",
         ("Parameter", "Unit", *(head for head, _ in columns)),
         rows,
     )
 
 
 def _with_error(value: float, error: float | None) -> str:
-    return f"{shown(value)}, held" if not error else with_error(value, error)
+    if not error or error > _OPEN * abs(value):
+        return f"{shown(value)}, open"
+    return with_error(value, error)
 
 
 def _errors(part: dict[str, Any], name: str, kind: str) -> Table:
@@ -252,23 +260,16 @@ def _label(name: str) -> str:
     return title(name) if "_" in name else name.replace("x", ".")
 
 
-def _errors_figure(data: dict[str, Any]) -> Picture:
-    parts = [part for part in (data["runs"], data["records"]) if part is not None]
-    figure, axes = panels(len(parts), 1, 7.0, 3.2 * len(parts))
-    for a, part in zip(axes[:, 0], parts, strict=True):
-        x = np.arange(len(part["names"]))
-        for number, (law, grey) in enumerate(zip(LAWS, ("0.75", "0.25"), strict=True)):
-            percent = 100.0 * np.array(part["laws"][law]["nrmse"])
-            a.bar(x + 0.4 * (number - 0.5), percent, 0.4, color=grey, label=MODELS[law].title)
-        a.set_xticks(x, [_label(name) for name in part["names"]], rotation=90, fontsize=6.5)
-        a.set(ylabel="NRMSE [%]", xlim=(-0.8, x.size - 0.2))
-    axes[0, 0].legend(loc="upper right")
-    return Picture(
-        "one_set",
-        "Error of one set in every condition: re-synthesised runs"
-        + (", and real records (utfsm) below." if len(parts) > 1 else "."),
-        figure,
-    )
+def _errors_figure(part: dict[str, Any], name: str, kind: str) -> Picture:
+    figure, axes = panels(1, 1, 7.0, 3.0)
+    a, x = axes[0, 0], np.arange(len(part["names"]))
+    for number, (law, grey) in enumerate(zip(LAWS, ("0.75", "0.25"), strict=True)):
+        percent = 100.0 * np.array(part["laws"][law]["nrmse"])
+        a.bar(x + 0.4 * (number - 0.5), percent, 0.4, color=grey, label=MODELS[law].title)
+    a.set_xticks(x, [_label(entry) for entry in part["names"]], rotation=90, fontsize=6.5)
+    a.set(ylabel="NRMSE [%]", xlim=(-0.8, x.size - 0.2))
+    legend_above(figure, a, 2)
+    return Picture(name, f"Error of one set in every {kind}.", figure)
 
 
 def _loops_figure(data: dict[str, Any]) -> Picture:
