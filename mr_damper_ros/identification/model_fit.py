@@ -25,6 +25,9 @@ from mr_damper_ros.identification.window import Window
 _STEP = 1e-6
 """Step of a difference, relative to the size of the parameter."""
 
+_MOST_STEPS = 40
+"""Of a search: a step costs as many evaluations of the force as there are unknowns."""
+
 _INSIDE = 1e-3
 """Distance from a bound at which a search starts at least, relative to the parameter's size."""
 
@@ -195,11 +198,11 @@ def fit_model(
         # "not <=" also holds for a cost that is not a number.
         if start is None or not _mean_square(begin(start)) <= POOR_START * spread**2:
             for candidate in cold_starts(model, window):
-                begin(candidate).least_squares(tolerance=_ROUGHLY)
+                begin(candidate).least_squares(tolerance=_ROUGHLY, most_steps=_MOST_STEPS)
         search = min(searches, key=_mean_square)
         if method == "nelder_mead":
             search.nelder_mead()
-        search.least_squares(tolerance=_FINELY)
+        search.least_squares(tolerance=_FINELY, most_steps=_MOST_STEPS)
         if robust:
             weights = search.reweighted_least_squares()
     except StopRequestedError:

@@ -27,6 +27,8 @@ _MOST_RESTARTS = 5
 _HUBER = 1.345
 """Huber's constant: 95 % efficiency where the noise is normal after all."""
 
+_MOST_STEPS = 300
+
 _LAST_DIGITS = 1.5e-8
 """Relative tolerance of MINPACK: half of the digits there are."""
 
@@ -109,7 +111,12 @@ class LocalSearch:
             if np.max(np.abs(result.x)) < _FAR:
                 return
 
-    def least_squares(self, weights: Array | None = None, tolerance: float = _LAST_DIGITS) -> None:
+    def least_squares(
+        self,
+        weights: Array | None = None,
+        tolerance: float = _LAST_DIGITS,
+        most_steps: int = _MOST_STEPS,
+    ) -> None:
         """Levenberg-Marquardt (MINPACK) from the best so far; ``weights`` (n,) on the squares.
 
         It ends where a step lowers the sum of squares by less than the part ``tolerance`` of it.
@@ -133,7 +140,7 @@ class LocalSearch:
             full_output=True,
             ftol=tolerance,
             xtol=_LAST_DIGITS,
-            maxfev=300,
+            maxfev=most_steps,
         )
         if weights is not None:
             self.best = found

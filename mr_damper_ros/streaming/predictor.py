@@ -88,10 +88,12 @@ class ForcePredictor:
 
         ``confirmed_ns`` is the stamp of the last sample that it is known to fit; None for a set
         that does not age, such as one that a user gave. What the model remembers of the motion
-        stays, unless the set is of another model.
+        is found anew with this set; one of another model begins without.
         """
         if self._stream is not None and self._stream.model.name != parameters.model:
             self._stream = None
+        if self._stream is not None:
+            self._stream.retrace(parameters.values)
         self._foreseen = None
         self._parameters = parameters
         self._confirmed_ns = confirmed_ns

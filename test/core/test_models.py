@@ -135,6 +135,18 @@ def test_a_lagging_force_does_not_jump_where_the_parameters_change():
     np.testing.assert_allclose(after[100:], settled[100:], atol=1e-3)
 
 
+def test_a_retraced_state_is_that_of_the_newer_parameters():
+    _, _, changed = changed_on_the_way("sigmoid_lag", "f0", 2.0)
+    w, model = motion(1000), MODELS["sigmoid_lag"]
+    stream = model.stream(PERIOD)
+    for first in range(0, 800, 50):
+        stream.follow(EXAMPLES["sigmoid_lag"], cut(w, first, first + 50), 1.0)
+    stream.retrace(changed)
+    after = stream.follow(changed, cut(w, 800, 1000), 1.0)
+    whole = model.force(changed, w, 1.0, PERIOD)
+    np.testing.assert_allclose(after, whole[800:], rtol=0.0, atol=1e-6)
+
+
 AMPLITUDE, OMEGA = 5e-3, 2.0 * np.pi
 
 

@@ -279,6 +279,17 @@ def test_a_newer_set_of_the_same_model_goes_on_with_its_state() -> None:
     assert {p.reason for p in rest} == {""}
 
 
+def test_a_newer_set_is_not_spoilt_by_the_lagging_force_of_the_older() -> None:
+    blocks = stream()
+    wild = known.EXAMPLES["sigmoid_lag"].copy()
+    wild[0] *= -50.0
+    made = predictor(ParameterSet(wild, model="sigmoid_lag"))
+    predicted(made, blocks[:333])
+    made.set_parameters(set_of("sigmoid_lag"))
+    usual = forces(predicted(predictor(set_of("sigmoid_lag")), blocks))[3330:]
+    np.testing.assert_allclose(forces(predicted(made, blocks[333:])), usual, rtol=0.0, atol=1e-6)
+
+
 def test_another_model_is_doubtful_until_it_knows_its_past() -> None:
     made, blocks = predictor(), stream()
     predicted(made, blocks[:333])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -129,10 +130,14 @@ class Model:
         return ForceStream(self, period)
 
 
+_KEPT = 0.5
+"""Seconds of motion from which a state is found anew: lag and hysteresis forget sooner."""
+
+
 class ForceStream:
     """Force of a motion that goes on: the same as in one piece, however it is cut into blocks.
 
-    The state is that of the damper, not of the parameters, and goes on where these change.
+    The state goes on where the parameters change, unless :meth:`retrace` finds it anew.
     """
 
     def __init__(self, model: Model, period: float) -> None:
@@ -141,6 +146,9 @@ class ForceStream:
         self.model = model
         self._period = period
         self._state: State | None = None
+        # Blocks of the last while, each with the state before it, and the samples in them.
+        self._past: deque[tuple[State | None, MotionLike, Array]] = deque()
+        self._past_count = 0
 
     @property
     def remembers(self) -> bool:
@@ -161,6 +169,26 @@ class ForceStream:
                 f"({', '.join(self.model.parameter_names)}): got shape {values.shape}"
             )
         amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
+        if self.model.remembers:
+            self._keep(motion, amperes)
         with np.errstate(over="ignore", invalid="ignore"):
             force, self._state = self.model.law(values, motion, amperes, self._period, self._state)
         return force
+
+    def _keep(self, motion: MotionLike, amperes: Array) -> None:
+        self._past.append((self._state, motion, amperes))
+        self._past_count += amperes.size
+        while (self._past_count - self._past[0][2].size) * self._period >= _KEPT:
+            self._past_count -= self._past.popleft()[2].size
+
+    def retrace(self, parameters: ArrayLike) -> None:
+        """Follow the last half second once more, with other parameters.
+
+        What the model remembers is then what it would be had these been in use; a lagging force,
+        for one, would else be that of the old parameters for a while.
+        """
+        past, self._past, self._past_count = self._past, deque(), 0
+        if past:
+            self._state = past[0][0]
+        for _, motion, amperes in past:
+            self.follow(parameters, motion, amperes)
