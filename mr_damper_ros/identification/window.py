@@ -62,10 +62,21 @@ class Window:
 
     @classmethod
     def from_samples(
-        cls, displacement: Array, force: Array, current: Array | float, period: float
+        cls,
+        displacement: Array,
+        force: Array,
+        current: Array | float,
+        period: float,
+        peak_velocity: Array | None = None,
     ) -> Window:
-        """Window of samples taken every ``period`` [s]; see :func:`window_motion` for errors."""
+        """Window of samples taken every ``period`` [s]; see :func:`window_motion` for errors.
+
+        ``peak_velocity`` (n,) [m/s], where it is known from what went before the window, takes the
+        place of the window's own unless the motion is a sine.
+        """
         motion = window_motion(displacement, period)
+        if peak_velocity is not None and motion.sine is None:
+            motion = replace(motion, peak_velocity=peak_velocity)
         amperes = np.broadcast_to(np.asarray(current, float), np.shape(force))
         return cls(motion, force, amperes, period)
 

@@ -2,7 +2,8 @@
 
 A steady sinusoid is described by its fitted sine, whose derivatives carry almost no noise.
 Any other motion is differentiated by a local polynomial (Savitzky and Golay, 1964) whose length
-follows from the data. Which of the two is used is decided by the residual of the sine fit.
+follows from the data. Which of the two is used is decided by the residual of the sine fit. The
+peak velocity of any motion is that of :mod:`mr_damper_ros.kinematics.peak_velocity`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array, peak_velocity
+from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.sine import Sine, fit_sine
 
 SINE_TOLERANCE = 2e-3
@@ -146,6 +148,6 @@ def window_motion(displacement: Array, period: float) -> Motion:
         displacement=centred,
         velocity=velocity,
         acceleration=acceleration,
-        peak_velocity=peak_velocity(centred, velocity, acceleration),
+        peak_velocity=peak_velocity_of_window(velocity, period),
         sine=None,
     )

@@ -15,9 +15,16 @@ from typing import Protocol
 import numpy as np
 
 from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, force, peak_velocity
+from mr_damper_ros.damper.sigmoid import (
+    PARAMETER_NAMES,
+    Array,
+    force_from_coefficients,
+    operating_point_coefficients,
+    peak_velocity,
+)
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.rig.excitation import Excitation, Kinematics
+from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
+from mr_damper_ros.rig.excitation import Excitation, Sine
 from mr_damper_ros.rig.recording import DEFAULT_START_NS, Recording
 from mr_damper_ros.streaming.blocks import NANOSECONDS
 
@@ -45,7 +52,7 @@ def scaled(parameters: Array, factor: float) -> Array:
 class Damper(Protocol):
     """What is in the machine."""
 
-    def force(self, motion: Kinematics, current: Array, celsius: float) -> Array:
+    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
         """Force [N], shape (n,); the displacement is measured from the centre of the motion."""
 
 
@@ -55,9 +62,9 @@ class ConstantDamper:
 
     parameters: Array
 
-    def force(self, motion: Kinematics, current: Array, celsius: float) -> Array:
+    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
         """Force [N], shape (n,)."""
-        return force(self.parameters, *motion, current)
+        return _force(self.parameters, motion, current)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +90,17 @@ class TemperatureDependentDamper:
                 f"{self.cold_celsius} °C"
             )
 
-    def force(self, motion: Kinematics, current: Array, celsius: float) -> Array:
+    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
         """Force [N], shape (n,)."""
         weight = (celsius - self.cold_celsius) / (self.hot_celsius - self.cold_celsius)
         weight = min(max(weight, 0.0), 1.0)
-        cold = force(self.cold, *motion, current)
-        return cold + weight * (force(self.hot, *motion, current) - cold)
+        cold = _force(self.cold, motion, current)
+        return cold + weight * (_force(self.hot, motion, current) - cold)
+
+
+def _force(parameters: Array, motion: Motion, current: Array) -> Array:
+    coefficients = operating_point_coefficients(parameters, motion.peak_velocity, current)
+    return force_from_coefficients(coefficients, motion.velocity, motion.acceleration)
 
 
 class ModelDamper:
@@ -103,13 +115,12 @@ class ModelDamper:
         self._stream = parameters.law.stream(period)
         self._hot_force = hot_force
 
-    def force(self, motion: Kinematics, current: Array, celsius: float) -> Array:
+    def force(self, motion: Motion, current: Array, celsius: float) -> Array:
         """Force [N], shape (n,)."""
         weight = float(np.interp(celsius, (_COLD, _HOT), (0.0, 1.0)))
         values = self._parameters.values.copy()
         values[self._parameters.law.strength_indices] *= 1.0 + weight * (self._hot_force - 1.0)
-        whole = Motion(*motion, peak_velocity=peak_velocity(*motion), sine=None)
-        return self._stream.follow(np.clip(values, *self._parameters.law.bounds), whole, current)
+        return self._stream.follow(np.clip(values, *self._parameters.law.bounds), motion, current)
 
 
 @dataclass(frozen=True)
@@ -235,6 +246,11 @@ class RigSettings:
         return 1.0 / self.sample_rate
 
 
+def _is_sine(excitation: Excitation) -> bool:
+    """Whether the peak velocity is known at every sample, and need not be waited for."""
+    return isinstance(excitation, Sine) and excitation.triangularity == 0.0
+
+
 class EmulatedRig:
     """A damper in a test machine, sample by sample.
 
@@ -263,6 +279,7 @@ class EmulatedRig:
         self._settings = settings or RigSettings()
         self._thermal = thermal
         self._events = tuple(events)
+        self._peak = None if _is_sine(excitation) else self._peak_before_the_start()
         self._rng = np.random.default_rng(self._settings.seed)
         self._celsius = thermal.initial if thermal else 28.0
         self._made = 0
@@ -311,24 +328,38 @@ class EmulatedRig:
         # the stream is cut into blocks.
         period = self._settings.period
         time = np.arange(self._made, self._made + _CHUNK, dtype=np.float64) * period
-        motion = self._excitation.at(time)
+        displacement, velocity, acceleration = self._excitation.at(time)
         current = self._current.at(time)
-        centred = motion._replace(displacement=motion.displacement - self._excitation.centre)
-        true_force = self._damper.force(centred, current, self._celsius) * self._factor(time)
+        centred = displacement - self._excitation.centre
+        v_m = (
+            peak_velocity(centred, velocity, acceleration)
+            if self._peak is None
+            else self._peak.follow(velocity)
+        )
+        motion = Motion(centred, velocity, acceleration, v_m, sine=None)
+        true_force = self._damper.force(motion, current, self._celsius) * self._factor(time)
         celsius = np.full(_CHUNK, self._celsius)
         if self._thermal is not None:
-            power = float(np.mean(true_force * motion.velocity))
+            power = float(np.mean(true_force * velocity))
             self._celsius = self._thermal.after(self._celsius, power, _CHUNK * period)
         noise = self._rng.standard_normal((2, _CHUNK))
         self._made += _CHUNK
         return np.stack(
             [
-                motion.displacement + self._settings.displacement_noise * noise[1],
+                displacement + self._settings.displacement_noise * noise[1],
                 true_force + self._settings.force_noise * noise[0],
                 current,
                 celsius,
             ]
         )
+
+    def _peak_before_the_start(self) -> PeakVelocity:
+        """The motion has gone on for long when the recording begins."""
+        period = self._settings.period
+        before: Array = np.arange(-round(MEMORY / period), 0, dtype=np.float64) * period
+        peak = PeakVelocity(period)
+        peak.follow(self._excitation.at(before).velocity)
+        return peak
 
     def _factor(self, time: Array) -> Array:
         factor = np.ones(time.size)

@@ -11,6 +11,7 @@ import numpy as np
 from mr_damper_ros.damper.sigmoid import Array, peak_velocity
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.kinematics.sine_follower import SineFollower
 from mr_damper_ros.streaming.centre import MotionCentre
 
@@ -33,6 +34,7 @@ class MotionFollower:
         possible = float(np.clip(bandwidth, *possible_bandwidths(period)))
         self._differentiator = CausalDifferentiator(period, possible)
         self._centre = MotionCentre(centre_memory, period)
+        self._peak = PeakVelocity(period, centre_memory)
         self._sine = SineFollower(period, centre_memory)
         self._unlearned: Array | None = None
         self.foreseen: Motion | None = None
@@ -68,7 +70,7 @@ class MotionFollower:
         )
         if foreseen is not None and self._steady:
             return foreseen
-        return _motion(*self._observe(displacement))
+        return self._observe(displacement)
 
     def catch_up(self) -> None:
         """Learn from the last block what only those after it need; :meth:`follow` does it, too."""
@@ -82,14 +84,19 @@ class MotionFollower:
 
     def _foresee(self, count: int) -> None:
         sine = self._sine.ahead(count)
-        self.foreseen = None if sine is None else _motion(*sine)
+        self.foreseen = None if sine is None else _steady_motion(*sine)
 
-    def _observe(self, displacement: Array) -> tuple[Array, Array, Array]:
+    def _observe(self, displacement: Array) -> Motion:
         u, v, a = self._differentiator.follow(displacement)
-        return u - self._centre.follow(displacement), v, a
+        # What overshoots while the observer settles must not be remembered as a peak.
+        v_m = self._peak.follow(v) if self._differentiator.settled else np.abs(v)
+        centred = u - self._centre.follow(displacement)
+        return Motion(
+            displacement=centred, velocity=v, acceleration=a, peak_velocity=v_m, sine=None
+        )
 
 
-def _motion(displacement: Array, velocity: Array, acceleration: Array) -> Motion:
+def _steady_motion(displacement: Array, velocity: Array, acceleration: Array) -> Motion:
     return Motion(
         displacement=displacement,
         velocity=velocity,

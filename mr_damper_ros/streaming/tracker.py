@@ -216,7 +216,9 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
     if fault:
         return FitResult(task, fault)
     try:
-        window = Window.from_samples(raw.displacement, raw.force, raw.current, raw.period)
+        window = Window.from_samples(
+            raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
+        )
         fault = fault_of_motion(window.motion.velocity, window.force)
         if fault:
             return FitResult(task, fault)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.kinematics.peak_velocity import StreamPeakVelocity
 from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.streaming.held_current import KEEP_CURRENT, HeldCurrent
 
@@ -19,8 +20,9 @@ _WAIT_FOR_CURRENT = 64
 class RawWindow:
     """Samples of one window: arrays of shape (n,), SI units; ``temperature`` [°C], NaN unknown.
 
-    A look is a window cut early, to see whether its ``look`` newest samples still fit the running
-    set; 0 for a window to be fitted.
+    ``peak_velocity`` [m/s] is that of the stream, which knows what went before; None where the
+    window is all there is. A look is a window cut early, to see whether its ``look`` newest samples
+    still fit the running set; 0 for a window to be fitted.
     """
 
     start_ns: int
@@ -30,6 +32,7 @@ class RawWindow:
     current: Array
     temperature: float = math.nan
     look: int = 0
+    peak_velocity: Array | None = None
 
     @property
     def end_ns(self) -> int:
@@ -60,6 +63,7 @@ class WindowAssembler:
         self._hop = hop
         self._looks = looks
         self._sequence = BlockSequence()
+        self._peak: StreamPeakVelocity | None = None
         self._current = HeldCurrent(keep=max(KEEP_CURRENT, 2.0 * window))
         self._temperature = math.nan
         self._events: list[str] = []
@@ -68,6 +72,7 @@ class WindowAssembler:
 
     def _empty(self) -> None:
         self._blocks: list[SampleBlock] = []
+        self._peaks: list[Array] = []
         # Samples of the first block that lie before the present window, and those from there on.
         self._skip = 0
         self._count = 0
@@ -110,11 +115,14 @@ class WindowAssembler:
             return []
         if verdict.restarts:
             self._empty()
+        if self._peak is None or verdict.restarts:
+            self._peak = StreamPeakVelocity(block.period)
         if verdict.kind == "jump_back":
             # Windows that still wait belong to the time before the jump.
             self._waiting.clear()
             self._current.follow_jump()
         self._blocks.append(block)
+        self._peaks.append(self._peak.follow(block.displacement))
         self._count += block.sample_count
         self._cut()
         return self._ready()
@@ -153,6 +161,7 @@ class WindowAssembler:
                     current=np.full(length, math.nan),
                     temperature=self._temperature,
                     look=look,
+                    peak_velocity=np.concatenate(self._peaks)[self._skip : end],
                 )
             )
             self._count -= to_next - to_this
@@ -160,6 +169,7 @@ class WindowAssembler:
             self._part = (self._part + 1) % parts
             while self._blocks and self._skip >= self._blocks[0].sample_count:
                 self._skip -= self._blocks.pop(0).sample_count
+                self._peaks.pop(0)
 
     def _joined(self, name: str) -> Array:
         return np.concatenate([getattr(block, name) for block in self._blocks])

@@ -37,7 +37,8 @@ def window(name: str, *, sine: bool = True, noise: float = NOISE, seed: int = 0)
     force = MODELS[name].force(known.EXAMPLES[name], whole.motion, 1.0, known.PERIOD)
     force += np.random.default_rng(seed).normal(0.0, noise, force.size)
     late = slice(LEAD_IN, None)
-    return Window.from_samples(displacement[late], force[late], 1.0, known.PERIOD)
+    before = whole.motion.peak_velocity[late]
+    return Window.from_samples(displacement[late], force[late], 1.0, known.PERIOD, before)
 
 
 MOTIONS = pytest.mark.parametrize("sine", [True, False], ids=["sine", "random"])

@@ -32,7 +32,6 @@ from mr_damper_ros.rig.excitation import (
     Chirp,
     Excitation,
     ExcitationError,
-    Kinematics,
     SampledMotion,
     Sine,
 )
@@ -211,13 +210,14 @@ def test_a_leak_takes_its_share_of_the_force_from_its_time_on() -> None:
 
 def test_between_two_temperatures_the_force_is_interpolated() -> None:
     damper = TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS, 28.0, 71.0)
-    motion = SINE.at(np.linspace(0.0, 1.0, 200))
+    kinematics = SINE.at(np.linspace(0.0, 1.0, 200))
+    motion = Motion(*kinematics, sigmoid.peak_velocity(*kinematics), sine=None)
     cold, middle, hot = (
         damper.force(motion, np.full(200, 1.5), celsius) for celsius in (10.0, 49.5, 90.0)
     )
     np.testing.assert_allclose(middle, 0.5 * (cold + hot), rtol=1e-12)
-    np.testing.assert_allclose(cold, sigmoid.force(THESIS_28_CELSIUS, *motion, 1.5), rtol=1e-12)
-    np.testing.assert_allclose(hot, sigmoid.force(THESIS_71_CELSIUS, *motion, 1.5), rtol=1e-12)
+    np.testing.assert_allclose(cold, sigmoid.force(THESIS_28_CELSIUS, *kinematics, 1.5), rtol=1e-12)
+    np.testing.assert_allclose(hot, sigmoid.force(THESIS_71_CELSIUS, *kinematics, 1.5), rtol=1e-12)
 
 
 def test_scaled_parameters_scale_the_force() -> None:
@@ -292,7 +292,7 @@ def test_settings_out_of_range_are_refused(make: Any, sentence: str) -> None:
 
 def test_any_object_with_a_force_is_a_damper() -> None:
     class Dashpot:
-        def force(self, motion: Kinematics, current: np.ndarray, celsius: float) -> np.ndarray:
+        def force(self, motion: Motion, current: np.ndarray, celsius: float) -> np.ndarray:
             return 1000.0 * motion.velocity
 
     block = EmulatedRig(Dashpot(), SINE, 0.0, settings=SILENT).next_block(10)

@@ -17,11 +17,13 @@ from mr_damper_ros.damper.sigmoid import (
     Array,
     Coefficients,
     coefficient_jacobian,
-    force,
+    force_from_coefficients,
+    operating_point_coefficients,
 )
 from mr_damper_ros.identification.fit import METHODS, WindowFit, fit_window
 from mr_damper_ros.identification.search import LocalSearch
 from mr_damper_ros.identification.window import ScaleMisfit, Window
+from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.rig import thesis
 from mr_damper_ros.rig.excitation import BandLimitedRandom
 from mr_damper_ros.rig.thesis import Condition
@@ -267,7 +269,9 @@ def test_nelder_mead_finds_the_minimum_without_a_polish(start: Array) -> None:
 
 def test_random_motion_is_fitted_down_to_the_noise() -> None:
     motion = BandLimitedRandom(rms=4e-3, low=0.2, high=3.0, seed=2).at(np.arange(4000) * 1e-3)
-    clean = force(known.PLAUSIBLE, *motion, 0.8)
+    v_m = peak_velocity_of_window(motion.velocity, 1e-3)
+    coefficients = operating_point_coefficients(known.PLAUSIBLE, v_m, 0.8)
+    clean = force_from_coefficients(coefficients, motion.velocity, motion.acceleration)
     measured = clean + np.random.default_rng(1).normal(0.0, known.NOISE, clean.size)
     window = Window.from_samples(motion.displacement, measured, 0.8, 1e-3)
     assert window.motion.sine is None
