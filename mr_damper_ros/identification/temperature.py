@@ -159,6 +159,14 @@ def _schwarz(residual: Array, weights: Array, count: int) -> float:
     return residual.size * math.log(power) + count * math.log(residual.size)
 
 
+@dataclass(frozen=True, eq=False)
+class TemperatureHistory:
+    """What was seen at an operating point: temperature [°C], force scale and its error, (n, 3)."""
+
+    operating_point: OperatingPoint
+    seen: Array
+
+
 class TemperatureMaps:
     """Temperatures and force scales of accepted windows, and the maps that they identify.
 
@@ -166,10 +174,20 @@ class TemperatureMaps:
     the baselines, or the damper, have become others.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, histories: Iterable[TemperatureHistory] = ()) -> None:
+        """Begin with these histories, each of another operating point."""
         self._points: list[OperatingPoint] = []
         self._seen: list[list[tuple[float, float, float]]] = []
         self._maps: dict[int, TemperatureMap | None] = {}
+        for history in histories:
+            self._points.append(history.operating_point)
+            self._seen.append([(row[0], row[1], row[2]) for row in history.seen.tolist()])
+
+    @property
+    def histories(self) -> tuple[TemperatureHistory, ...]:
+        """All that is kept of what was seen."""
+        pairs = zip(self._points, self._seen, strict=True)
+        return tuple(TemperatureHistory(point, np.array(seen)) for point, seen in pairs)
 
     def add(self, operating_point: OperatingPoint, celsius: float, scale: ForceScale) -> None:
         """Take in a window, if its temperature [°C] and its force scale are known."""

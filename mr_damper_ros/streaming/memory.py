@@ -23,11 +23,15 @@ from mr_damper_ros.identification.acceptance import AcceptanceHistory
 from mr_damper_ros.identification.change import ChangeWatch
 from mr_damper_ros.identification.fit import WindowFit
 from mr_damper_ros.identification.reservoir import OperatingPoint
+from mr_damper_ros.identification.temperature import TemperatureHistory
 from mr_damper_ros.identification.unscented import FilterState
 from mr_damper_ros.identification.window import Window
 from mr_damper_ros.streaming.state import StateError
 
 T = TypeVar("T")
+
+_LARGEST = 1e6
+"""No temperature [°C] and no force scale [1] is beyond this."""
 
 _DATA = "float64"
 """Key of an array's doubles (little endian, base64); its shape goes with it."""
@@ -44,7 +48,7 @@ class TrackerMemory:
     since the last global identification; ``history`` of acceptance; ``baselines`` of the force
     scale; ``reservoir`` windows and their operating points (peak velocity [m/s], current [A]);
     ``state`` of the recursive filter; ``watch`` for changes; ``changed_ns``: begin of the last
-    sudden change.
+    sudden change; ``temperatures`` with the force scales that came with them.
     """
 
     windows: int = 0
@@ -57,6 +61,7 @@ class TrackerMemory:
     state: FilterState | None = None
     watch: ChangeWatch | None = None
     changed_ns: int = 0
+    temperatures: tuple[TemperatureHistory, ...] = ()
 
 
 def to_text(memory: TrackerMemory) -> str:
@@ -176,6 +181,13 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
     points = [fit.operating_point for fit in memory.baselines] + list(memory.reservoir_points)
     for window in memory.reservoir:
         yield from _window_soundness(window)
+    for warming in memory.temperatures:
+        points.append(warming.operating_point)
+        seen = warming.seen
+        sound = seen.ndim == 2 and seen.shape[0] > 0 and seen.shape[1] == 3
+        yield sound, "such a temperature history"
+        yield bool(np.all(np.abs(seen) < _LARGEST)), "such a temperature or force scale"
+        yield bool(np.all(seen[:, 1:] > 0.0)), "such a force scale"
     if state is not None:
         yield _square(state.scales, state.covariance), "such a covariance"
         yield bool(np.all(np.isfinite(state.scales))), "a value that is not finite"

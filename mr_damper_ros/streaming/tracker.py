@@ -43,12 +43,13 @@ from mr_damper_ros.identification.global_fit import (
     identify_global,
 )
 from mr_damper_ros.identification.model_fit import is_sigmoid, model_force, unsettled_samples
-from mr_damper_ros.identification.reservoir import Reservoir, nearest_same
+from mr_damper_ros.identification.reservoir import OperatingPoint, Reservoir, nearest_same
 from mr_damper_ros.identification.screening import (
     Screening,
     fault_of_motion,
     fault_of_samples,
 )
+from mr_damper_ros.identification.temperature import FluidTemperature, TemperatureMaps
 from mr_damper_ros.identification.unscented import (
     METHOD,
     FilterState,
@@ -182,7 +183,11 @@ class GlobalResult:
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """Outcome of one window or one global identification, as published; SI units."""
+    """Outcome of one window or one global identification, as published; SI units.
+
+    ``temperature`` is the measured one; where there is none, ``fluid`` is what the force tells of
+    it, once a map of force over temperature has been learnt at the operating point.
+    """
 
     window_start_ns: int
     stamp_ns: int
@@ -204,6 +209,7 @@ class Report:
     coefficients: Array
     coefficient_errors: Array
     global_due: bool
+    fluid: FluidTemperature = field(default_factory=FluidTemperature)
 
 
 def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> FitResult:
@@ -216,9 +222,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
     if fault:
         return FitResult(task, fault)
     try:
-        window = Window.from_samples(
-            raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
-        )
+        window = Window.from_samples(raw.displacement, raw.force, raw.current, raw.period)
         fault = fault_of_motion(window.motion.velocity, window.force)
         if fault:
             return FitResult(task, fault)
@@ -436,6 +440,7 @@ class WindowTracker:
             state=self._state,
             watch=self._watch,
             changed_ns=self._changed_ns,
+            temperatures=self._temperatures.histories,
         )
 
     def _remember(self, memory: TrackerMemory) -> None:
@@ -448,6 +453,7 @@ class WindowTracker:
         self._state = memory.state
         self._watch = memory.watch
         self._changed_ns = memory.changed_ns
+        self._temperatures = TemperatureMaps(memory.temperatures)
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
         """Go on where another tracker was, which may have had other settings.
@@ -520,7 +526,18 @@ class WindowTracker:
         if not reason:
             self._watch = result.watch
             self._accept(result.window, result.fit, result)
-        return self._report(result, reason, result.scale)
+        report = self._report(result, reason, result.scale)
+        if reason not in ("", NO_BETTER):
+            return report
+        return replace(report, fluid=self._fluid_temperature(result, result.fit.operating_point))
+
+    def _fluid_temperature(self, result: FitResult, point: OperatingPoint) -> FluidTemperature:
+        """Learn from a window whose temperature was measured; estimate that of any other."""
+        celsius = result.task.window.temperature
+        if math.isnan(celsius):
+            return self._temperatures.temperature(point, result.scale)
+        self._temperatures.add(point, celsius, result.scale)
+        return FluidTemperature()
 
     def complete_look(self, result: FitResult) -> Report | None:
         """Take in what a look has seen; a report where it led to an early fit that is in use."""
@@ -534,6 +551,8 @@ class WindowTracker:
         self._windows += 1
         self._state = result.state
         self._watch = watch.quiet()
+        # From now on the same force means another temperature.
+        self._temperatures = TemperatureMaps()
         length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
         self._changed_ns = raw.end_ns - length
         errors = self.parameters.standard_errors.copy()

@@ -49,7 +49,8 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
             noise=known.NOISE * (20.0 if number == 6 else 1.0),
             seed=number,
         )
-        task = tracked.window_task(known.raw_window(run, number=number))
+        raw = known.raw_window(run, number=number, temperature=20.0 + number)
+        task = tracked.window_task(raw)
         reports.append(tracked.complete(run_fit(task)))
     return reports
 

@@ -1,0 +1,140 @@
+"""A tracker learns force over temperature while it is measured, and estimates it when it is not."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from functools import cache
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS
+from mr_damper_ros.identification.temperature import TemperatureHistory
+from mr_damper_ros.streaming.memory import from_text, to_text
+from mr_damper_ros.streaming.state import StateError
+from mr_damper_ros.streaming.tracker import Report, TrackerSettings, WindowTracker, run_fit
+from mr_damper_ros.streaming.windows import RawWindow
+
+COLD, HOT = 28.0, 71.0
+SAMPLES = 1000
+WARMING = 24
+"""Windows from 28 to 71 °C."""
+
+STANDARD_ERRORS = 4.0
+MODEL_ERROR = 0.1
+"""Kelvin by which a curve in ln s may differ from the known damper's straight line in F."""
+
+
+def warmed(number: int, celsius: float, *, thermometer: bool) -> RawWindow:
+    """Window of the thesis' damper at a temperature, with or without a thermometer."""
+    run = known.run(
+        THESIS_28_CELSIUS, current=1.5, samples=SAMPLES, start=number * SAMPLES * 1e-3, seed=None
+    )
+    clean = known.drifting_force(run, (celsius - COLD) / (HOT - COLD))
+    noise = np.random.default_rng(number).normal(0.0, known.NOISE, SAMPLES)
+    changed = dataclasses.replace(run, force=clean + noise)
+    measured = celsius if thermometer else math.nan
+    return known.raw_window(changed, number=number, temperature=measured)
+
+
+def fed(tracked: WindowTracker, window: RawWindow) -> Report:
+    return tracked.complete(run_fit(tracked.window_task(window)))
+
+
+def new() -> WindowTracker:
+    settings = TrackerSettings(method="least_squares", global_period=0)
+    return WindowTracker(settings, ParameterSet(LITERATURE))
+
+
+@cache
+def warming() -> tuple[str, ParameterSet, tuple[Report, ...]]:
+    """The memory, the running set and the reports of a tracker that has seen the warming."""
+    tracked = new()
+    reports = [
+        fed(tracked, warmed(number, celsius, thermometer=True))
+        for number, celsius in enumerate(np.linspace(COLD, HOT, WARMING).tolist())
+    ]
+    return to_text(tracked.memory), tracked.parameters, tuple(reports)
+
+
+def experienced() -> WindowTracker:
+    text, parameters, _ = warming()
+    tracked = new()
+    tracked.resume(parameters, from_text(text, parameters.values.size))
+    return tracked
+
+
+def test_where_it_is_measured_nothing_is_estimated() -> None:
+    assert all(math.isnan(report.fluid.celsius) for report in warming()[2])
+
+
+def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
+    """Also by a tracker that was started anew with what the other had learnt."""
+    tracked = experienced()
+    for number, celsius in enumerate((65.0, 50.0, 40.0, 32.0), start=WARMING):
+        report = fed(tracked, warmed(number, celsius, thermometer=False))
+        assert math.isnan(report.temperature)
+        allowed = STANDARD_ERRORS * report.fluid.standard_error + MODEL_ERROR
+        assert abs(report.fluid.celsius - celsius) < allowed
+        assert allowed < 2.0
+
+
+def test_without_a_map_nothing_is_estimated() -> None:
+    tracked = new()
+    for number, celsius in enumerate((28.0, 30.0, 35.0)):
+        report = fed(tracked, warmed(number, celsius, thermometer=False))
+        assert math.isnan(report.fluid.celsius)
+
+
+def test_a_refused_window_tells_no_temperature() -> None:
+    tracked = experienced()
+    window = warmed(WARMING, 50.0, thermometer=False)
+    noise = np.random.default_rng(0).normal(0.0, 60.0 * known.NOISE, SAMPLES)
+    report = fed(tracked, dataclasses.replace(window, force=window.force + noise))
+    assert not report.accepted
+    assert math.isnan(report.fluid.celsius)
+
+
+def test_a_reset_forgets_the_map() -> None:
+    tracked = experienced()
+    tracked.reset()
+    fed(tracked, warmed(WARMING, 30.0, thermometer=False))
+    report = fed(tracked, warmed(WARMING + 1, 50.0, thermometer=False))
+    assert math.isnan(report.fluid.celsius)
+
+
+def test_a_sudden_change_forgets_the_map() -> None:
+    """A damper that has lost a fifth of its force is not a warm one."""
+    tracked = experienced()
+    before = warmed(WARMING, 50.0, thermometer=False)
+    fed(tracked, before)
+    after = warmed(WARMING + 1, 50.0, thermometer=False)
+    leaked = dataclasses.replace(after, force=0.8 * after.force, look=SAMPLES // 2)
+    early = tracked.complete_look(run_fit(tracked.window_task(leaked)))
+    assert early is not None
+    assert tracked.memory.temperatures == ()
+    assert math.isnan(early.fluid.celsius)
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        np.empty((0, 3)),
+        np.ones((4, 2)),
+        np.ones(3),
+        np.array([[20.0, 1.0, math.nan]]),
+        np.array([[math.inf, 1.0, 0.1]]),
+        np.array([[1e300, 1.0, 0.1]]),
+        np.array([[20.0, 0.0, 0.1]]),
+        np.array([[20.0, 1.0, -0.1]]),
+    ],
+    ids=str,
+)
+def test_a_history_that_cannot_be_is_refused(seen: np.ndarray) -> None:
+    history = TemperatureHistory((0.03, 1.5), seen)
+    memory = dataclasses.replace(experienced().memory, temperatures=(history,))
+    with pytest.raises(StateError, match="cannot be"):
+        from_text(to_text(memory), LITERATURE.size)
