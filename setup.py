@@ -31,7 +31,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *data_files("config/**/*.yaml", "launch/**/*.py", "bags/**/*"),
+        *data_files("config/**/*.yaml", "config/**/*.xml", "launch/**/*.py", "bags/**/*"),
     ],
     python_requires=">=3.10",
     install_requires=["setuptools"],

@@ -356,7 +356,11 @@ class Identifier(Node):
         self.create_timer(_ATTENTION_PERIOD, self._attend, clock=steady)
         self._inputs = Inputs(self, quality.lossless, self._take_block, self._take_current)
         self.create_subscription(
-            Temperature, "temperature", self._take_temperature, quality.stream()
+            Temperature,
+            "temperature",
+            self._take_temperature,
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
         )
         self.create_service(SaveParameters, "~/save_parameters", self._save)
         self.create_service(LoadParameters, "~/load_parameters", self._load)

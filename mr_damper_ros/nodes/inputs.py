@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
@@ -28,9 +28,10 @@ _SILENCE = 2.0
 class Stream:
     """What has come in on a topic: how much, how fast, and what could not be used."""
 
-    def __init__(self, node: Node, topic: str) -> None:
+    def __init__(self, node: Node, topic: str, profile: QoSProfile) -> None:
         self._node = node
         self._topic = topic
+        self._profile = profile
         self._count = 0
         self._since = time.monotonic()
         self._last: float | None = None
@@ -74,7 +75,19 @@ class Stream:
             return ""
         if self._node.count_publishers(self._topic) == 0:
             return f"nobody publishes {self._topic}: is the bridge running in this namespace?"
+        if self._refuses_all():
+            return (
+                f"{self._topic} is published best effort, which a reliable subscriber cannot take: "
+                f"set qos_overrides.<topic>.subscription.reliability to best_effort"
+            )
         return f"nothing arrives on {self._topic}: does its publisher stand still?"
+
+    def _refuses_all(self) -> bool:
+        """Whether every publisher offers less than is asked for."""
+        return self._profile.reliability == ReliabilityPolicy.RELIABLE and all(
+            publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+            for publisher in self._node.get_publishers_info_by_topic(self._topic)
+        )
 
 
 class Inputs:
@@ -87,18 +100,20 @@ class Inputs:
         on_block: Callable[[SampleBlock], None],
         on_current: Callable[[int, float], None],
     ) -> None:
-        self._samples = Stream(node, SAMPLES_TOPIC)
-        self._current = Stream(node, CURRENT_TOPIC)
+        # Overrides by the user change these in place.
+        samples_quality, current_quality = quality(), quality()
+        self._samples = Stream(node, SAMPLES_TOPIC, samples_quality)
+        self._current = Stream(node, CURRENT_TOPIC, current_quality)
         self._on_block = on_block
         self._on_current = on_current
         self._value = math.nan
         self._interruptions = 0
-        for message_type, topic, callback in (
-            (MtsSamples, SAMPLES_TOPIC, self._take_samples),
-            (SupplyCurrent, CURRENT_TOPIC, self._take_current),
+        for message_type, topic, callback, profile in (
+            (MtsSamples, SAMPLES_TOPIC, self._take_samples, samples_quality),
+            (SupplyCurrent, CURRENT_TOPIC, self._take_current, current_quality),
         ):
             node.create_subscription(
-                message_type, topic, callback, quality(), qos_overriding_options=overridable()
+                message_type, topic, callback, profile, qos_overriding_options=overridable()
             )
 
     def _take_samples(self, message: MtsSamples) -> None:

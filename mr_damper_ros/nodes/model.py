@@ -144,7 +144,11 @@ class Model(Node):
             DamperParameters, "damper/parameters", self._take_parameters, quality.latched()
         )
         self.create_subscription(
-            FitReport, "damper/fit_report", self._take_report, quality.stream(_REPORTS)
+            FitReport,
+            "damper/fit_report",
+            self._take_report,
+            quality.stream(_REPORTS),
+            qos_overriding_options=quality.overridable(),
         )
         self._inputs = Inputs(self, quality.stream, self._take_block, self._predictor.add_current)
         self._diagnostics = Diagnostics(

@@ -17,6 +17,7 @@ from rclpy.exceptions import (
     InvalidParameterValueException,
 )
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
@@ -49,7 +50,7 @@ def run(
     try:
         others = remove_ros_args(arguments)[1:]
     except Exception as error:  # rcl's errors share no public base class
-        return _reject(_without_source_position(error))
+        return _reject(f"the command line cannot be used: {_without_source_position(error)}")
     if "-h" in others or "--help" in others:
         print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
         print(describe(parameters))
@@ -68,17 +69,22 @@ def run(
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
-        return _reject(_without_source_position(error))
+        return _reject(f"the command line cannot be used: {_without_source_position(error)}")
     try:
         return _spin(factory, ended, stop)
     except _CONFIGURATION_ERRORS as error:
         return _reject(str(error))
+    except _NodeError as error:
+        return _reject(f"the node cannot be started: {error}")
     finally:
         rclpy.try_shutdown()
 
 
 def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: threading.Event) -> int:
-    node = factory()
+    try:
+        node = factory()
+    except rclpy_implementation.RCLError as error:
+        raise _NodeError(_without_source_position(error)) from error
     executor = make_executor()
     executor.add_node(node)
     try:
@@ -103,6 +109,10 @@ _CONFIGURATION_ERRORS = (
 )
 
 
+class _NodeError(Exception):
+    """The middleware has refused to make the node."""
+
+
 def _reject(sentence: str) -> int:
     print(sentence, file=sys.stderr)
     return BAD_CONFIGURATION
@@ -111,7 +121,7 @@ def _reject(sentence: str) -> int:
 def _without_source_position(error: Exception) -> str:
     """Return rcl's message, reduced to what concerns the user."""
     message = str(error).removeprefix("Failed to parse ROS arguments: ").split(", at /")[0]
-    return f"the command line cannot be used: {message}"
+    return " ".join(message.split())
 
 
 def make_executor(context: Context | None = None) -> Executor:

@@ -1,0 +1,57 @@
+"""Quality of service: late joiners, best effort on either side, overrides."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mr_damper_msgs.msg import DamperParameters, MtsSamples, PredictedForce, SupplyCurrent
+from press import block_message
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from support import Listener
+
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.rig.bags import read_bag
+
+BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
+
+
+def best_effort() -> QoSProfile:
+    return QoSProfile(reliability=ReliabilityPolicy.BEST_EFFORT, depth=10)
+
+
+def test_who_comes_late_gets_the_parameters(start: Any, listener: Listener) -> None:
+    start("identifier")
+    listener.wait_for_finding("identifier: parameters", "literature")
+    sets = listener.listen(DamperParameters, "damper/parameters", quality.latched())
+    listener.until(lambda: sets, "the parameters that were published before")
+    assert [message.id for message in sets] == ["literature"]
+
+
+def test_best_effort_subscribers_are_served(start: Any, listener: Listener) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples", best_effort())
+    currents = listener.listen(SupplyCurrent, "supply/current", best_effort())
+    forces = listener.listen(PredictedForce, "damper/predicted_force", best_effort())
+    start("bridge")
+    start("model")
+    listener.until(lambda: samples and currents and forces, "all three streams")
+
+
+def test_a_best_effort_publisher_is_told_and_can_be_taken(start: Any, listener: Listener) -> None:
+    samples = listener.node.create_publisher(MtsSamples, "mts/samples", best_effort())
+    start("model")
+    listener.wait_for_finding("model: input", "is published best effort")
+    forces = listener.listen(PredictedForce, "damper/predicted_force", quality.lossless())
+    start(
+        "model",
+        "--ros-args",
+        *("-r", "__node:=other"),
+        *("-p", "qos_overrides./mts/samples.subscription.reliability:=best_effort"),
+    )
+    message = block_message(read_bag(BAG)[0], 0)
+
+    def answered() -> bool:
+        samples.publish(message)
+        return bool(forces)
+
+    listener.until(answered, "a prediction for what a best effort publisher sends")

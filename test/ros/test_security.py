@@ -1,0 +1,74 @@
+"""The policy for SROS2 allows each node what it does, and nothing else."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import Listener
+
+POLICY = Path(__file__).parents[2] / "config" / "security" / "policy.xml"
+NODES = ("bridge", "identifier", "model")
+
+ACTION_TOPICS = ("feedback", "status")
+ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
+
+
+def allowed(node: str) -> dict[str, set[str]]:
+    """Full names that the policy allows a node, by what it may do with them."""
+    enclave = ElementTree.parse(POLICY).find(f"enclaves/enclave[@path='/mr_damper/{node}']")
+    assert enclave is not None
+    (profile,) = enclave.findall("profiles/profile")
+    assert (profile.get("ns"), profile.get("node")) == ("/", node)
+    names: dict[str, set[str]] = {"publish": set(), "subscribe": set(), "reply": set()}
+    for group in profile:
+        ((qualifier, rule),) = group.attrib.items()
+        assert rule == "ALLOW"
+        for entry in group:
+            name = _full_name(entry.text or "", node)
+            if qualifier == "execute":
+                names["publish"] |= {f"{name}/_action/{topic}" for topic in ACTION_TOPICS}
+                names["reply"] |= {f"{name}/_action/{service}" for service in ACTION_SERVICES}
+            else:
+                names[qualifier].add(name)
+    return names
+
+
+def _full_name(name: str, node: str) -> str:
+    if name.startswith("~"):
+        return f"/{node}{name[1:]}"
+    return name if name.startswith("/") else f"/{name}"
+
+
+def done(listener: Listener, node: str) -> dict[str, set[str]]:
+    """What a running node does, by the graph."""
+    graph = listener.node
+    return {
+        what: {name for name, _ in names(node, "/")}
+        for what, names in (
+            ("publish", graph.get_publisher_names_and_types_by_node),
+            ("subscribe", graph.get_subscriber_names_and_types_by_node),
+            ("reply", graph.get_service_names_and_types_by_node),
+        )
+    }
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_node_is_allowed_exactly_what_it_does(start: Any, listener: Listener, node: str) -> None:
+    start(node, use_sim_time=True)
+    listener.wait_for_finding(f"{node}: {'source' if node == 'bridge' else 'input'}", "")
+    wanted = allowed(node)
+    listener.until(
+        lambda: all(wanted[what] <= names for what, names in done(listener, node).items()),
+        f"all that the policy allows: {wanted}",
+    )
+    assert done(listener, node) == wanted
+
+
+def test_every_node_has_an_enclave_of_its_own() -> None:
+    root = ElementTree.parse(POLICY).getroot()
+    assert (root.tag, root.get("version")) == ("policy", "0.2.0")
+    paths = [enclave.get("path") for enclave in root.findall("enclaves/enclave")]
+    assert paths == [f"/mr_damper/{node}" for node in NODES]
