@@ -22,8 +22,8 @@ def start_set(model: str) -> ParameterSet:
     """A set of the model to start from.
 
     Of the sigmoid law it is the one from the literature, of its extension the same without lag,
-    stiffness and offset. Of any other model it is a mere form, valid nowhere: the fit of the first
-    window starts from what it reads off that window.
+    stiffness and offset. Of any other model it is a mere form without any force, valid nowhere:
+    the fit of the first window starts from what it reads off that window.
     """
     law = MODELS[model]
     if is_sigmoid(law):
@@ -31,7 +31,9 @@ def start_set(model: str) -> ParameterSet:
         values[: LITERATURE.size] = LITERATURE
         name, speed = "literature", _LITERATURE_PEAK_VELOCITY
     else:
-        values = np.clip(law.scale_starts(*_USUAL_RUN)[0], *law.bounds)
+        values = law.scale_starts(*_USUAL_RUN)[0]
+        values[law.strength_indices] = 0.0
+        values = np.clip(values, *law.bounds)
         name, speed = "unknown", 0.0
     return ParameterSet(
         values,
