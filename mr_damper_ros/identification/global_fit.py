@@ -263,9 +263,9 @@ class _GlobalSearch:
         first, best = self.candidates[0], min(self.candidates, key=lambda found: found.cost)
         # The first keeps most of the start: the others must be better, not just different.
         self.best = (best if best.cost < _CLEARLY_BETTER * first.cost else first).parameters
-        self._return_to_start()
         if is_extended(self.best):
             self._take_in_the_extension()
+        self._return_to_start()
         self.best = self._local(self.whole_misfit(), self.best, False)
         if method == "differential_evolution" and self.pooled.mean_square(self.best) > by_laws:
             self.shortcoming = (

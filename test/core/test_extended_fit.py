@@ -167,7 +167,7 @@ def test_without_lag_stiffness_and_offset_the_misfit_is_that_of_the_sixteen():
     )
 
 
-QUICK = EvolutionSettings(generations=100)
+QUICK = EvolutionSettings(generations=40, population=8)
 NONE = np.zeros(4)
 CURRENTS = (0.0, 0.4, 0.8, 1.2)
 
@@ -250,9 +250,8 @@ def test_of_a_damper_without_lag_none_is_found():
 
 @pytest.mark.parametrize("method", ["nelder_mead", "differential_evolution"])
 def test_every_method_identifies_the_extended_law(method):
-    windows = runs(TRUTH[16:], (0.6,))
-    settings = EvolutionSettings(generations=30, population=8)
+    windows = runs(TRUTH[16:], (0.6,))[2:]
     start = np.append(known.PLAUSIBLE, [0.0, 6e-3, 0.0, 0.0])
-    fit = identify_global(windows, start, settings, method=method)
+    fit = identify_global(windows, start, QUICK, method=method)
     assert fit.parameter_set.values.shape == (20,)
     assert fit.median_nrmse < 1.2 * np.median([known.NOISE / np.std(w.force) for w in windows])
