@@ -523,6 +523,7 @@ class WindowTracker:
         if reason in ("", NO_BETTER):
             # The filter learns from every good window, the running set from those that help.
             self._state = result.state
+            self._watch = self._watch or result.watch
         if not reason:
             self._watch = result.watch
             self._accept(result.window, result.fit, result)
@@ -550,7 +551,8 @@ class WindowTracker:
         raw = result.task.window
         self._windows += 1
         self._state = result.state
-        self._watch = watch.quiet()
+        # A law that is not exact swings about the force: the next change shows against a window.
+        self._watch = None
         # From now on the same force means another temperature.
         self._temperatures = TemperatureMaps()
         length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)

@@ -293,6 +293,19 @@ def test_when_time_is_set_back_the_past_change_is_forgotten() -> None:
     assert "before the change" not in report.reason
 
 
+def swinging(time: Array, force: Array) -> Array:
+    """What no law of the package explains: the strength changes to and fro."""
+    return np.where(time > 5.2, 1.0 + 0.06 * np.sign(np.sin(4.0 * np.pi * time)), 1.0) * force
+
+
+def test_between_two_early_fits_a_window_is_judged() -> None:
+    reports = stream(1.0, spoil=swinging)[1]
+    places = [place for place, report in enumerate(reports) if report.method == EARLY_METHOD]
+    assert len(places) >= 1
+    for first, second in itertools.pairwise(places):
+        assert any(np.isfinite(report.nrmse_after) for report in reports[first + 1 : second])
+
+
 def test_after_a_reset_nothing_is_watched() -> None:
     tracked, _ = stream(0.9)
     tracked.reset()
