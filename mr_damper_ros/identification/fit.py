@@ -3,10 +3,6 @@
 Nelder-Mead is SciPy's, the method of MATLAB's fminsearch that the thesis uses. A
 Levenberg-Marquardt polish then sits on the very minimum and gives the Jacobian, so the
 covariance.
-
-A window of general motion may leave scales open that another determines. Where the start has been
-identified before, it can serve as a prior, so that such scales do not wander: the fit is then the
-most probable one (maximum a posteriori), with correlated samples counted once.
 """
 
 from __future__ import annotations
@@ -20,7 +16,7 @@ import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.identification.search import LocalSearch, StopRequestedError
-from mr_damper_ros.identification.uncertainty import correlation_length, least_squares_covariance
+from mr_damper_ros.identification.uncertainty import least_squares_covariance
 from mr_damper_ros.identification.window import ScaleMisfit, Window
 
 CONVERGED = "converged"
@@ -30,9 +26,6 @@ METHODS = ("nelder_mead", "least_squares")
 
 _COLD_STEEPNESS = (2.0, 6.0, 20.0, 60.0)
 _COLD_HYSTERESIS = (0.0, -0.2, -0.4)
-
-_SMALLEST_SHARE = 0.1
-"""A scale near zero is expected to change by what changes the force by this part of it."""
 
 POOR_START = 0.25
 """Where the start leaves more than this part of the force's variance, others are tried too."""
@@ -69,16 +62,13 @@ def fit_window(
     *,
     method: str = "nelder_mead",
     robust: bool = False,
-    start_is_known: bool = False,
     should_stop: Callable[[], bool] | None = None,
 ) -> WindowFit:
     """Scales of a window, searched from the parameters ``start`` of shape (16,) or (20,).
 
     A start that leaves more than a quarter of the force's variance competes with a few starts
     read off the data (peak force and peak velocity). ``robust`` bounds the influence of outliers
-    (Huber's weights). ``start_is_known``: the start has been identified before, and each scale is
-    expected to be what it was within its own size. The covariance is that of the window alone.
-    ``should_stop`` is asked at every evaluation; where it says so, the best
+    (Huber's weights). ``should_stop`` is asked at every evaluation; where it says so, the best
     so far is returned with ``success`` False.
 
     Raises ValueError for an unknown method or a force that does not change.
@@ -97,10 +87,8 @@ def fit_window(
         if method == "nelder_mead":
             search.nelder_mead()
         search.least_squares()
-        if start_is_known:
-            search = _with_prior(search, misfit, should_stop)
         if robust:
-            weights = search.reweighted_least_squares()[: window.sample_count]
+            weights = search.reweighted_least_squares()
     except StopRequestedError:
         message = "stopped before it converged: this is the best so far"
     return _result(misfit, search, weights, spread, method, message)
@@ -147,42 +135,6 @@ def _start(search: LocalSearch, misfit: ScaleMisfit, spread: float) -> None:
     if not cost <= POOR_START * spread**2 * misfit.window.sample_count:
         for candidate in _cold_starts(misfit):
             search.try_out(candidate)
-
-
-def _with_prior(
-    search: LocalSearch, misfit: ScaleMisfit, should_stop: Callable[[], bool] | None
-) -> LocalSearch:
-    """The search, gone on with the start as a prior; raises StopRequestedError."""
-    residual = misfit.residual(search.best)
-    # Correlated samples count once: so much less do they weigh against the prior.
-    noise = math.sqrt(float(np.mean(residual**2)) * max(correlation_length(residual), 1))
-    effect = np.sqrt(np.mean(misfit.jacobian(misfit.start) ** 2, axis=0))
-    power = math.sqrt(float(np.mean(misfit.window.force**2)))
-    smallest = _SMALLEST_SHARE * power / np.where(effect > 0.0, effect, np.inf)
-    deviations = np.maximum(np.abs(misfit.start), smallest)
-    safe = np.where(deviations > 0.0, deviations, 1.0)
-    found = LocalSearch(_Expected(misfit, noise / safe), search.best, should_stop)
-    found.evaluations = search.evaluations
-    for scales in (search.best, misfit.start):
-        found.try_out(scales)
-    found.least_squares()
-    return found
-
-
-class _Expected:
-    """A misfit and, in the same unit, how far the scales are from where they are expected."""
-
-    def __init__(self, misfit: ScaleMisfit, weights: Array) -> None:
-        """``weights`` (7,): residual [N] of a scale that is off by 1."""
-        self._misfit = misfit
-        self._weights = weights
-
-    def residual(self, scales: Array) -> Array:
-        off = self._weights * (scales - self._misfit.start)
-        return np.concatenate((self._misfit.residual(scales), off))
-
-    def jacobian(self, scales: Array) -> Array:
-        return np.concatenate((self._misfit.jacobian(scales), np.diag(self._weights)))
 
 
 def _cold_starts(misfit: ScaleMisfit) -> list[Array]:
