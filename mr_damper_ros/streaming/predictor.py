@@ -50,12 +50,14 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class _Foreseen:
-    """Force [N] of a block that has not come yet, if it brings this motion and this current [A]."""
+class _Reckoned:
+    """Force [N] of a motion at a current [A], whether it is finite, and why to doubt it."""
 
     motion: Motion
     current: Array
     force: Array
+    finite: bool
+    doubt: str
 
 
 class ForcePredictor:
@@ -69,7 +71,7 @@ class ForcePredictor:
         self._sequence = BlockSequence()
         self._motion: MotionFollower | None = None
         self._stream: ForceStream | None = None
-        self._foreseen: _Foreseen | None = None
+        self._foreseen: _Reckoned | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
 
@@ -117,7 +119,7 @@ class ForcePredictor:
             self._motion.catch_up()
             self._foreseen = self._foresee(self._motion.foreseen)
 
-    def _foresee(self, motion: Motion | None) -> _Foreseen | None:
+    def _foresee(self, motion: Motion | None) -> _Reckoned | None:
         """Force of the next block, as far as it can be known already."""
         last, parameters, stream = self._sequence.last, self._parameters, self._stream
         if motion is None or last is None or parameters is None:
@@ -125,7 +127,14 @@ class ForcePredictor:
         if stream is None or stream.remembers or not self._current.known_from(last.end_ns):
             return None
         current = self._current.at(last.end_ns, last.period, last.sample_count)
-        return _Foreseen(motion, current, stream.follow(parameters.values, motion, current))
+        return self._reckon(motion, current, parameters, stream)
+
+    def _reckon(
+        self, motion: Motion, current: Array, parameters: ParameterSet, stream: ForceStream
+    ) -> _Reckoned:
+        force = stream.follow(parameters.values, motion, current)
+        doubt = self._doubt_of_range(motion.peak_velocity, current, parameters)
+        return _Reckoned(motion, current, force, bool(np.isfinite(force).all()), doubt)
 
     def predict(self, block: SampleBlock) -> Prediction:
         """Force at the samples of a block; NaN, and not valid, where it cannot be computed."""
@@ -151,29 +160,28 @@ class ForcePredictor:
         if self._stream is None:
             self._stream = self._parameters.law.stream(block.period)
             self._begun_at = self._motion.reversals
-        foreseen = self._foreseen
+        reckoned = self._foreseen
         if (
-            foreseen is not None
-            and foreseen.motion is motion
-            and bool((foreseen.current == current).all())
+            reckoned is None
+            or reckoned.motion is not motion
+            or not bool((reckoned.current == current).all())
         ):
-            predicted = foreseen.force
-        else:
-            predicted = self._stream.follow(self._parameters.values, motion, current)
-        if not np.isfinite(predicted).all():
+            reckoned = self._reckon(motion, current, self._parameters, self._stream)
+        if not reckoned.finite:
             self._stream = None
             reason = f"the force of {self._parameters.set_id} is beyond what a number can hold"
             return self._invalid(block, reason, verdict.sentence)
         reason = (
             self._motion.doubt
             or self._doubt_of_memory()
-            or self._doubt(block, motion.peak_velocity, current, self._parameters)
+            or self._doubt_of_age(block)
+            or reckoned.doubt
         )
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
             period=block.period,
-            force=predicted,
+            force=reckoned.force,
             set_id=self._parameters.set_id,
             valid=not reason,
             reason=reason,
@@ -199,10 +207,8 @@ class ForcePredictor:
             return "the model does not know its past before the motion has reversed"
         return ""
 
-    def _doubt(
-        self, block: SampleBlock, speed: Array, current: Array, parameters: ParameterSet
-    ) -> str:
-        """Why the parameters should not be relied on for this block; empty where they may be."""
+    def _doubt_of_age(self, block: SampleBlock) -> str:
+        """Why current or parameters are too old for this block; empty where they are not."""
         last = self._current.last_stamp_ns
         assert last is not None
         age = (block.end_ns - last) / NANOSECONDS
@@ -219,6 +225,10 @@ class ForcePredictor:
                     f"no window has confirmed the parameters for {age:.0f} s: "
                     "is the identifier running, and does the damper move?"
                 )
+        return ""
+
+    def _doubt_of_range(self, speed: Array, current: Array, parameters: ParameterSet) -> str:
+        """Why the parameters do not hold for this motion and current; empty where they do."""
         low, high = parameters.current_range
         margin = self._settings.current_margin
         if current.min() < low - margin or current.max() > high + margin:
