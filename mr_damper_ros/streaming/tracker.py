@@ -454,6 +454,7 @@ class WindowTracker:
         self._watch = memory.watch
         self._changed_ns = memory.changed_ns
         self._temperatures = TemperatureMaps(memory.temperatures)
+        self._seen_ns = 0
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
         """Go on where another tracker was, which may have had other settings.
@@ -517,6 +518,7 @@ class WindowTracker:
     def complete(self, result: FitResult) -> Report:
         """Judge the result of a window's task and, if it is accepted, run with it."""
         self._windows += 1
+        self._paused_before(result.task.window)
         if result.fit is None or result.window is None or result.evidence is None:
             return self._report(result, result.fault, ForceScale())
         reason = self._gatekeeper.judge(result.evidence)
@@ -532,6 +534,12 @@ class WindowTracker:
             return report
         return replace(report, fluid=self._fluid_temperature(result, result.fit.operating_point))
 
+    def _paused_before(self, window: RawWindow) -> bool:
+        """Whether a window has no sample in common with those before it; it is the last now."""
+        paused = not window.start_ns <= self._seen_ns <= window.end_ns
+        self._seen_ns = window.end_ns
+        return paused
+
     def _fluid_temperature(self, result: FitResult, point: OperatingPoint) -> FluidTemperature:
         """Learn from a window whose temperature was measured; estimate that of any other."""
         celsius = result.task.window.temperature
@@ -543,6 +551,7 @@ class WindowTracker:
     def complete_look(self, result: FitResult) -> Report | None:
         """Take in what a look has seen; a report where it led to an early fit that is in use."""
         self._watch = result.watch or self._watch
+        paused = self._paused_before(result.task.window)
         fit, evidence, watch = result.fit, result.evidence, result.watch
         if fit is None or evidence is None or watch is None:
             return None
@@ -553,8 +562,9 @@ class WindowTracker:
         self._state = result.state
         # A law that is not exact swings about the force: the next change shows against a window.
         self._watch = None
-        # From now on the same force means another temperature.
-        self._temperatures = TemperatureMaps()
+        if not paused:
+            # Nothing warms or cools so fast: the same force now means another temperature.
+            self._temperatures = TemperatureMaps()
         length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
         self._changed_ns = raw.end_ns - length
         errors = self.parameters.standard_errors.copy()

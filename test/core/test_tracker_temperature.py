@@ -106,17 +106,36 @@ def test_a_reset_forgets_the_map() -> None:
     assert math.isnan(report.fluid.celsius)
 
 
-def test_a_sudden_change_forgets_the_map() -> None:
-    """A damper that has lost a fifth of its force is not a warm one."""
-    tracked = experienced()
+def leaked(tracked: WindowTracker, later: float) -> Report:
+    """A look at a damper that has lost a fifth of its force, so many windows after the last."""
     before = warmed(WARMING, 50.0, thermometer=False)
     fed(tracked, before)
-    after = warmed(WARMING + 1, 50.0, thermometer=False)
-    leaked = dataclasses.replace(after, force=0.8 * after.force, look=SAMPLES // 2)
-    early = tracked.complete_look(run_fit(tracked.window_task(leaked)))
+    window = warmed(WARMING + 1, 50.0, thermometer=False)
+    duration = window.start_ns - before.start_ns
+    look = dataclasses.replace(
+        window,
+        start_ns=before.start_ns + round(later * duration),
+        force=0.8 * window.force,
+        look=SAMPLES // 2,
+    )
+    early = tracked.complete_look(run_fit(tracked.window_task(look)))
     assert early is not None
+    return early
+
+
+def test_a_sudden_change_forgets_the_map() -> None:
+    """A damper that has lost a fifth of its force while one looked on is not a warm one."""
+    tracked = experienced()
+    early = leaked(tracked, 0.5)
     assert tracked.memory.temperatures == ()
     assert math.isnan(early.fluid.celsius)
+
+
+def test_a_change_over_a_pause_leaves_the_map() -> None:
+    """The damper may have cooled meanwhile, which the map is there to tell."""
+    tracked = experienced()
+    leaked(tracked, 100.0)
+    assert len(tracked.memory.temperatures) == 1
 
 
 @pytest.mark.parametrize(
