@@ -43,6 +43,7 @@ from mr_damper_ros.identification.global_fit import (
     identify_global,
 )
 from mr_damper_ros.identification.model_fit import is_sigmoid, model_force, unsettled_samples
+from mr_damper_ros.identification.prior import with_prior
 from mr_damper_ros.identification.reservoir import OperatingPoint, Reservoir, nearest_same
 from mr_damper_ros.identification.screening import (
     Screening,
@@ -129,7 +130,7 @@ class FitTask:
 
     ``baselines`` are those of the force scale; ``state`` is where the filter stood and ``watch``
     that of the detector of changes, if they run; samples stamped before ``changed_ns`` are of the
-    damper before its last sudden change.
+    damper before its last sudden change. ``known``: the start is a set of this very damper.
     """
 
     window: RawWindow
@@ -139,6 +140,7 @@ class FitTask:
     watch: ChangeWatch | None = None
     changed_ns: int = 0
     baselines: tuple[WindowFit, ...] = ()
+    known: bool = False
 
     @property
     def model(self) -> Model:
@@ -222,7 +224,9 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
     if fault:
         return FitResult(task, fault)
     try:
-        window = Window.from_samples(raw.displacement, raw.force, raw.current, raw.period)
+        window = Window.from_samples(
+            raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
+        )
         fault = fault_of_motion(window.motion.velocity, window.force)
         if fault:
             return FitResult(task, fault)
@@ -246,11 +250,16 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
             robust=settings.robust,
             should_stop=should_stop,
         )
+        if task.known:
+            part = window.part(~held_back)
+            trained = with_prior(model, trained, part, task.start, robust=settings.robust)
         evidence = _evidence(model, held_back, window, task.start, trained.parameters)
         # What is published uses every sample; the held-back part only judged whether to.
         final = fit_to_window(
             model, window, trained.parameters, method="least_squares", robust=settings.robust
         )
+        if task.known:
+            final = with_prior(model, final, window, task.start, robust=settings.robust)
     except ValueError as error:
         return FitResult(task, str(error))
     final = replace(
@@ -513,6 +522,7 @@ class WindowTracker:
             self._watch,
             self._changed_ns,
             self._baselines.fits,
+            known=bool(self.parameters.observable.any()),
         )
 
     def complete(self, result: FitResult) -> Report:

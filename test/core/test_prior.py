@@ -1,0 +1,87 @@
+"""A window weighed against the running set."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+
+from mr_damper_ros.damper.models import MODELS
+from mr_damper_ros.damper.sigmoid import SCALE_INDICES, Array
+from mr_damper_ros.identification.fit import WindowFit, fit_window
+from mr_damper_ros.identification.prior import WANDER, with_prior
+from mr_damper_ros.identification.window import ScaleMisfit, Window
+from mr_damper_ros.rig.excitation import BandLimitedRandom
+
+SIGMOID = MODELS["sigmoid"]
+RUNNING = known.PLAUSIBLE
+RANDOM = BandLimitedRandom(rms=4e-3, low=0.2, high=2.0, seed=2)
+
+
+def steady(parameters: Array = RUNNING) -> Window:
+    return known.run(parameters, current=1.0, seed=3).window
+
+
+def random_window(first: int, samples: int, *, unmodelled: float = 0.2, seed: int = 0) -> Window:
+    """A window of random motion; ``unmodelled`` [1]: a slow part of the force that no law has."""
+    whole = RANDOM.at(np.arange(20_000) * 1e-3).displacement
+    window = Window.from_samples(whole, np.zeros(whole.size), 1.0, 1e-3)
+    clean = window.predicted_force(RUNNING)
+    slow = BandLimitedRandom(rms=1.0, low=0.2, high=4.0, seed=10 + seed)
+    rest = unmodelled * np.std(clean) * slow.at(np.arange(20_000) * 1e-3).displacement
+    force = clean + rest + np.random.default_rng(seed).normal(0.0, known.NOISE, clean.size)
+    return Window(window.motion, force, window.current, 1e-3).part(slice(first, first + samples))
+
+
+def own(window: Window) -> WindowFit:
+    return fit_window(window, RUNNING, method="least_squares")
+
+
+def test_a_steady_sine_is_fitted_as_without_a_running_set() -> None:
+    off = RUNNING.copy()
+    off[SCALE_INDICES] *= 1.01
+    window = steady()
+    alone = own(window)
+    weighed = with_prior(SIGMOID, alone, window, off)
+    errors = np.sqrt(np.diag(alone.covariance))
+    assert np.max(np.abs(weighed.scales - alone.scales) / errors) < 0.2
+    assert weighed.rmse < 1.001 * alone.rmse
+
+
+def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
+    elsewhere = random_window(10_000, 8000, unmodelled=0.0)
+    errors = []
+    for seed in range(5):
+        window = random_window(1000 * seed, 1000, seed=seed)
+        alone = own(window)
+        weighed = with_prior(SIGMOID, alone, window, RUNNING)
+        errors.append(
+            [
+                known.rms(elsewhere.predicted_force(fit.parameters) - elsewhere.force)
+                for fit in (alone, weighed)
+            ]
+        )
+    alone_error, weighed_error = np.median(errors, axis=0)
+    assert weighed_error < 0.5 * alone_error
+
+
+def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
+    window = random_window(0, 1000)
+    weighed = with_prior(SIGMOID, own(window), window, RUNNING)
+    jacobian = ScaleMisfit(window, RUNNING).jacobian(ScaleMisfit(window, RUNNING).start)
+    force = known.rms(window.predicted_force(RUNNING))
+    effects = np.sqrt(np.mean(jacobian**2, axis=0) * np.diag(weighed.covariance)) / force
+    assert np.all(effects <= WANDER * (1.0 + 1e-9))
+
+
+def test_a_window_that_contradicts_the_running_set_counts_alone() -> None:
+    stronger = RUNNING.copy()
+    stronger[SCALE_INDICES[0]] *= 2.0
+    window = steady(stronger)
+    alone = own(window)
+    assert with_prior(SIGMOID, alone, window, RUNNING) is alone
+
+
+def test_other_models_are_left_alone() -> None:
+    window = steady()
+    alone = own(window)
+    assert with_prior(MODELS["bingham"], alone, window, RUNNING) is alone
