@@ -668,6 +668,9 @@ class Identifier(Node):
             "NRMSE before": f"{report.nrmse_before:.4f}",
             "NRMSE after": f"{report.nrmse_after:.4f}",
             "force scale": f"{report.scale.value:.4f} ± {report.scale.standard_error:.4f}",
+            "temperature from the force [°C]": (
+                f"{report.fluid.celsius:.1f} ± {report.fluid.standard_error:.1f}"
+            ),
             "accepted windows": self._tracker.accepted_windows,
             "operating points": self._tracker.reservoir.operating_points,
         }
@@ -701,12 +704,15 @@ class Identifier(Node):
     def _parameters_finding(self) -> Finding:
         parameters = self._tracker.parameters
         age = (self.get_clock().now().nanoseconds - parameters.stamp_ns) / NANOSECONDS
+        names = parameters.law.parameter_names
+        hidden = [n for n, seen in zip(names, parameters.observable, strict=True) if not seen]
         values = {
             "id": parameters.set_id,
             "model": parameters.model,
             "source": parameters.source,
             "age [s]": f"{age:.1f}" if parameters.stamp_ns else "unknown",
             "NRMSE": f"{parameters.nrmse:.4f}",
+            "not observable": ", ".join(hidden) or "none",
         }
         if self._tracker.accepted_windows == 0:
             return Finding(
