@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -153,6 +154,9 @@ class ParameterSet:
             problem = getattr(error, "problem", None)
             detail = f": {problem}" if problem else ""
             raise ParameterError(f"the parameter file is not valid YAML{where}{detail}") from error
+        except Exception as error:
+            # PyYAML raises what it likes for a date that does not exist, !!int '', many brackets.
+            raise ParameterError("the parameter file has an entry that YAML cannot read") from error
         return cls._from_document(document)
 
     @classmethod
@@ -209,7 +213,7 @@ class ParameterSet:
             )
             flag = entry.get("observable", False)
             if not isinstance(flag, bool):
-                raise ParameterError(f"observable of {name} is {flag!r}: give true or false")
+                raise ParameterError(f"observable of {name} is {_shown(flag)}: give true or false")
             observable.append(flag)
         nrmse = document.get("nrmse")
         stamp = document.get("stamp_ns", 0)
@@ -236,7 +240,7 @@ class ParameterSet:
 def known_model(name: Any) -> Model:
     """The model of this name; raises ParameterError where there is none."""
     if not isinstance(name, str) or name not in MODELS:
-        raise ParameterError(f"model {name!r} is unknown: the models are {', '.join(MODELS)}")
+        raise ParameterError(f"model {_shown(name)} is unknown: the models are {', '.join(MODELS)}")
     return MODELS[name]
 
 
@@ -261,7 +265,7 @@ def _number(value: Any, what: str) -> float:
         except ValueError:
             pass
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ParameterError(f"{what} is {value!r}: give a number")
+        raise ParameterError(f"{what} is {_shown(value)}: give a number")
     try:
         return float(value)
     except OverflowError as error:
@@ -272,3 +276,10 @@ def _range(value: Any, what: str) -> tuple[float, float]:
     if not isinstance(value, (list, tuple)) or len(value) != 2:
         raise ParameterError(f"{what} must be a list of two numbers, lower bound first")
     return _number(value[0], what), _number(value[1], what)
+
+
+def _shown(value: Any) -> str:
+    """A value for a sentence; YAML can hold short texts that stand for endless lists."""
+    shortened = reprlib.Repr()
+    shortened.maxlevel = 1
+    return shortened.repr(value)

@@ -31,6 +31,10 @@ _SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6
 """Stamps count nanoseconds, and seconds in 31 bits."""
 
 
+_LARGEST = 1e12
+"""No press moves so many metres or pulls so many newtons, and squares of it are still numbers."""
+
+
 class BlockError(ValueError):
     """A block that cannot be used; the message says what is wrong with it."""
 
@@ -41,8 +45,8 @@ class SampleBlock:
 
     ``start_ns`` is the stamp of sample 0, ``sequence`` its index since the source started.
 
-    Raises BlockError where there are no samples, lengths differ, a value is not finite, or the
-    period is not positive or beyond what stamps can follow.
+    Raises BlockError where there are no samples, lengths differ, a value is not finite or beyond
+    all measure, or the period is not positive or beyond what stamps can follow.
     """
 
     start_ns: int
@@ -63,11 +67,12 @@ class SampleBlock:
                 f"from {_SHORTEST_PERIOD:g} to {_LONGEST_PERIOD:g} s"
             )
         for name in ("displacement", "force"):
-            finite = np.isfinite(getattr(self, name))
-            if np.count_nonzero(finite) != n:
-                raise BlockError(
-                    f"the {name} of sample {int(np.argmin(finite))} of the block is not finite"
-                )
+            values = getattr(self, name)
+            possible = np.abs(values) <= _LARGEST
+            if np.count_nonzero(possible) != n:
+                index = int(np.argmin(possible))
+                what = f"is {values[index]:g}" if np.isfinite(values[index]) else "is not finite"
+                raise BlockError(f"the {name} of sample {index} of the block {what}")
 
     @property
     def sample_count(self) -> int:

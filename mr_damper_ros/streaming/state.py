@@ -93,7 +93,9 @@ class StateDirectory:
         another's. Raises StateError as :meth:`load`.
         """
         path = self.file(name)
-        if path.is_symlink() and path.resolve().parent != path.parent.resolve():
+        if path.is_symlink() and os.path.dirname(os.path.realpath(path)) != os.path.realpath(
+            path.parent
+        ):
             raise StateError(f"{path} is a link out of state_dir: copy the file there instead")
         if not os.path.lexists(path):
             raise StateError(

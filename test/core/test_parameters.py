@@ -216,3 +216,23 @@ def test_values_by_name() -> None:
     assert ParameterSet(LITERATURE).as_dict() == dict(
         zip(PARAMETER_NAMES, LITERATURE.tolist(), strict=True)
     )
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 5_000, "a: 2001-02-31", "a: !!int ''", "a: !!timestamp x", "a: !!float ''", "? {a: 1}"],
+)
+def test_whatever_yaml_stumbles_over_is_one_error(text: str) -> None:
+    with pytest.raises(ParameterError, match="YAML"):
+        ParameterSet.from_yaml(text)
+
+
+def test_an_entry_of_any_size_is_refused_in_a_short_sentence() -> None:
+    lists = "&a [1, 1, 1, 1, 1, 1, 1, 1]"
+    for name in "bcdefg":
+        lists = f"&{name} [{lists}{', *' + chr(ord(name) - 1)}{', *' + chr(ord(name) - 1)}]"
+    names = ParameterSet(np.ones(16)).law.parameter_names
+    text = f"nrmse: {lists}\nparameters: {{{', '.join(f'{name}: 1' for name in names)}}}"
+    with pytest.raises(ParameterError) as caught:
+        ParameterSet.from_yaml(text)
+    assert len(str(caught.value)) < 300
