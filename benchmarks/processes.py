@@ -170,7 +170,9 @@ class Observer:
 
     def __init__(self, domain: Domain) -> None:
         self._context = rclpy.Context()
-        os.environ.update(domain.environment)  # the discovery range is read from there alone
+        # It is read from there alone.
+        name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+        os.environ[name] = domain.environment[name]
         self._context.init(domain_id=domain.number)
         self.node = rclpy.create_node("observer", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)

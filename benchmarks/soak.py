@@ -1,0 +1,74 @@
+"""What takes longer than a test may: kills, hours of data, hostile input. ``make soak``.
+
+Writes ``build/soak.json`` and prints a table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from benchmarks import endurance, fuzz, kills
+from benchmarks.figure import Figure, table
+
+OUTPUT = Path("build/soak.json")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    parts: dict[str, Callable[[], list[Figure]]] = {
+        "fuzz": lambda: fuzz.figures(options.cases, options.seed),
+        "kills": lambda: kills.figures(options.kills, options.kills, options.seed),
+        "soak": lambda: endurance.figures(options.hours, min(1.0, 0.25 * options.hours)),
+    }
+    figures: list[Figure] = []
+    for name in options.only or parts:
+        began = time.monotonic()
+        print(f"{name} ...", end=" ", file=sys.stderr, flush=True)
+        figures += parts[name]()
+        print(f"{time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+    print(table(figures))
+    document = {
+        figure.key: figure.value
+        if isinstance(figure.value, (int, float)) and math.isfinite(figure.value)
+        else None
+        for figure in figures
+    }
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    print(f"\nwritten to {options.output}")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="soak", description="Kill, stream for hours, and feed what is hostile."
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=("fuzz", "kills", "soak"), help="these parts alone"
+    )
+    parser.add_argument(
+        "--hours", type=float, default=8.0, help="of data at 20 x (default %(default)s)"
+    )
+    parser.add_argument(
+        "--kills",
+        type=int,
+        default=100,
+        help="of nodes, and as many of the worker (default %(default)s)",
+    )
+    parser.add_argument(
+        "--cases", type=int, default=100_000, help="of hostile input (default %(default)s)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of what is random (default 0)")
+    parser.add_argument("--output", type=Path, default=OUTPUT, help="file (default %(default)s)")
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
