@@ -220,9 +220,7 @@ def _document(
             for name, error in zip(names, found.standard_errors, strict=True)
         },
         "observable": dict(zip(names, map(bool, found.observable), strict=True)),
-        "metrics": asdict(
-            metrics(found.values, [window for bag in bags for window in bag.windows])
-        ),
+        "metrics": asdict(metrics(found, [window for bag in bags for window in bag.windows])),
         "evaluations": fit.evaluations,
         "duration_s": duration,
         "method": method,
@@ -237,7 +235,7 @@ def _bag_entry(fit: GlobalFit, bag: BagWindows) -> dict[str, Any]:
     coefficients, errors = fit.coefficients((peak_velocity, current))
     return {
         "bag": str(bag.path),
-        "metrics": asdict(metrics(fit.parameter_set.values, bag.windows)),
+        "metrics": asdict(metrics(fit.parameter_set, bag.windows)),
         "operating_point": {"peak_velocity": peak_velocity, "current": current},
         "coefficients": dict(zip(COEFFICIENT_NAMES, coefficients.tolist(), strict=True)),
         "coefficient_standard_errors": {

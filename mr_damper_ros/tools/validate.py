@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from mr_damper_ros.damper.extension import EXTENDED_MODEL
-from mr_damper_ros.damper.parameters import DEFAULT_MODEL
 from mr_damper_ros.streaming.state import read_parameter_file
 from mr_damper_ros.tools.console import run_tool, write_text
 from mr_damper_ros.tools.windows import bag_windows, metrics
@@ -36,11 +34,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _validate(options: argparse.Namespace) -> int:
     found = read_parameter_file(options.parameters)
-    if found.model != EXTENDED_MODEL:
-        found.of_model(DEFAULT_MODEL)
     entries = []
     for path in options.bags:
-        error = asdict(metrics(found.values, bag_windows(path).windows))
+        error = asdict(metrics(found, bag_windows(path).windows))
         entries.append({"bag": str(path), "metrics": error})
         print(
             f"{path}: RMSE {error['rmse']:.4g} N, NRMSE {error['nrmse']:.2%}, "

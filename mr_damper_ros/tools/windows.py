@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mr_damper_ros.damper.parameters import ParameterSet
 from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.identification.model_fit import model_force
 from mr_damper_ros.identification.screening import (
     Screening,
     fault_of_samples,
@@ -63,10 +65,11 @@ def bag_windows(path: Path) -> BagWindows:
     return BagWindows(path, tuple(windows), tuple(temperatures))
 
 
-def metrics(parameters: Array, windows: Sequence[Window]) -> Metrics:
-    """Error of a parameter set (16,) on windows taken together."""
+def metrics(found: ParameterSet, windows: Sequence[Window]) -> Metrics:
+    """Error of a parameter set of any model on windows taken together."""
     measured = np.concatenate([window.force for window in windows])
-    residual = np.concatenate([w.predicted_force(parameters) for w in windows]) - measured
+    predicted = [model_force(found.law, window, found.values) for window in windows]
+    residual = np.concatenate(predicted) - measured
     rmse = float(np.sqrt(np.mean(residual**2)))
     nrmse = rmse / float(np.std(measured))
     return Metrics(rmse=rmse, nrmse=nrmse, r2=1.0 - nrmse**2, n_samples=int(measured.size))

@@ -126,6 +126,16 @@ def test_validate_gives_the_errors_that_identify_gave(tmp_path: Path) -> None:
     assert validation["bags"][0]["metrics"] == pytest.approx(document["bags"][0]["metrics"])
 
 
+def test_validate_takes_a_set_of_any_model(tmp_path: Path) -> None:
+    # Friction and damping of about the run's force and speed.
+    file, report = tmp_path / "bingham.yaml", tmp_path / "validation.json"
+    values = np.array([900.0, 10_000.0, 0.0])
+    file.write_text(ParameterSet(values, model="bingham").to_yaml())
+    assert validate.main([str(file), str(ONE_RUN), "--json", str(report)]) == 0
+    (entry,) = json.loads(report.read_text())["bags"]
+    assert 0.1 < entry["metrics"]["nrmse"] < 0.5
+
+
 def test_a_start_of_ones_own_is_kept_where_the_data_do_not_determine(tmp_path: Path) -> None:
     start = LITERATURE.copy()
     start[PARAMETER_NAMES.index("I1")] = 0.777
