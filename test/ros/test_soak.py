@@ -1,0 +1,28 @@
+"""Short variants of ``make soak``: a few kills, and half a minute of streaming at twenty times."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="these tests need ROS")
+
+from benchmarks import endurance, kills
+
+GROWTH = 5.0
+"""MB that a node may grow by in the second half of a minute; a leak of the blocks would be 8."""
+
+
+def test_whatever_is_killed_the_state_stays() -> None:
+    carried_out = kills.campaign(nodes=3, workers=1, seed=2)
+    assert sorted(kill.victim for kill in carried_out) == [
+        *("bridge", "identifier", "model", "worker")
+    ]
+    assert [kill.fault for kill in carried_out if kill.fault] == []
+
+
+def test_a_stream_at_speed_leaves_no_errors_and_no_leak() -> None:
+    data_hours = 50.0 * endurance.RATE / 3600.0
+    growth, errors = endurance.soak(data_hours, 0.4 * data_hours)
+    assert errors == []
+    assert sorted(growth) == ["bridge", "identifier", "model", "worker"]
+    assert max(growth.values()) < GROWTH, growth
