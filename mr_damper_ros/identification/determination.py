@@ -58,7 +58,7 @@ class Combination:
         """The names with the largest weights, as in ``0.38 I1 + k4``."""
         terms: list[str] = []
         for name, weight in list(self.weights.items())[:_MOST_WORDS]:
-            size = "" if abs(weight) == 1.0 else f"{abs(weight):.2g} "
+            size = "" if f"{abs(weight):.2g}" == "1" else f"{abs(weight):.2g} "
             sign = "- " if weight < 0.0 else "+ "
             terms.append(f"{sign if terms else ''}{size}{name}")
         return " ".join(terms) + (" ..." if len(self.weights) > _MOST_WORDS else "")
