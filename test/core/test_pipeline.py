@@ -168,6 +168,20 @@ def test_the_oldest_waiting_window_makes_room() -> None:
     assert starts(b.work_off()) == [0, 4]
 
 
+def test_a_fit_that_is_cut_counts_with_the_best_so_far() -> None:
+    made = bench()
+    made.pipeline.add_window(window(0))
+    made.worker.stopped = True  # as when its time is over
+    (cut,) = made.work_off()
+    assert isinstance(cut, WindowEnded)
+    assert math.isfinite(cut.report.nrmse_after)
+    # The next one is not cut, and starts from what is in use.
+    made.pipeline.add_window(window(1))
+    (whole,) = made.work_off()
+    assert isinstance(whole, WindowEnded)
+    assert whole.report.accepted, whole.report.reason
+
+
 def test_a_window_that_cannot_be_fitted_has_its_report() -> None:
     b = bench()
     b.worker.failing = True
