@@ -10,17 +10,13 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import (
-    PARAMETER_NAMES,
-    Array,
-    operating_point_coefficients,
-)
+from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
 from mr_damper_ros.identification.fit import fit_window
 from mr_damper_ros.rig.thesis import CONDITIONS, METHODS, Condition, find, parameters
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.errata import METHOD_TITLES, find_errata
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text, to_error, with_error
-from mr_damper_ros.thesis.runs import loop, title, window
+from mr_damper_ros.thesis.runs import coefficients, loop, title, window
 from mr_damper_ros.thesis.style import DASHES, INK, legend_above, panels
 
 COEFFICIENT_UNITS = {
@@ -187,18 +183,9 @@ def _coefficients(data: dict[str, Any]) -> Table:
 
 
 def published_coefficients(condition: Condition, method: str) -> Array:
-    """Seven coefficients (7,) of a published set in its condition, with a positive yield force.
-
-    Yield force and steepness may change sign together: the loop is the same.
-    """
+    """Seven coefficients (7,) of a published set in its condition."""
     top_speed = 2.0 * np.pi * condition.frequency * condition.amplitude
-    found = operating_point_coefficients(
-        parameters(condition, method), top_speed, condition.current
-    )
-    values = np.concatenate(found, axis=-1)
-    if values[0] < 0.0:
-        values[:2] *= -1.0
-    return np.asarray(values)
+    return coefficients(parameters(condition, method), top_speed, condition.current)
 
 
 def _published(data: dict[str, Any]) -> Table:

@@ -16,14 +16,13 @@ from mr_damper_ros.damper.sigmoid import (
     COEFFICIENT_NAMES,
     PARAMETER_NAMES,
     Array,
-    operating_point_coefficients,
 )
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.rig.thesis import find, parameters
 from mr_damper_ros.thesis import facts, one_set
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
-from mr_damper_ros.thesis.runs import cycle
+from mr_damper_ros.thesis.runs import coefficients, cycle
 from mr_damper_ros.thesis.style import GREY, INK, MARKS, panels
 
 CONDITION = "5.0mm_1Hz_1.5A"
@@ -75,11 +74,7 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     floor = min(fit["rmse"] for fit in fits)
     good = np.array([fit["parameters"] for fit in fits if fit["rmse"] < 1.02 * floor])
     misfit = cycle(CONDITION, settings.seed)
-    coefficients = np.concatenate(
-        operating_point_coefficients(good, misfit.peak_velocity, misfit.current), axis=-1
-    )
-    # Yield force and steepness may change sign together: the positive pair is meant.
-    coefficients[coefficients[:, 0] < 0.0, :2] *= -1.0
+    steady = coefficients(good, misfit.peak_velocity, misfit.current)
     return {
         "singular_one": one.tolist(),
         "singular_all": together.tolist(),
@@ -88,7 +83,7 @@ def compute(campaign: Campaign) -> dict[str, Any]:
         "floor": floor,
         "starts": len(fits),
         "good": good.tolist(),
-        "coefficients": coefficients.tolist(),
+        "coefficients": steady.tolist(),
     }
 
 
@@ -121,7 +116,7 @@ def headline(data: dict[str, Any]) -> str:
 
 def show(data: dict[str, Any]) -> list[Block]:
     """Text, tables and figures of the section."""
-    good, coefficients = np.array(data["good"]), np.array(data["coefficients"])
+    good, seven = np.array(data["good"]), np.array(data["coefficients"])
     span = facts.SEARCH_HIGH - facts.SEARCH_LOW
     scatter = [
         (
@@ -135,9 +130,9 @@ def show(data: dict[str, Any]) -> list[Block]:
     steady = [
         (
             name,
-            float(coefficients[:, k].min()),
-            float(coefficients[:, k].max()),
-            float(np.std(coefficients[:, k]) / max(abs(np.mean(coefficients[:, k])), 1e-12)),
+            float(seven[:, k].min()),
+            float(seven[:, k].max()),
+            float(np.std(seven[:, k]) / max(abs(np.mean(seven[:, k])), 1e-12)),
         )
         for k, name in enumerate(COEFFICIENT_NAMES)
     ]

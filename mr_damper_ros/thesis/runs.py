@@ -46,6 +46,18 @@ def title(name: str) -> str:
     )
 
 
+def coefficients(parameters: Array, peak_velocity: float, current: float) -> Array:
+    """Seven operating-point coefficients (..., 7) of sets (..., 16).
+
+    Yield force and steepness may change sign together: the pair with a positive yield force is
+    meant.
+    """
+    parts = operating_point_coefficients(parameters, peak_velocity, current)
+    values = np.concatenate(parts, axis=-1)
+    values[..., :2] *= np.where(values[..., :1] < 0.0, -1.0, 1.0)
+    return values
+
+
 @dataclass(frozen=True, eq=False)
 class Loop:
     """One cycle: displacement [m], velocity [m/s], acceleration [m/s²], force [N], shape (n,)."""
