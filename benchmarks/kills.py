@@ -49,7 +49,7 @@ _PART_IN_START = 0.2
 """Part of the kills that hit a node that has been killed and is still starting."""
 
 _UNDER_WAY = 0.3
-"""Seconds after which what a killed process had sent has come."""
+"""Seconds after which what a killed process had sent has come; no node starts faster."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class _Execution:
         if victim != "worker":
             rig.start(victim)
         pid, last = rig.nodes["identifier"].pid, rig.sets[-1].id
-        rig.observer.spin_for(0.01)
+        rig.observer.spin_for(_UNDER_WAY)
         heard.forget()
         rig.observer.until(lambda: heard.at, f"{victim} after its kill", tick=0.01)
         assert heard.at is not None

@@ -31,6 +31,7 @@ from mr_damper_ros.nodes.parameters import options
 from mr_damper_ros.nodes.results import parameter_set
 from mr_damper_ros.rig.bags import read_bag
 from mr_damper_ros.rig.recording import Recording
+from mr_damper_ros.streaming.state import StateDirectory
 
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"
@@ -308,6 +309,39 @@ def test_sets_are_saved_loaded_reset_and_survive_a_restart(
     assert results.sets[-1].id == "literature"
     listener.wait_for_finding("identifier: state", "set aside as")
     assert (tmp_path / "identifier.aside").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (
+            ParameterSet(np.array([1.0, 2.0, 3.0]), model="bingham").to_yaml(),
+            "those of model 'bingham'",
+        ),
+        (f"# mr_damper_ros parameters, version 9, sha256 {'0' * 64}\n", "a newer version"),
+    ],
+)
+def test_a_state_that_is_not_its_own_is_set_aside(
+    start: Any, listener: Listener, results: Results, tmp_path: Path, content: str, part: str
+) -> None:
+    (tmp_path / "identifier.yaml").write_text(content)
+    start("identifier", state_dir=tmp_path)
+    results.wait_for_the_start()
+    assert results.sets[-1].id == "literature"
+    listener.wait_for_finding("identifier: state", part)
+    assert (tmp_path / "identifier.aside").read_text() == content
+
+
+def test_a_memory_that_cannot_be_used_leaves_the_set(
+    start: Any, listener: Listener, results: Results, tmp_path: Path
+) -> None:
+    identified = ParameterSet(LITERATURE, set_id="identified")
+    StateDirectory(tmp_path).save("identifier", identified, '{"of": "another release"}')
+    start("identifier", state_dir=tmp_path)
+    results.wait_for_the_start()
+    assert results.sets[-1].id == "identified"
+    listener.wait_for_finding("identifier: state", "going on with identified alone; set aside as")
+    assert StateDirectory(tmp_path).load("identifier").set_id == "identified"
 
 
 @pytest.fixture
