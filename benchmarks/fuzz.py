@@ -155,7 +155,7 @@ def _limited(seconds: float | None) -> Iterator[None]:
 
 def _tries(chance: random.Random, folder: Path) -> dict[str, Callable[[], str]]:
     text, mat, bag = _record_text(), _record_mat(), _record_bag(folder)
-    state = _State(chance, folder / "state")
+    state = _State(chance, folder / "states" / "state")
     return {
         "blocks": _Stream(chance).try_block,
         "text": lambda: _try_record(chance, folder / "record.csv", _spoilt(chance, text)),
@@ -435,7 +435,7 @@ class _State:
 
     def __init__(self, chance: random.Random, folder: Path) -> None:
         self._chance = chance
-        folder.mkdir()
+        folder.mkdir(parents=True)
         self._outside = folder.parent / "outside.yaml"
         self._outside.write_text("untouched")
         (folder / "link.yaml").symlink_to(self._outside)

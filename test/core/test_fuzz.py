@@ -17,6 +17,10 @@ def test_hostile_input_does_no_harm(kind: str) -> None:
     assert tried[kind] == CASES[kind]
 
 
+def test_the_kinds_do_not_disturb_one_another() -> None:
+    assert fuzz.campaign(200, seed=3)[1] == []
+
+
 def test_a_wrong_force_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(predictor.HeldCurrent, "at", lambda self, start, period, n: [1.0] * n)
     _, faults = fuzz.campaign(40, seed=1, kinds=("blocks",))
