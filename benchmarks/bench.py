@@ -16,6 +16,7 @@ from benchmarks import (
     earthquake_online,
     earthquake_static,
     force_step,
+    kinematics,
     noise_limit,
     repeated_evolution,
     utfsm_extended,
@@ -46,6 +47,7 @@ FULL: dict[str, Measure] = {
     "utfsm_extended": utfsm_extended.figures,
     "earthquake_online": earthquake_online.figures,
     "earthquake_static": earthquake_static.figures,
+    "kinematics": kinematics.figures,
     "streaming_load": _of_nodes("streaming_load"),
     "lossy_link": _of_nodes("lossy_link"),
 }

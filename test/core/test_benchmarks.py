@@ -15,6 +15,7 @@ from benchmarks import (
     drift,
     following,
     force_step,
+    kinematics,
     noise_limit,
     recordings,
     repeated_evolution,
@@ -39,7 +40,9 @@ KEYS = [
     *("drift_scale_error_p95_percent", "drift_nrmse_ratio", "step_windows"),
     *("ukf_drift_scale_error_p95_percent", "ukf_step_windows"),
     *("utfsm_sixteen_nrmse", "utfsm_extended_nrmse"),
-    *("earthquake_online_fit", "earthquake_static_fit"),
+    *("earthquake_online_fit", "earthquake_online_sixteen_fit"),
+    *("earthquake_static_fit", "earthquake_static_mean", "earthquake_static_sixteen_fit"),
+    "stream_nrmse_ratio",
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)
 
@@ -110,6 +113,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "noise_limit": lambda: noise_limit.figures(2, 1000),
         "drift": lambda: drift.figures(8.0),
         "force_step": lambda: force_step.figures((0.5,)),
+        "kinematics": lambda: kinematics.figures(1),
         # These need ROS: test/ros/test_benchmarks.py.
         "streaming_load": list,
         "lossy_link": list,

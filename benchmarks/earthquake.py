@@ -1,0 +1,121 @@
+"""Earthquake records, predicted block by block by what the nodes are made of, in data time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import recordings
+from mr_damper_ros.damper.extension import without_extension
+from mr_damper_ros.damper.parameters import ParameterSet
+from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.identification.global_fit import identify_global
+from mr_damper_ros.rig.readers import read_record
+from mr_damper_ros.rig.recording import Recording
+from mr_damper_ros.streaming.blocks import SampleBlock
+from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.streaming.tracker import TrackerSettings, WindowTracker, run_fit, run_global
+from mr_damper_ros.streaming.windows import WindowAssembler
+
+CURRENTS = (0.2, 0.6, 1.0)
+"""[A], of the columns of force in earthquake.mat."""
+
+_PERIOD = 1e-3
+_BLOCK = 20
+_MOVING = 1e-4
+"""The motion has begun once it has gone so far [m] from where it began."""
+
+_LEFT_OUT = 5.0
+"""Seconds of motion that do not count."""
+
+
+@dataclass(frozen=True)
+class Following:
+    """Windows of ``window`` [s] every ``hop`` [s], with ``looks`` between two of them."""
+
+    window: float = 2.0
+    hop: float = 1.0
+    looks: int = 3
+
+
+def records(utfsm: Path) -> list[Recording]:
+    """The three records."""
+    return [
+        read_record(
+            utfsm / "earthquake.mat",
+            ",".join(["displacement:mm", *["-"] * number, "force:N"]),
+            current=current,
+            period=_PERIOD,
+        )
+        for number, current in enumerate(CURRENTS)
+    ]
+
+
+@cache
+def sinusoid_set(utfsm: Path, model: str) -> ParameterSet:
+    """The set of ``model`` (sigmoid or sigmoid_lag) for all processed sinusoid records."""
+    start = LITERATURE if model == "sigmoid" else without_extension(LITERATURE)
+    windows = recordings.processed_windows(utfsm)
+    return identify_global(windows, start, EvolutionSettings()).parameter_set
+
+
+def predicted(record: Recording, start: ParameterSet, following: Following | None) -> Array:
+    """Force [N] predicted block by block, each before it is used; shape (n,).
+
+    With ``following`` the identifier runs, with the node's other defaults; the predictor gets a
+    set once the block that completed its window is over.
+    """
+    predictor = ForcePredictor(PredictorSettings())
+    predictor.set_parameters(start)
+    force = np.empty(record.force.size)
+    tracker = WindowTracker(TrackerSettings(model=start.model), start)
+    assembler = None
+    if following is not None:
+        assembler = WindowAssembler(following.window, following.hop, following.looks)
+    for first in range(0, force.size, _BLOCK):
+        part = slice(first, min(first + _BLOCK, force.size))
+        stamp = record.start_ns + round(first * record.period * 1e9)
+        block = SampleBlock(
+            stamp, first, record.period, record.displacement[part], record.force[part]
+        )
+        current = float(record.current[first])
+        predictor.add_current(stamp, current)
+        force[part] = predictor.predict(block).force
+        if assembler is not None:
+            assembler.add_current(stamp, current)
+            _learn(tracker, assembler, block, current)
+            if tracker.parameters is not predictor.parameters:
+                predictor.set_parameters(tracker.parameters)
+    return force
+
+
+def _learn(
+    tracker: WindowTracker, assembler: WindowAssembler, block: SampleBlock, current: float
+) -> None:
+    ready = assembler.add_block(block)
+    ready += assembler.add_current(block.end_ns, current)
+    for raw in ready:
+        result = run_fit(tracker.window_task(raw))
+        report = tracker.complete_look(result) if raw.look else tracker.complete(result)
+        if report is not None and report.global_due:
+            tracker.complete_global(run_global(tracker.global_task()))
+
+
+def fit_percent(record: Recording, force: Array) -> float:
+    """1 - NRMSE [%] after the first 5 s of motion."""
+    moved = np.abs(record.displacement - record.displacement[0]) > _MOVING
+    counted = slice(int(np.argmax(moved)) + round(_LEFT_OUT / record.period), None)
+    measured = record.force[counted]
+    error = force[counted] - measured
+    return 100.0 * (1.0 - float(np.sqrt(np.mean(error**2)) / np.std(measured)))
+
+
+def fits(utfsm: Path, model: str, following: Following | None) -> list[float]:
+    """Fit [%] of each record with the sinusoid set of a model to start from."""
+    start = sinusoid_set(utfsm, model)
+    return [fit_percent(r, predicted(r, start, following)) for r in records(utfsm)]
