@@ -46,7 +46,11 @@ from mr_damper_ros.nodes.pipeline import (
     SearchProgress,
     WindowEnded,
 )
-from mr_damper_ros.nodes.results import parameters_message, report_message
+from mr_damper_ros.nodes.results import (
+    fluid_temperature_message,
+    parameters_message,
+    report_message,
+)
 from mr_damper_ros.nodes.running import run
 from mr_damper_ros.nodes.worker import Worker
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
@@ -344,6 +348,12 @@ class Identifier(Node):
             quality.stream(),
             qos_overriding_options=quality.overridable(),
         )
+        self._temperature_publisher = self.create_publisher(
+            Temperature,
+            "damper/fluid_temperature",
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
         self._publish_parameters(self._tracker.parameters)
         self._worker = Worker(WORK_MODULE)
         self._pipeline = Pipeline(
@@ -427,6 +437,10 @@ class Identifier(Node):
         self._last_report = report
         if report.method == EARLY_METHOD:
             self.get_logger().warning(report.reason)
+        if not math.isnan(report.fluid.celsius):
+            self._temperature_publisher.publish(
+                fluid_temperature_message(report, self._options.frame_id)
+            )
         parameters = self._tracker.parameters if report.accepted else None
         if report.accepted:
             self._keep()

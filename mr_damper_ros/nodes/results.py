@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
+from sensor_msgs.msg import Temperature
 
 from mr_damper_ros.damper.parameters import ParameterError, ParameterSet, known_model
 from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES
@@ -82,6 +83,15 @@ def report_message(report: Report, duration: float, frame_id: str) -> FitReport:
         coefficient_names=list(COEFFICIENT_NAMES),
         coefficients=to_field(report.coefficients),
         coefficient_standard_errors=to_field(report.coefficient_errors),
+    )
+
+
+def fluid_temperature_message(report: Report, frame_id: str) -> Temperature:
+    """The message of the temperature that the force of a report's window tells."""
+    return Temperature(
+        header=header(report.stamp_ns, frame_id),
+        temperature=report.fluid.celsius,
+        variance=report.fluid.standard_error**2,
     )
 
 

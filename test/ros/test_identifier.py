@@ -20,6 +20,8 @@ from mr_damper_msgs.msg import DamperParameters, FitReport
 from mr_damper_msgs.srv import LoadParameters, SaveParameters
 from press import BAD_BLOCKS, Press, block_message
 from rclpy.action import ActionClient
+from rclpy.duration import Duration
+from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
@@ -36,6 +38,8 @@ from mr_damper_ros.streaming.state import StateDirectory
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"
 NOISE = 5.53
+TEMPERATURE_TOLERANCE = 2.0
+"""Kelvin: the noise of one cycle's force scale, over 0.5 % per kelvin, is a tenth of it."""
 WINDOWS = 6
 """Windows of 2 s, one every second, in the 7 s of a bag."""
 
@@ -184,6 +188,40 @@ def test_every_window_has_its_report_and_the_sets_fit(
     assert (np.isnan(last.standard_errors) == ~last.observable).all()
     listener.wait_for_finding("identifier: input", "samples")
     listener.wait_for_finding("identifier: parameters", f"running with {last.set_id}")
+
+
+def test_the_force_tells_the_temperature_where_it_was_learnt(
+    start: Any, listener: Listener, results: Results, recording: Recording
+) -> None:
+    estimates = listener.listen(Temperature, "damper/fluid_temperature")
+    thermometer = listener.node.create_publisher(Temperature, "temperature", quality.stream())
+    start("identifier", window=1.0, hop=1.0, method="least_squares", global_period=0)
+    results.wait_for_the_start()
+    listener.until(lambda: thermometer.get_subscription_count() > 0, "the thermometer's listener")
+    press = Press(listener)
+    # One cycle of the recorded sine, over and over, at the force of each temperature.
+    for number, celsius in enumerate((*np.linspace(30.0, 60.0, 10), 50.0)):
+        known = celsius if number < 10 else math.nan
+        thermometer.publish(Temperature(temperature=known))
+        assert thermometer.wait_for_all_acked(Duration(seconds=30))
+        press.run(heated_cycle(recording, number, celsius))
+        results.wait_for_reports(number + 1)
+    listener.until(lambda: bool(estimates), "an estimate of the temperature")
+    assert len(estimates) == 1
+    assert estimates[0].temperature == pytest.approx(50.0, abs=TEMPERATURE_TOLERANCE)
+    assert 0.0 < estimates[0].variance < TEMPERATURE_TOLERANCE**2
+
+
+def heated_cycle(recording: Recording, number: int, celsius: float) -> Recording:
+    """The first second again, ``number`` seconds later, with 0.5 % less force per kelvin."""
+    part = slice(0, 1000)
+    return replace(
+        recording,
+        start_ns=recording.start_ns + number * 10**9,
+        displacement=recording.displacement[part],
+        force=(1.0 - 0.005 * (celsius - 30.0)) * recording.force[part],
+        current=recording.current[part],
+    )
 
 
 def test_it_says_what_is_missing(start: Any, listener: Listener, recording: Recording) -> None:
