@@ -26,11 +26,13 @@ from mr_damper_ros.identification.window import ScaleMisfit, Window
 _CONTRADICTED = 24.3
 """Seven squared normal numbers exceed this once in a thousand times."""
 
+_MOST_DOUBLINGS = 10
+
 WANDER = 0.03
 """Standard deviation of what the change of one scale between two windows does to the force [1].
 
 Heating changes the force by less within a window (thesis: 26 % in ten minutes). A sudden change is
-another matter: where the window contradicts the running set, it alone counts.
+another matter: where the window contradicts the running set, they may wander further.
 """
 
 
@@ -40,8 +42,7 @@ def with_prior(
     """The fit of a window on its own, weighed against the running set of shape (16,) or (20,).
 
     Where the window determines the scales, the fit hardly changes; that of a model other than the
-    sigmoid law and its extension does not change at all. Where the window contradicts the running
-    set, its own fit is returned.
+    sigmoid law and its extension does not change at all.
     """
     if not is_sigmoid(model):
         return fit
@@ -52,21 +53,29 @@ def with_prior(
     strength = float(np.sqrt(np.mean((misfit.residual(prior) + window.force) ** 2)))
     width = WANDER * strength / np.maximum(effect, 1e-12 * strength)
     left = misfit.residual(fit.scales)
-    noise = float(np.sqrt(np.mean(left**2) * max(correlation_length(left), 1)))
-    search = LocalSearch(_Weighed(misfit, prior, noise / width), prior)
-    search.try_out(prior)
-    search.try_out(fit.scales)
-    search.least_squares()
-    if robust:
-        search.reweighted_least_squares()
-    scales = search.best
-    if float(np.sum(((scales - prior) / width) ** 2)) > _CONTRADICTED:
-        return fit  # the damper has changed: what was known is worth nothing
+    length = max(correlation_length(left), 1)
+    # A fit with seven scales leaves less of few independent samples than is there.
+    freedom = max(left.size / length - prior.size, 1.0)
+    noise = float(np.sqrt(np.sum(left**2) / freedom))
+    evaluations = fit.evaluations
+    for _ in range(_MOST_DOUBLINGS):
+        search = LocalSearch(_Weighed(misfit, prior, noise / width), prior)
+        search.try_out(prior)
+        search.try_out(fit.scales)
+        search.least_squares()
+        if robust:
+            search.reweighted_least_squares()
+        scales = search.best
+        evaluations += search.evaluations
+        if float(np.sum(((scales - prior) / width) ** 2)) <= _CONTRADICTED:
+            break
+        # The damper has changed by more than it usually does: less is known than was thought.
+        width = 2.0 * width
     information = misfit.jacobian(scales) * width / noise if noise > 0.0 else jacobian * 0.0
     precision = information.T @ information + np.eye(prior.size)
     covariance = np.linalg.inv(precision) * np.outer(width, width)
     state = FilterState(scales, covariance, 0, window.operating_point)
-    weighed = as_fit(state, window, running, fit.evaluations + search.evaluations)
+    weighed = as_fit(state, window, running, evaluations)
     return replace(weighed, method=fit.method, success=fit.success, message=fit.message)
 
 

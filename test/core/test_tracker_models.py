@@ -93,7 +93,8 @@ def test_the_force_scale_is_that_of_the_damper(model: str) -> None:
     reports = followed(model)[1]
     assert math.isnan(reports[0].scale.value)
     for report, truth in zip(reports[1:], (1.0, 0.9, 0.9), strict=True):
-        assert 0.0 < report.scale.standard_error < 0.01
+        # What a law cannot follow counts once per correlation length, not once per sample.
+        assert 0.0 < report.scale.standard_error < 0.02
         assert report.scale.value == pytest.approx(truth, abs=0.01)
 
 
