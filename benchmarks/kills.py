@@ -184,8 +184,10 @@ class _Execution:
         again = rig.sets[count]
         if not _not_older(before, last):
             fault = f"{before.set_id} was kept, but {last.id} had been published"
-        elif again.id != before.set_id or list(again.values) != before.values.tolist():
-            fault = f"{before.set_id} was kept, but it went on with {again.id}"
+        elif f"going on with parameters {before.set_id} " not in rig.nodes["identifier"].log:
+            fault = f"{before.set_id} was kept, but it did not go on with it"
+        elif not _is_next(again, before):
+            fault = f"{before.set_id} was kept, but {again.id} was published"
         rig.observer.until(lambda: rig.reports[-1].accepted, "an accepted window")
         after = self._read()[1]
         if after is None or not _same_baselines(memory, after):
@@ -207,8 +209,20 @@ def _not_older(kept: ParameterSet, published: DamperParameters) -> bool:
     """Whether a kept set is the published one, or one that was just about to be published."""
     if kept.set_id == published.id:
         return kept.values.tolist() == list(published.values)
-    numbers = [name.rpartition("-")[2] for name in (kept.set_id, published.id)]
-    return all(map(str.isdigit, numbers)) and int(numbers[0]) > int(numbers[1])
+    return _number(kept.set_id) > _number(published.id) >= 0
+
+
+def _is_next(published: DamperParameters, kept: ParameterSet) -> bool:
+    """Whether a set is the kept one, or one that was fitted to data that came meanwhile."""
+    if published.id == kept.set_id:
+        return list(published.values) == kept.values.tolist()
+    return _number(published.id) > _number(kept.set_id)
+
+
+def _number(set_id: str) -> int:
+    """Number in the name of a set; -1 where there is none."""
+    number = set_id.rpartition("-")[2]
+    return int(number) if number.isdigit() else -1
 
 
 def _same_baselines(before: TrackerMemory, after: TrackerMemory) -> bool:
