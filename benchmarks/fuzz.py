@@ -41,7 +41,7 @@ from mr_damper_ros.streaming.windows import WindowAssembler
 TIME_LIMIT = 10.0
 """Seconds after which a case counts as hanging."""
 
-_SHARES = {"blocks": 35, "text": 20, "yaml": 20, "state": 19, "mat": 5, "bag": 1}
+_SHARES = {"blocks": 35, "text": 20, "yaml": 20, "state": 23, "mat": 1, "bag": 1}
 """Parts [%] of the kinds of input."""
 
 _PERIOD = 1e-3

@@ -7,12 +7,12 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.rig.mat import MatError, read_matrices
 from mr_damper_ros.rig.recording import DEFAULT_START_NS, Recording
 from mr_damper_ros.rig.units import Column, parse_columns
 from mr_damper_ros.streaming.blocks import NANOSECONDS
@@ -382,7 +382,10 @@ def _unreadable(
 
 
 def _read_mat(path: Path, columns: Sequence[Column], variable: str | None) -> _Table:
-    variables = _mat_variables(path)
+    try:
+        variables = read_matrices(path)
+    except MatError as error:
+        raise RecordError(f"{path.name} {error}") from error
     if columns[0].header:
         if variable is not None:
             raise RecordError(
@@ -393,28 +396,6 @@ def _read_mat(path: Path, columns: Sequence[Column], variable: str | None) -> _T
     return _Table(
         {c.quantity: matrix[:, c.position] for c in columns}, lambda row: f"row {row + 1}"
     )
-
-
-def _mat_variables(path: Path) -> dict[str, Array]:
-    """Real matrices of numbers in the file."""
-    from scipy.io import loadmat  # here: see mr_damper_ros.start
-
-    stored = BytesIO(path.read_bytes())
-    try:
-        content = loadmat(stored)
-    except NotImplementedError as error:
-        raise RecordError(
-            f"{path.name} is a MAT file of version 7.3: save it in MATLAB with "
-            "save(..., '-v7') first"
-        ) from error
-    except Exception as error:
-        # Damaged bytes surface in the library as exceptions of many kinds.
-        raise RecordError(f"{path.name} is not a whole MAT file: save it again") from error
-    return {
-        name: value
-        for name, value in content.items()
-        if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiu"
-    }
 
 
 def _listed(variables: dict[str, Array]) -> str:

@@ -209,8 +209,8 @@ def test_what_a_mat_file_lacks_is_named(
     ("content", "sentence"),
     [
         (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\0" * 400, "of version 7.3"),
-        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0f\0\0\0\xff", "not a whole MAT"),
-        (b"nothing", "not a whole MAT file"),
+        (b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0f\0\0\0\xff", "not a MAT file"),
+        (b"nothing", "not a MAT file that can be read: save it again, or export it as CSV"),
     ],
 )
 def test_mat_files_that_cannot_be_read(write: Any, content: bytes, sentence: str) -> None:
