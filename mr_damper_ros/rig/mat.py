@@ -27,13 +27,16 @@ _CHILD = (
     f"from {__name__} import serve; serve(float(limit))"
 )
 
+Matrices = dict[str, NDArray[np.number]]
+"""Real matrices (rows, columns) of numbers, by name."""
+
 
 class MatError(ValueError):
     """A file that cannot be read; the message goes on after the file's name."""
 
 
-def read_matrices(path: Path) -> dict[str, NDArray[np.number]]:
-    """Real matrices (rows, columns) of numbers in a MAT file, by name.
+def read_matrices(path: Path) -> Matrices:
+    """Return the matrices in a MAT file.
 
     Raises MatError where it cannot be read, whatever is wrong with it, or takes longer than
     :data:`TIME_LIMIT`, and OSError where there is no such file.

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.rig.mat import MatError, read_matrices
+from mr_damper_ros.rig.mat import MatError, Matrices, read_matrices
 from mr_damper_ros.rig.recording import DEFAULT_START_NS, Recording
 from mr_damper_ros.rig.units import Column, parse_columns
 from mr_damper_ros.streaming.blocks import NANOSECONDS
@@ -398,13 +398,13 @@ def _read_mat(path: Path, columns: Sequence[Column], variable: str | None) -> _T
     )
 
 
-def _listed(variables: dict[str, Array]) -> str:
+def _listed(variables: Matrices) -> str:
     shapes = [f"{name} ({v.shape[0]} x {v.shape[1]})" for name, v in variables.items()]
     return ", ".join(shapes) or "no matrix of numbers"
 
 
 def _matrix(
-    path: Path, variables: dict[str, Array], columns: Sequence[Column], variable: str | None
+    path: Path, variables: Matrices, columns: Sequence[Column], variable: str | None
 ) -> Array:
     # Samples may run down or across.
     upright = {n: v.T if v.shape[0] < v.shape[1] else v for n, v in variables.items()}
@@ -430,7 +430,7 @@ def _matrix(
     return matrix
 
 
-def _vectors(path: Path, variables: dict[str, Array], columns: Sequence[Column]) -> _Table:
+def _vectors(path: Path, variables: Matrices, columns: Sequence[Column]) -> _Table:
     values = {}
     for column in columns:
         vector = variables.get(column.header)
