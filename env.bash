@@ -2,7 +2,7 @@
 #     . ./env.bash
 
 _mr_damper_env() {
-  local root shell mode flags programs
+  local root shell mode flags programs profiles
   if [ -n "${BASH_VERSION:-}" ]; then
     shell=bash
     root=$(CDPATH="" cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd -P)
@@ -39,6 +39,13 @@ _mr_damper_env() {
 
   # No traffic with other machines unless it is asked for.
   export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+
+  # Nodes that are started again are found at once, unless there are profiles of the user's own.
+  profiles=$root/install/mr_damper_ros/share/mr_damper_ros/config/fastdds.xml
+  if [ -z "${FASTRTPS_DEFAULT_PROFILES_FILE:-}${FASTDDS_DEFAULT_PROFILES_FILE:-}" ] \
+    && [ -f "$profiles" ]; then
+    export FASTRTPS_DEFAULT_PROFILES_FILE="$profiles"
+  fi
 
   # The wheels have no `ros2` command. So the programs can be called by their names, and a small
   # stand-in knows `ros2 run`.

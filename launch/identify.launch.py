@@ -5,6 +5,8 @@ ros2 launch mr_damper_ros identify.launch.py bag:=/path/to/bag rate:=2.0
 ros2 launch mr_damper_ros identify.launch.py namespace:=left bridge_config:=/path/to/bridge.yaml
 """
 
+import os
+
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import (
@@ -23,6 +25,9 @@ PACKAGE = "mr_damper_ros"
 
 # Recorded names are absolute; made relative, they follow the namespace.
 RECORDED_TOPICS = ("mts/samples", "supply/current", "temperature")
+
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Where either is set, it holds; Fast DDS of Jazzy reads the first."""
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -62,6 +67,10 @@ def generate_launch_description() -> LaunchDescription:
         ),
     ]
 
+    # Nodes that are started again are found at once.
+    profiles = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "fastdds.xml"])
+    environment = {} if any(map(os.environ.get, PROFILES)) else {PROFILES[0]: profiles}
+
     def node(name: str, **details: object) -> Node:
         return Node(
             package=PACKAGE,
@@ -69,6 +78,7 @@ def generate_launch_description() -> LaunchDescription:
             name=name,
             namespace=LaunchConfiguration("namespace"),
             output="screen",
+            additional_env=environment,
             **details,
         )
 
