@@ -4,7 +4,8 @@ Loading rclpy and SciPy takes a second or two. A signal that comes meanwhile end
 does later: with exit code 0, no traceback.
 
 SciPy takes the most of it. A node that was killed should be back soon, so what a node loads
-imports SciPy only where it is called; the identifier's worker loads it before its first task.
+imports SciPy only where it is called. The identifier's worker, which loads it before its first
+task, is started before the node is loaded: it takes longer than the node and its first window.
 """
 
 from __future__ import annotations
@@ -14,6 +15,9 @@ import signal
 from importlib import import_module
 from types import FrameType
 
+_WORK = "mr_damper_ros.nodes.work"
+"""What the identifier's worker must load for its tasks."""
+
 
 def bridge() -> int:
     """Run the node bridge."""
@@ -22,7 +26,14 @@ def bridge() -> int:
 
 def identifier() -> int:
     """Run the node identifier."""
-    return _run("identifier")
+    _hear_signals()
+    from mr_damper_ros.nodes.worker import Worker
+
+    worker = Worker(_WORK)
+    try:
+        return _run("identifier", worker)
+    finally:
+        worker.close()
 
 
 def model() -> int:
@@ -35,11 +46,15 @@ def replay() -> int:
     return _run("replay")
 
 
-def _run(name: str) -> int:
+def _run(name: str, *arguments: object) -> int:
+    _hear_signals()
+    code: int = import_module(f"mr_damper_ros.nodes.{name}").main(*arguments)
+    return code
+
+
+def _hear_signals() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _leave)
-    code: int = import_module(f"mr_damper_ros.nodes.{name}").main()
-    return code
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

@@ -8,6 +8,7 @@ import math
 import time
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from mr_damper_msgs.action import IdentifyGlobal
@@ -38,7 +39,6 @@ from mr_damper_ros.nodes.parameters import (
     option,
 )
 from mr_damper_ros.nodes.pipeline import (
-    WORK_MODULE,
     Budget,
     Pipeline,
     Search,
@@ -319,7 +319,7 @@ class _Outgoing:
 class Identifier(Node):
     """Feeds what arrives to the identification, and publishes what comes of it."""
 
-    def __init__(self) -> None:
+    def __init__(self, worker: Worker) -> None:
         super().__init__("identifier")
         self._options = NodeParameters(self, IdentifierParameters).values
         self._state = _state_directory(self._options.state_dir)
@@ -355,7 +355,7 @@ class Identifier(Node):
             qos_overriding_options=quality.overridable(),
         )
         self._publish_parameters(self._tracker.parameters)
-        self._worker = Worker(WORK_MODULE)
+        self._worker = worker
         self._pipeline = Pipeline(
             self._tracker,
             self._worker,
@@ -397,8 +397,7 @@ class Identifier(Node):
         )
 
     def destroy_node(self) -> None:
-        """End the worker too, and what keeps the state."""
-        self._worker.close()
+        """End what keeps the state too."""
         if self._keeper is not None:
             self._keeper.close(_DISK_PATIENCE)
         self._send(at_once=True)
@@ -759,6 +758,6 @@ def _initial_set(source: str, model: str) -> ParameterSet:
         raise ConfigurationError(f"initial_parameters: {error}") from error
 
 
-def main() -> int:
-    """Run the node."""
-    return run(Identifier, IdentifierParameters)
+def main(worker: Worker) -> int:
+    """Run the node, with a worker that the caller closes."""
+    return run(partial(Identifier, worker), IdentifierParameters)

@@ -27,9 +27,6 @@ from mr_damper_ros.streaming.tracker import (
 )
 from mr_damper_ros.streaming.windows import RawWindow
 
-WORK_MODULE = "mr_damper_ros.nodes.work"
-"""What the worker must load for the tasks of a pipeline."""
-
 
 @dataclass(frozen=True)
 class Budget:

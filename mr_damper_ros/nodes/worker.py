@@ -27,6 +27,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -117,7 +118,7 @@ class _Process:
             self._child = subprocess.Popen(
                 [
                     *(sys.executable, "-c"),
-                    f"import {module}; from {__name__} import serve; serve({theirs.fileno()})",
+                    f"from {__name__} import serve; serve({theirs.fileno()}, {module!r})",
                 ],
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
@@ -331,12 +332,13 @@ class Worker:
         return [Failed(self._number, why)]
 
 
-def serve(descriptor: int) -> None:
-    """Be the worker on this socket, until it closes."""
+def serve(descriptor: int, module: str) -> None:
+    """Be the worker on this socket, until it closes, for the tasks of a module."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         # The end of the socket is noticed by a thread, which a long call into C could hold up.
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    import_module(module)
     connection = Connection(descriptor)
     tasks: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     stopped: set[int] = set()
