@@ -46,7 +46,8 @@ class WindowAssembler:
     A window is handed out once the current is known for all of it, that is once a value stamped
     at or after its last sample has come: what a window holds then does not depend on the order
     in which the messages of different topics arrive. ``looks`` windows more are cut within each
-    hop, see :class:`RawWindow`.
+    hop, see :class:`RawWindow`. A window from whose start the current is not known is left out;
+    the next look, which is as long, is then handed out in its place.
     """
 
     def __init__(self, window: float, hop: float, looks: int = 0) -> None:
@@ -68,6 +69,7 @@ class WindowAssembler:
         self._temperature = math.nan
         self._events: list[str] = []
         self._waiting: list[RawWindow] = []
+        self._replacing = False
         self._empty()
 
     def _empty(self) -> None:
@@ -183,7 +185,11 @@ class WindowAssembler:
                 self._events.append(
                     "the supply current is not known from the start of a window: it is left out"
                 )
+                self._replacing = self._replacing or not window.look
                 continue
+            if self._replacing:
+                window = replace(window, look=0)
+                self._replacing = False
             current = self._current.at(window.start_ns, window.period, window.force.size)
             ready.append(replace(window, current=current))
         most = _WAIT_FOR_CURRENT * (self._looks + 1)

@@ -229,6 +229,15 @@ def test_a_window_that_began_before_the_current_was_known_is_dropped() -> None:
     assert starts(cut(stream(100), made)) == [0.5, 1.0, 1.5, 2.0]
 
 
+def test_the_next_look_replaces_a_window_that_is_dropped_for_its_current() -> None:
+    made = WindowAssembler(1.0, 0.4, looks=3)
+    made.add_current(at(0.15), 0.5)
+    made.add_current(at(5.0), 0.5)
+    windows = cut(stream(100), made)
+    assert starts(windows)[:4] == [0.2, 0.3, 0.4, 0.5]
+    assert [bool(window.look) for window in windows[:4]] == [False, True, False, True]
+
+
 def test_a_window_that_is_dropped_for_its_current_is_told() -> None:
     made = WindowAssembler(1.0, 0.5)
     made.add_current(at(0.2), 0.5)
