@@ -74,7 +74,9 @@ class SineFollower:
         if self._weights is None:
             return False
         error = centred + self._weights[2] - displacement
-        return float(np.abs(error).max()) <= _LEAVING * self._allowed
+        limit = _LEAVING * self._allowed
+        # The root of the sum of squares, which is quicker, is no less than the largest.
+        return bool(error.dot(error) <= limit**2 or np.abs(error).max() <= limit)
 
     def learn(self, displacement: Array, half_cycle: float) -> None:
         """Fit the sine to these samples too, if it is time to.

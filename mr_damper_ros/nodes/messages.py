@@ -20,10 +20,16 @@ _STAMP_LIMIT = 2**31 * _SECOND
 
 def to_stamp(nanoseconds: int) -> Time:
     """A stamp from nanoseconds since the epoch; raises ValueError where a stamp cannot hold it."""
+    stamp = Time()
+    set_stamp(stamp, nanoseconds)
+    return stamp
+
+
+def set_stamp(stamp: Time, nanoseconds: int) -> None:
+    """Set a stamp to nanoseconds since the epoch; ValueError as for :func:`to_stamp`."""
     if not -_STAMP_LIMIT <= nanoseconds < _STAMP_LIMIT:
         raise ValueError(f"{nanoseconds} ns is not a time that a stamp can hold")
-    seconds, rest = divmod(nanoseconds, _SECOND)
-    return Time(sec=seconds, nanosec=rest)
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, _SECOND)
 
 
 def to_nanoseconds(stamp: Time) -> int:

@@ -17,7 +17,7 @@ from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Findin
 from mr_damper_ros.nodes.inputs import Inputs
 from mr_damper_ros.nodes.messages import header, to_nanoseconds
 from mr_damper_ros.nodes.parameters import ConfigurationError, NodeParameters, Table, option
-from mr_damper_ros.nodes.results import parameter_set, prediction_message
+from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
 from mr_damper_ros.nodes.running import run
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.streaming.predictor import ForcePredictor, Prediction, PredictorSettings
@@ -122,6 +122,7 @@ class Model(Node):
             )
         )
         self._error = RunningError(self._options.error_memory)
+        self._message = PredictionMessage(self._options.frame_id)
         self._last: Prediction | None = None
         self._next_wrench_ns: int | None = None
         self._slowest = 0.0
@@ -182,7 +183,7 @@ class Model(Node):
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
         prediction = self._predictor.predict(block)
-        self._force.publish(prediction_message(prediction, self._options.frame_id))
+        self._force.publish(self._message.of(prediction))
         self._slowest = max(self._slowest, time.perf_counter() - began)
         self._last = prediction
         if prediction.continuity:

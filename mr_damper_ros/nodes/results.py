@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 from sensor_msgs.msg import Temperature
+from std_msgs.msg import Header
 
 from mr_damper_ros.damper.parameters import ParameterError, ParameterSet, known_model
 from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES
-from mr_damper_ros.nodes.messages import header, to_field, to_nanoseconds, to_stamp
+from mr_damper_ros.nodes.messages import header, set_stamp, to_field, to_nanoseconds, to_stamp
 from mr_damper_ros.streaming.predictor import Prediction
 from mr_damper_ros.streaming.tracker import Report
 
@@ -95,14 +96,20 @@ def fluid_temperature_message(report: Report, frame_id: str) -> Temperature:
     )
 
 
-def prediction_message(prediction: Prediction, frame_id: str) -> PredictedForce:
-    """The message of the prediction for one block."""
-    return PredictedForce(
-        header=header(prediction.start_ns, frame_id),
-        seq=prediction.sequence,
-        period=prediction.period,
-        force=to_field(prediction.force),
-        parameter_set=prediction.set_id,
-        valid=prediction.valid,
-        reason=prediction.reason,
-    )
+class PredictionMessage:
+    """The message of the prediction for one block, always the same one: made anew it costs more."""
+
+    def __init__(self, frame_id: str) -> None:
+        self._message = PredictedForce(header=Header(frame_id=frame_id))
+
+    def of(self, prediction: Prediction) -> PredictedForce:
+        """Fill the message; it holds until the next call."""
+        message = self._message
+        set_stamp(message.header.stamp, prediction.start_ns)
+        message.seq = prediction.sequence
+        message.period = prediction.period
+        message.force = to_field(prediction.force)
+        message.parameter_set = prediction.set_id
+        message.valid = prediction.valid
+        message.reason = prediction.reason
+        return message

@@ -103,6 +103,9 @@ class Continuity:
         return self.kind in ("gap", "jump_back", "changed_period")
 
 
+_NEXT = Continuity("next")
+
+
 class BlockSequence:
     """Remembers the last block of a stream and judges the next one.
 
@@ -149,7 +152,7 @@ class BlockSequence:
         missing = block.sequence - (last.sequence + last.sample_count)
         if abs(late) <= 0.5 * block.period:
             if missing == 0:
-                return Continuity("next")
+                return _NEXT
             # The stamps go on but the count does not: the source was started again.
             return Continuity(
                 "gap",

@@ -26,6 +26,8 @@ class HeldCurrent:
         self._stamps: list[int] = []
         self._values: list[float] = []
         self._jumped = False
+        # The last result that was of one value throughout, to be given again.
+        self._constant = np.empty(0)
 
     @property
     def last_stamp_ns(self) -> int | None:
@@ -68,9 +70,14 @@ class HeldCurrent:
     def at(self, start_ns: int, period: float, count: int) -> Array:
         """Current [A] at ``count`` samples from ``start_ns``, ``period`` [s] apart, shape (n,).
 
-        Before the first value that value is taken: ask :meth:`known_from`.
+        Before the first value that value is taken: ask :meth:`known_from`. The result is not for
+        writing: where the current stays the same, so does the array.
         """
         first = max(bisect_right(self._stamps, start_ns) - 1, 0)
+        if first + 1 == len(self._stamps):
+            if self._constant.size != count or self._constant[0] != self._values[first]:
+                self._constant = np.full(count, self._values[first])
+            return self._constant
         result = np.full(count, self._values[first])
         for stamp, value in zip(self._stamps[first + 1 :], self._values[first + 1 :], strict=True):
             # Rounding of the stamp to nanoseconds must not move a step by one sample.

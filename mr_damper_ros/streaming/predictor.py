@@ -164,7 +164,7 @@ class ForcePredictor:
         if (
             reckoned is None
             or reckoned.motion is not motion
-            or not bool((reckoned.current == current).all())
+            or not (reckoned.current is current or bool((reckoned.current == current).all()))
         ):
             reckoned = self._reckon(motion, current, self._parameters, self._stream)
         if not reckoned.finite:
