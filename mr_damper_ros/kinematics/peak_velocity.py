@@ -144,8 +144,22 @@ def peak_velocity_of_window(velocity: Array, period: float) -> Array:
     As of a stream that went on before the window as in its first half-cycle.
     """
     found = PeakVelocity(period).follow(velocity)
-    sense = np.sign(velocity[np.argmax(velocity != 0.0)])
-    turned = sense * velocity < -_TURNED * np.maximum.accumulate(np.abs(velocity))
-    first = int(np.argmax(turned)) if turned.any() else velocity.size - 1
-    found[:first] = found[first]
+    first = _turn_after(velocity, 0)
+    second = _turn_after(velocity, first)
+    # The end of a half-cycle of which the window holds no more says nothing of its peak.
+    remnant = _top_speed(velocity[:first]) < _TURNED * _top_speed(velocity[first:second])
+    known = second if remnant else first
+    found[:known] = found[min(known, velocity.size - 1)]
     return found
+
+
+def _turn_after(velocity: Array, first: int) -> int:
+    """Where the half-cycle of sample ``first`` ends, the end of the window at the latest."""
+    rest = velocity[first:]
+    sense = np.sign(rest[np.argmax(rest != 0.0)]) if rest.size else 0.0
+    turned = sense * rest < -_TURNED * np.maximum.accumulate(np.abs(rest))
+    return first + (int(np.argmax(turned)) if turned.any() else rest.size)
+
+
+def _top_speed(velocity: Array) -> float:
+    return float(np.max(np.abs(velocity), initial=0.0))

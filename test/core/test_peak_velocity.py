@@ -47,6 +47,17 @@ def test_a_window_knows_the_peak_of_its_first_half_cycle_from_the_start(frequenc
     np.testing.assert_allclose(found, 0.03, rtol=SAMPLED)
 
 
+@pytest.mark.parametrize("cycles", [0.5, 2.0])
+@pytest.mark.parametrize("remnant", [1, 30])
+def test_a_window_that_begins_right_before_a_reversal_knows_it_too(
+    cycles: float, remnant: int
+) -> None:
+    """Its first samples belong to a half-cycle whose peak it has not seen."""
+    time = np.arange(-remnant, round(1000 * cycles)) * PERIOD
+    found = peak_velocity_of_window(sine(1.0, time=time), PERIOD)
+    np.testing.assert_allclose(found, 0.03, rtol=SAMPLED)
+
+
 def test_it_is_never_below_the_speed() -> None:
     velocity = RANDOM.at(TIME).velocity
     assert np.all(PeakVelocity(PERIOD).follow(velocity) >= np.abs(velocity))
