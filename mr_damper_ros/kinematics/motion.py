@@ -15,6 +15,7 @@ import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
+from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
 from mr_damper_ros.kinematics.sine import Sine, fit_sine
 
 SINE_TOLERANCE = 2e-3
@@ -80,14 +81,12 @@ def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
     A filter too long for the motion leaves part of the motion in the residual (discrepancy
     principle); one too short passes more noise than it must.
     """
-    from scipy.signal import savgol_coeffs, savgol_filter  # here: see mr_damper_ros.start
-
     noise = displacement_noise(displacement)
-    length = _SHORTEST_FILTER
-    candidate = length
+    candidate = _SHORTEST_FILTER
+    best = SavitzkyGolay(candidate, _POLYNOMIAL_ORDER)
     while candidate < displacement.size // 2:
-        kept = savgol_coeffs(candidate, _POLYNOMIAL_ORDER)[candidate // 2]
-        left = displacement - savgol_filter(displacement, candidate, _POLYNOMIAL_ORDER)
+        smoother = SavitzkyGolay(candidate, _POLYNOMIAL_ORDER)
+        left = displacement - smoother.derivative(displacement)
         # The worst stretch decides, not the average: a filter must not round off the reversals.
         stretch = max(candidate, _SHORTEST_STRETCH)
         blocks = left[: left.size // stretch * stretch].reshape(-1, stretch)
@@ -97,15 +96,12 @@ def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
         # Of many stretches the worst exceeds the noise the more, the more there are.
         margin = _CHANCE + math.sqrt(2.0 * math.log(len(blocks)))
         chance = margin / math.sqrt(2.0 * stretch)
-        allowed = noise * math.sqrt(1.0 - kept) * (1.0 + chance)
+        allowed = noise * math.sqrt(1.0 - smoother.kept) * (1.0 + chance)
         if worst > _NOISE_FACTOR * allowed:
             break
-        length = candidate
+        best = smoother
         candidate = 2 * (3 * candidate // 4) + 1
-    u, v, a = (
-        savgol_filter(displacement, length, _POLYNOMIAL_ORDER, deriv=order, delta=period)
-        for order in range(3)
-    )
+    u, v, a = (best.derivative(displacement, order, period) for order in range(3))
     return u, v, a
 
 

@@ -1,0 +1,50 @@
+"""The filter of Savitzky and Golay: right for polynomials, and the same as SciPy's."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
+
+PERIOD = 2e-3
+ROUNDING = 1e-9
+"""Of the largest value."""
+SCIPY_ROUNDING = 1e-6
+"""The same of SciPy's filter, which does not scale the powers, for up to 200 samples."""
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_a_polynomial_of_its_order_is_differentiated_exactly(order: int) -> None:
+    truth = np.polynomial.Polynomial([0.3, -2.0, 5.0, 1.0, -4.0])
+    time = np.arange(60) * PERIOD
+    found = SavitzkyGolay(15, 4).derivative(truth(time), order, PERIOD)
+    expected = truth.deriv(order)(time)
+    assert np.max(np.abs(found - expected)) < ROUNDING * np.max(np.abs(expected))
+
+
+@known.fixed(40)
+@given(st.integers(3, 100), st.integers(0, 300), st.integers(0, 2), st.integers(0, 1000))
+def test_it_is_the_filter_of_scipy(half: int, more: int, order: int, seed: int) -> None:
+    length = 2 * half + 1
+    values = np.random.default_rng(seed).normal(size=length + more)
+    found = SavitzkyGolay(length, 4)
+    expected = savgol_filter(values, length, 4, deriv=order, delta=PERIOD)
+    difference = found.derivative(values, order, PERIOD) - expected
+    assert np.max(np.abs(difference)) < SCIPY_ROUNDING * np.max(np.abs(expected))
+    assert found.kept == pytest.approx(savgol_coeffs(length, 4)[half], rel=SCIPY_ROUNDING)
+
+
+@pytest.mark.parametrize(("length", "sentence"), [(8, "must be odd"), (3, "above 4, the order")])
+def test_a_length_that_cannot_be_is_refused(length: int, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        SavitzkyGolay(length, 4)
+
+
+def test_too_few_values_are_refused() -> None:
+    with pytest.raises(ValueError, match="there are 6 values: at least 7 are needed"):
+        SavitzkyGolay(7, 4).derivative(np.zeros(6))
