@@ -27,6 +27,13 @@ from mr_damper_ros.streaming.state import StateError, read_parameter_file
 _REPORTS = 10
 """Reports that may wait: only the newest ones matter."""
 
+_HEAD_START = 1e-4
+"""Seconds for which the node rests once a force is out: on a computer with no processor to spare
+who waits for the force may be put on this one, and would wait for the rest of the work, too."""
+
+_UNHURRIED = 1e-3
+"""A node that had no block for so many seconds is not behind, and can rest."""
+
 
 @dataclass(frozen=True)
 class ModelParameters(Table):
@@ -126,6 +133,7 @@ class Model(Node):
         self._last: Prediction | None = None
         self._next_wrench_ns: int | None = None
         self._slowest = 0.0
+        self._idle_since = -math.inf
         self._refused_parameters = ""
         if self._options.parameter_file:
             self._predictor.set_parameters(_read(self._options.parameter_file))
@@ -185,6 +193,8 @@ class Model(Node):
         prediction = self._predictor.predict(block)
         self._force.publish(self._message.of(prediction))
         self._slowest = max(self._slowest, time.perf_counter() - began)
+        if began - self._idle_since > _UNHURRIED:
+            time.sleep(_HEAD_START)
         self._last = prediction
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
@@ -193,6 +203,7 @@ class Model(Node):
             self._error.add(prediction.force, block.force, block.period)
             self._mirror(prediction)
         self._predictor.catch_up()
+        self._idle_since = time.perf_counter()
 
     def _mirror(self, prediction: Prediction) -> None:
         """Publish the last sample of the block as a wrench, where one is due."""
