@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import os
 import signal
 import subprocess
 import sys
@@ -150,7 +151,11 @@ def test_a_stopped_campaign_keeps_what_is_done_and_leaves_no_process(tmp_path, s
     program.write_text(PROGRAM)
     command = [sys.executable, str(program), str(tmp_path), seconds]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
     ) as process:
         assert process.stdout is not None
         said = [process.stdout.readline() for _ in range(2)]
