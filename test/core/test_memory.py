@@ -28,7 +28,8 @@ from mr_damper_ros.streaming.tracker import (
 )
 
 COUNT = 16
-SAMPLES = 400
+SAMPLES = 1000
+"""A whole cycle: less does not determine the seven scales."""
 START = ParameterSet(known.PLAUSIBLE, set_id="start")
 
 
