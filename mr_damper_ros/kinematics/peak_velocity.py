@@ -69,11 +69,6 @@ class PeakVelocity:
         self._sense = 0.0
         self._half_cycle = 0
 
-    @property
-    def half_cycles(self) -> int:
-        """Half-cycles that have ended so far."""
-        return self._half_cycle
-
     def follow(self, velocity: Array) -> Array:
         """Peak velocity [m/s] at the next samples of the velocity [m/s], shape (n,)."""
         found = np.empty(velocity.size)

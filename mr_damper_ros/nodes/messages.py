@@ -10,7 +10,7 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from std_msgs.msg import Header
 
 from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.streaming.blocks import SampleBlock
+from mr_damper_ros.streaming.blocks import BlockError, SampleBlock
 
 _SECOND = 1_000_000_000
 
@@ -65,13 +65,19 @@ def samples_message(block: SampleBlock, frame_id: str) -> MtsSamples:
 
 def sample_block(message: MtsSamples) -> SampleBlock:
     """The block in a message; raises BlockError, with a sentence, where it cannot be used."""
-    return SampleBlock(
+    block = SampleBlock(
         start_ns=to_nanoseconds(message.header.stamp),
         sequence=message.seq,
         period=message.period,
         displacement=from_field(message.displacement),
         force=from_field(message.force),
     )
+    if block.end_ns >= _STAMP_LIMIT:
+        raise BlockError(
+            "the block ends after the last time that a stamp can hold, in January 2038: is the "
+            "clock of its source right?"
+        )
+    return block
 
 
 def current_message(stamp_ns: int, current: float, frame_id: str) -> SupplyCurrent:

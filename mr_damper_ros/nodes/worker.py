@@ -31,6 +31,8 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
 
+from mr_damper_ros.identification.parallel import SINGLE_THREADED
+
 _GRACE = 1.0
 """Seconds that a task has for stopping by itself after it was asked to."""
 
@@ -54,11 +56,6 @@ _PR_SET_PDEATHSIG = 1
 
 _TASK, _STOP = b"t", b"s"
 """First byte of what the node sends: a pickled (number, call), or the number of one to stop."""
-
-_SINGLE_THREADED = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
-"""The arrays are small: more BLAS threads would only take the node's time away from it."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +121,8 @@ class _Process:
                 pass_fds=[theirs.fileno()],
                 env={
                     **os.environ,
-                    **_SINGLE_THREADED,
+                    # The arrays are small: more threads would only take the node's time from it.
+                    **SINGLE_THREADED,
                     "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
                 },
                 # Ctrl-C goes to the whole group of the terminal; the worker must not see it.

@@ -23,7 +23,8 @@ from mr_damper_ros.damper.sigmoid import (
 )
 from mr_damper_ros.identification.window import Window
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.streaming.windows import RawWindow
+from mr_damper_ros.streaming.tracker import Report, WindowTracker, run_fit
+from mr_damper_ros.streaming.windows import RawWindow, WindowAssembler
 
 NOISE = 5.53
 """Standard deviation of the force noise of the thesis [N]."""
@@ -193,6 +194,24 @@ def blocks(
         )
         first, place = last, place + 1
     return result
+
+
+def followed(
+    tracker: WindowTracker, displacement: Array, force: Array, current: float
+) -> list[Report]:
+    """Reports of a tracker fed with a stream: windows of 2 s, one a second, with three looks."""
+    assembler = WindowAssembler(2.0, 1.0, 3)
+    ready = assembler.add_current(T0, current)
+    for block in blocks(displacement, force, [100]):
+        ready += assembler.add_block(block)
+        ready += assembler.add_current(block.end_ns, current)
+    reports = []
+    for raw in ready:
+        result = run_fit(tracker.window_task(raw))
+        report = tracker.complete_look(result) if raw.look else tracker.complete(result)
+        if report is not None:
+            reports.append(report)
+    return reports
 
 
 def drifting_force(run: Run, warm: float) -> Array:

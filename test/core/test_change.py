@@ -184,18 +184,7 @@ def stream(
         TrackerSettings(tracker=tracker, method="least_squares", global_period=0),
         ParameterSet(known.PLAUSIBLE * np.where(np.arange(16) == 0, 0.8, 1.0), set_id="start"),
     )
-    assembler = WindowAssembler(2.0, 1.0, 3)
-    ready = assembler.add_current(known.T0, 1.0)
-    for block in known.blocks(whole.displacement, force, [100]):
-        ready += assembler.add_block(block)
-        ready += assembler.add_current(block.end_ns, 1.0)
-    reports = []
-    for raw in ready:
-        result = run_fit(tracked.window_task(raw))
-        report = tracked.complete_look(result) if raw.look else tracked.complete(result)
-        if report is not None:
-            reports.append(report)
-    return tracked, reports
+    return tracked, known.followed(tracked, whole.displacement, force, 1.0)
 
 
 def early(reports: list[Report]) -> list[Report]:

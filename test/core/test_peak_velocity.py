@@ -24,6 +24,8 @@ from mr_damper_ros.streaming.windows import WindowAssembler
 
 PERIOD = 1e-3
 TIME = np.arange(6000) * PERIOD
+WORST_OF_ALL = 5.0
+"""Standard deviations that none of some thousand samples of noise exceeds."""
 RANDOM = BandLimitedRandom(rms=3e-3, low=0.5, high=4.0, seed=4)
 
 SAMPLED = 1e-4
@@ -107,10 +109,15 @@ def test_in_a_rest_the_motion_is_forgotten() -> None:
 
 
 def test_noise_does_not_count_as_half_cycles() -> None:
-    noisy = sine(1.0, time=TIME + 0.25) + np.random.default_rng(1).normal(0.0, 1e-3, TIME.size)
-    follower = PeakVelocity(PERIOD)
-    follower.follow(noisy)
-    assert follower.half_cycles == 12
+    """Else the larger motion would be forgotten at the first reversals of the smaller one."""
+    frequency, change, noise = 2.0, 1.5, 1e-3
+    velocity = sine(frequency, np.where(change > TIME, 0.05, 0.03))
+    velocity += np.random.default_rng(1).normal(0.0, noise, TIME.size)
+    found = PeakVelocity(PERIOD).follow(velocity)
+    forgotten = change + 0.5 * (HALF_CYCLES - 1) / frequency
+    before = (change < TIME) & (forgotten > TIME)
+    assert np.all(found[before] > 0.05 - noise)
+    assert found[-1] < 0.03 + WORST_OF_ALL * noise
 
 
 def test_windows_and_streams_have_the_same_peak_velocity() -> None:

@@ -24,7 +24,7 @@ from mr_damper_ros.streaming.tracker import (
     run_fit,
     run_global,
 )
-from mr_damper_ros.streaming.windows import RawWindow, WindowAssembler
+from mr_damper_ros.streaming.windows import RawWindow
 
 SECONDS = 10
 NOISE = 5.0
@@ -183,18 +183,7 @@ def changing(model: str, factor: float) -> list[Report]:
     start = known.EXAMPLES[model].copy()
     start[MODELS[model].strength_indices] *= 0.9
     tracked = tracker(model, ParameterSet(start, model=model))
-    assembler = WindowAssembler(2.0, 1.0, 3)
-    ready = assembler.add_current(known.T0, 1.0)
-    for block in known.blocks(displacement, force, [100]):
-        ready += assembler.add_block(block)
-        ready += assembler.add_current(block.end_ns, 1.0)
-    reports = []
-    for raw in ready:
-        result = run_fit(tracked.window_task(raw))
-        report = tracked.complete_look(result) if raw.look else tracked.complete(result)
-        if report is not None:
-            reports.append(report)
-    return reports
+    return known.followed(tracked, displacement, force, 1.0)
 
 
 @pytest.mark.parametrize("model", ["bingham", "bouc_wen", "sigmoid_lag"])

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.duration import Duration
+from std_msgs.msg import Header
 from support import Listener
 
 from mr_damper_ros.nodes import quality
@@ -71,6 +73,9 @@ BAD_BLOCKS = {
     "the displacement of sample 0": {"displacement": [math.inf] * BLOCK},
     "must be positive": {"period": -1e-3},
     "holds no samples": {"displacement": [], "force": []},
+    "the last time that a stamp can hold": {
+        "header": Header(stamp=Time(sec=2**31 - 1, nanosec=999_999_999))
+    },
     "but 3 forces": {"force": [1.0, 2.0, 3.0]},
 }
 """Blocks that cannot be used: what is said about them, and what is wrong with them."""
