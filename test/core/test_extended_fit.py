@@ -28,6 +28,15 @@ PERIOD = 1e-3
 LEAD_IN = 500
 """Samples before a window, in which the lag of the truth settles."""
 
+STANDARD_ERRORS = 4.0
+"""By which an estimate may miss the truth: of a few dozen, one in some hundred tests would not."""
+
+DETERMINED = 0.2
+"""Relative: these runs determine lag and stiffness to this part, so that errors of 4 mean much."""
+
+BY_DIFFERENCES = 1e-4
+"""Relative to the largest derivative: what the curvature adds to a difference of such steps."""
+
 FINE = 1e-3
 """Relative to the spread of the force: what interpolation may cost."""
 
@@ -98,7 +107,7 @@ def test_the_jacobian_of_a_window_is_that_of_differences(frequency, most):
         step = size * np.eye(7)[column]
         expected = (misfit.residual(scales + step) - misfit.residual(scales - step)) / (2 * size)
         np.testing.assert_allclose(
-            jacobian[:, column], expected, atol=1e-4 * np.abs(expected).max()
+            jacobian[:, column], expected, atol=BY_DIFFERENCES * np.abs(expected).max()
         )
 
 
@@ -143,7 +152,10 @@ def test_the_jacobian_of_all_twenty_is_that_of_differences(most):
         step = size * np.eye(20)[column]
         expected = (misfit.residual(TRUTH + step) - misfit.residual(TRUTH - step)) / (2 * size)
         np.testing.assert_allclose(
-            jacobian[:, column], expected, atol=1e-4 * np.abs(expected).max(), err_msg=name
+            jacobian[:, column],
+            expected,
+            atol=BY_DIFFERENCES * np.abs(expected).max(),
+            err_msg=name,
         )
     np.testing.assert_array_equal(misfit.jacobian(TRUTH, [3, 17]), jacobian[:, [3, 17]])
 
@@ -197,8 +209,8 @@ def test_the_extension_is_found_with_the_sixteen(found):
     got = found.parameter_set
     assert got.model == "sigmoid_lag"
     errors = (got.values - TRUTH)[16:] / got.standard_errors[16:]
-    assert np.max(np.abs(errors)) < 4.0
-    np.testing.assert_allclose(got.values[16:19], TRUTH[16:19], rtol=0.2)
+    assert np.max(np.abs(errors)) < STANDARD_ERRORS
+    np.testing.assert_allclose(got.values[16:19], TRUTH[16:19], rtol=DETERMINED)
 
 
 def test_all_runs_are_fitted_down_to_the_noise(found):
@@ -216,8 +228,8 @@ def test_the_extension_is_determined_by_runs_at_four_currents(found):
 def test_coefficients_of_an_extended_set_are_those_of_its_sigmoid_law(found):
     coefficients, errors = found.coefficients((0.1, 0.6))
     truth = np.concatenate(operating_point_coefficients(known.PLAUSIBLE, 0.1, 0.6))
-    np.testing.assert_allclose(coefficients, known.positive(truth), rtol=0.1, atol=5.0)
     assert np.all(errors > 0.0)
+    assert np.all(np.abs(coefficients - known.positive(truth)) < STANDARD_ERRORS * errors)
 
 
 def test_one_current_does_not_tell_a_lag_that_rises_with_it():
@@ -226,7 +238,7 @@ def test_one_current_does_not_tell_a_lag_that_rises_with_it():
     assert got.values[17] == 2e-3
     assert not got.observable[17]
     assert got.observable[16]
-    assert got.values[16] + 0.6 * 2e-3 == pytest.approx(4e-3 + 0.6 * 6e-3, rel=0.2)
+    assert got.values[16] + 0.6 * 2e-3 == pytest.approx(4e-3 + 0.6 * 6e-3, rel=DETERMINED)
 
 
 def test_a_damper_that_is_early_has_no_lag():
