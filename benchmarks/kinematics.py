@@ -92,7 +92,7 @@ class Case:
         """``duration`` [s] of a motion, with the noise of the thesis' runs."""
         time: Array = np.arange(round(duration / PERIOD), dtype=float) * PERIOD
         u, v, a = excitation.at(time)
-        v_m = PeakVelocity(PERIOD).follow(v)
+        v_m = PeakVelocity(PERIOD).follow(v, a)
         noise = NOISE * np.random.default_rng(0).standard_normal(u.size)
         return cls(Motion(u - excitation.centre, v, a, v_m, None), u + noise)
 

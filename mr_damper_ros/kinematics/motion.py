@@ -144,6 +144,6 @@ def window_motion(displacement: Array, period: float) -> Motion:
         displacement=centred,
         velocity=velocity,
         acceleration=acceleration,
-        peak_velocity=peak_velocity_of_window(velocity, period),
+        peak_velocity=peak_velocity_of_window(velocity, acceleration, period),
         sine=None,
     )

@@ -1,20 +1,28 @@
 """Peak velocity of any motion, sample by sample, from the past alone.
 
-The thesis takes v_m = sqrt(v² - a u), the peak velocity of the present cycle. In a steady sine that
-is 2 pi f A at every sample. In any other motion it is no peak of anything: it depends on where the
-displacement is counted from, it is not real wherever the motion turns on the far side of that
-centre, and it holds the noise of the acceleration. Here v_m is what it is called: the largest speed
-of the latest half-cycles. It
+The thesis takes v_m = sqrt(v² - a u), which in a steady sine is 2 pi f A at every sample. In any
+other motion it depends on where the displacement u is counted from, and it is not real wherever
+the motion turns on the far side of that centre. There u stands for -a / w², w the angular
+frequency. Here w is that of the motion's latest half-cycles, w² = <a²> / <v²> (Rice, Bell System
+Technical Journal 24, 1945: the mean frequency of the turns of a random motion), so that
+
+    v_m = sqrt(v² + (a / w)²)
+
+is the peak velocity of the sine of that frequency which goes through the present velocity and
+acceleration. It
 
 - equals 2 pi f A in a steady sine;
-- needs no centre of the motion and no acceleration;
+- needs no centre of the motion;
+- at a reversal, where the damper's force changes its sign, tells how hard the motion turns;
 - changes with the motion, not with the clock: the same motion played twice as fast has twice the
   peak velocity, as the law expects;
-- rises with the motion at once, and falls within some cycles.
+- bears noise of the acceleration: w is that of the same noisy acceleration, so that the mean
+  square of v_m is twice that of v whatever the noise.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -24,96 +32,124 @@ from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 
 HALF_CYCLES = 8
-"""The peak is taken over the present half-cycle and so many before it.
-
-Of a random motion the highest speed of one half-cycle scatters by half of itself (Rayleigh's
-distribution); that of eight by a quarter, so that they stay about one operating point.
-"""
+"""The angular frequency is that of so many whole half-cycles before the present one."""
 
 MEMORY = 10.0
-"""What lies longer ago [s] is forgotten in any case, so that a rest comes to an end."""
+"""A half-cycle ends after so long [s] in any case, so that a rest comes to an end."""
 
 _TURNED = 0.25
-"""A half-cycle ends where the speed the other way comes to this part of the peak velocity."""
+"""A half-cycle ends where the speed the other way comes to this part of the highest speed."""
 
-_STRETCHES = 64
+_AT_ONCE = 512
+"""Samples looked through at once for the end of a half-cycle: a long recording has many."""
 
 _BANDWIDTH = 40.0
 """Corner [Hz] of the observer of the velocity, where it is not observed anyway."""
 
 
-@dataclass(frozen=True)
-class _Stretch:
-    """Largest speed [m/s], index of the last sample and number of the half-cycle."""
+@dataclass
+class _HalfCycle:
+    """Highest speed [m/s], number of samples, and sums of the squared velocity [m²/s²] and
+    acceleration [m²/s⁴]; not whole where the stream began within it.
+    """  # noqa: D205
 
-    peak: float
-    last: int
-    half_cycle: int
+    whole: bool
+    highest: float = 0.0
+    count: int = 0
+    squared_velocity: float = 0.0
+    squared_acceleration: float = 0.0
+
+    def add(self, velocity: Array, acceleration: Array) -> None:
+        self.highest = max(self.highest, float(np.max(np.abs(velocity))))
+        self.count += velocity.size
+        with np.errstate(over="ignore"):
+            self.squared_velocity += float(velocity @ velocity)
+            self.squared_acceleration += float(acceleration @ acceleration)
 
 
 class PeakVelocity:
-    """Follows the velocity of a stream of samples ``period`` [s] apart.
+    """Follows the velocity and the acceleration of a stream of samples ``period`` [s] apart.
 
     ``memory`` [s] must hold half a cycle of the motion. What it returns does not depend on how
-    the stream is cut into blocks.
+    the stream is cut into blocks. ``known_from`` is the number of the sample from which on the
+    angular frequency is that of eight whole half-cycles, None before.
     """
 
     def __init__(self, period: float, memory: float = MEMORY) -> None:
-        self._memory = max(round(memory / period), 1)
-        self._length = max(self._memory // _STRETCHES, 1)
-        # Only what may yet be the peak is kept: each is higher than all that come after it.
-        self._kept: deque[_Stretch] = deque()
-        self._count = 0
-        self._peak = 0.0
-        self._stretch_end = self._length
+        self._longest = max(round(memory / period), 1)
+        self._finished: deque[_HalfCycle] = deque(maxlen=HALF_CYCLES)
+        self._present = _HalfCycle(whole=False)
         self._sense = 0.0
-        self._half_cycle = 0
+        self._count = 0
+        self.known_from: int | None = None
 
-    def follow(self, velocity: Array) -> Array:
-        """Peak velocity [m/s] at the next samples of the velocity [m/s], shape (n,)."""
+    @property
+    def root_mean_square(self) -> float:
+        """Of the peak velocity [m/s] over the latest half-cycles."""
+        parts = self._known
+        squares = 2.0 * sum(part.squared_velocity for part in parts)
+        return math.sqrt(squares / max(sum(part.count for part in parts), 1))
+
+    @property
+    def _known(self) -> list[_HalfCycle]:
+        """The latest whole half-cycles; before the first of them, all there is."""
+        whole = [part for part in self._finished if part.whole]
+        return whole or [*self._finished, self._present]
+
+    def follow(self, velocity: Array, acceleration: Array) -> Array:
+        """Peak velocity [m/s] at the next samples of the velocity [m/s] and of the acceleration
+        [m/s²], shape (n,).
+        """  # noqa: D205
+        return np.hypot(velocity, acceleration * self.follow_time_scale(velocity, acceleration))
+
+    def follow_time_scale(self, velocity: Array, acceleration: Array) -> Array:
+        """Inverse angular frequency [s] at the next samples, shape (n,), as :meth:`follow`."""
         found = np.empty(velocity.size)
         place = 0
         while place < velocity.size:
-            room = self._stretch_end - self._count
-            place += self._follow_stretch(velocity[place : place + room], found[place:])
+            place += self._follow_half_cycle(velocity[place:], acceleration[place:], found[place:])
         return found
 
-    def _follow_stretch(self, velocity: Array, found: Array) -> int:
-        """Follow up to the end of the stretch or of the half-cycle; returns the samples used."""
-        before = max(self._peak, self._kept[0].peak if self._kept else 0.0)
-        highest = np.maximum.accumulate(np.maximum(np.abs(velocity), before))
+    def _follow_half_cycle(self, velocity: Array, acceleration: Array, found: Array) -> int:
+        """Follow up to the end of the half-cycle at the latest; returns the samples used."""
+        present = self._present
+        speed = np.abs(velocity[: min(self._longest - present.count, _AT_ONCE)])
+        before = max(part.highest for part in (*self._finished, present))
+        highest = np.maximum(np.maximum.accumulate(speed), before)
         if self._sense == 0.0:
-            self._sense = float(np.sign(velocity[0]))
-        turned = self._sense * velocity < -_TURNED * highest
-        used = int(np.argmax(turned)) if turned.any() else velocity.size
+            self._sense = float(np.sign(velocity[np.argmax(speed > 0.0)]))
+        turned = self._sense * velocity[: speed.size] < -_TURNED * highest
+        ends = bool(turned.any())
+        used = int(np.argmax(turned)) if ends else speed.size
         if used > 0:
-            found[:used] = highest[:used]
-            self._peak = max(self._peak, float(np.max(np.abs(velocity[:used]))))
+            found[:used] = self._time_scale(velocity[:used], acceleration[:used])
+            present.add(velocity[:used], acceleration[:used])
             self._count += used
-        if used < velocity.size:
-            self._end_stretch()
-            self._half_cycle += 1
+        if ends:
             self._sense = -self._sense
-            self._forget()
-        elif self._count == self._stretch_end:
-            self._end_stretch()
-            self._forget()
+        if ends or present.count == self._longest:
+            self._finish()
         return used
 
-    def _end_stretch(self) -> None:
-        while self._kept and self._kept[-1].peak <= self._peak:
-            self._kept.pop()
-        self._kept.append(_Stretch(self._peak, self._count - 1, self._half_cycle))
-        self._peak = 0.0
-        self._stretch_end = self._count + self._length
+    def _time_scale(self, velocity: Array, acceleration: Array) -> Array:
+        parts = self._known
+        squares: Array = np.array([sum(part.squared_velocity for part in parts)])
+        curvature: Array = np.array([sum(part.squared_acceleration for part in parts)])
+        with np.errstate(over="ignore"):
+            if parts[-1] is self._present:
+                squares = squares + np.cumsum(velocity**2)
+                curvature = curvature + np.cumsum(acceleration**2)
+        # A motion that has not been seen to turn, or beyond what a number can hold, has none.
+        usable = (curvature > 0.0) & np.isfinite(squares) & np.isfinite(curvature)
+        return np.sqrt(np.divide(squares, curvature, out=np.zeros(usable.size), where=usable))
 
-    def _forget(self) -> None:
-        oldest_half_cycle = self._half_cycle - HALF_CYCLES
-        oldest = self._count - self._memory
-        while self._kept and (
-            self._kept[0].half_cycle < oldest_half_cycle or self._kept[0].last < oldest
-        ):
-            self._kept.popleft()
+    def _finish(self) -> None:
+        if self._finished and not self._finished[0].whole:
+            self._finished.clear()
+        self._finished.append(self._present)
+        self._present = _HalfCycle(whole=True)
+        if self.known_from is None and len(self._finished) == HALF_CYCLES:
+            self.known_from = self._count
 
 
 class StreamPeakVelocity:
@@ -126,35 +162,22 @@ class StreamPeakVelocity:
 
     def follow(self, displacement: Array) -> Array:
         """Peak velocity [m/s] at the next samples of the displacement [m], shape (n,)."""
-        _, velocity, _ = self._differentiator.follow(displacement)
+        _, velocity, acceleration = self._differentiator.follow(displacement)
         if not self._differentiator.settled:
-            # What overshoots while the observer settles must not be remembered as a peak.
+            # What overshoots while the observer settles must not be remembered.
             return np.abs(velocity)
-        return self._peak.follow(velocity)
+        return self._peak.follow(velocity, acceleration)
 
 
-def peak_velocity_of_window(velocity: Array, period: float) -> Array:
-    """Peak velocity [m/s] at the samples of a velocity of shape (n,) [m/s], ``period`` [s] apart.
+def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float) -> Array:
+    """Peak velocity [m/s] at samples ``period`` [s] apart of a velocity [m/s] and an acceleration
+    [m/s²], shape (n,).
 
-    As of a stream that went on before the window as in its first half-cycle.
-    """
-    found = PeakVelocity(period).follow(velocity)
-    first = _turn_after(velocity, 0)
-    second = _turn_after(velocity, first)
-    # The end of a half-cycle of which the window holds no more says nothing of its peak.
-    remnant = _top_speed(velocity[:first]) < _TURNED * _top_speed(velocity[first:second])
-    known = second if remnant else first
-    found[:known] = found[min(known, velocity.size - 1)]
-    return found
-
-
-def _turn_after(velocity: Array, first: int) -> int:
-    """Where the half-cycle of sample ``first`` ends, the end of the window at the latest."""
-    rest = velocity[first:]
-    sense = np.sign(rest[np.argmax(rest != 0.0)]) if rest.size else 0.0
-    turned = sense * rest < -_TURNED * np.maximum.accumulate(np.abs(rest))
-    return first + (int(np.argmax(turned)) if turned.any() else rest.size)
-
-
-def _top_speed(velocity: Array) -> float:
-    return float(np.max(np.abs(velocity), initial=0.0))
+    Before it has seen enough half-cycles, the angular frequency is that of the first ones of the
+    window.
+    """  # noqa: D205
+    follower = PeakVelocity(period)
+    time_scale = follower.follow_time_scale(velocity, acceleration)
+    known = velocity.size - 1 if follower.known_from is None else follower.known_from
+    time_scale[:known] = time_scale[min(known, velocity.size - 1)]
+    return np.hypot(velocity, acceleration * time_scale)

@@ -334,7 +334,7 @@ class EmulatedRig:
         v_m = (
             peak_velocity(centred, velocity, acceleration)
             if self._peak is None
-            else self._peak.follow(velocity)
+            else self._peak.follow(velocity, acceleration)
         )
         motion = Motion(centred, velocity, acceleration, v_m, sine=None)
         true_force = self._damper.force(motion, current, self._celsius) * self._factor(time)
@@ -358,7 +358,8 @@ class EmulatedRig:
         period = self._settings.period
         before: Array = np.arange(-round(MEMORY / period), 0, dtype=np.float64) * period
         peak = PeakVelocity(period)
-        peak.follow(self._excitation.at(before).velocity)
+        _, velocity, acceleration = self._excitation.at(before)
+        peak.follow(velocity, acceleration)
         return peak
 
     def _factor(self, time: Array) -> Array:

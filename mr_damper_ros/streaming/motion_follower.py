@@ -46,6 +46,11 @@ class MotionFollower:
         return self._centre.reversals
 
     @property
+    def usual_peak_velocity(self) -> float:
+        """Root mean square [m/s] over the latest half-cycles up to the last block observed."""
+        return self._peak.root_mean_square
+
+    @property
     def doubt(self) -> str:
         """Why the motion of the last block is not known well yet; empty where it is."""
         if self._steady:
@@ -89,7 +94,7 @@ class MotionFollower:
     def _observe(self, displacement: Array) -> Motion:
         u, v, a = self._differentiator.follow(displacement)
         # What overshoots while the observer settles must not be remembered as a peak.
-        v_m = self._peak.follow(v) if self._differentiator.settled else np.abs(v)
+        v_m = self._peak.follow(v, a) if self._differentiator.settled else np.abs(v)
         centred = u - self._centre.follow(displacement)
         return Motion(
             displacement=centred, velocity=v, acceleration=a, peak_velocity=v_m, sine=None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -132,7 +132,7 @@ class ForcePredictor:
     def _reckon(
         self, motion: Motion, current: Array, parameters: ParameterSet, stream: ForceStream
     ) -> _Reckoned:
-        force = stream.follow(parameters.values, motion, current)
+        force = stream.follow(parameters.values, _held(motion, parameters), current)
         doubt = self._doubt_of_range(motion.peak_velocity, current, parameters)
         return _Reckoned(motion, current, force, bool(np.isfinite(force).all()), doubt)
 
@@ -239,6 +239,9 @@ class ForcePredictor:
         low, high = parameters.peak_velocity_range
         margin = self._settings.velocity_margin
         middle = _middle(speed)
+        if middle < low * (1.0 - margin) and self._motion is not None:
+            # A random motion passes through low values; it is low where it stays there.
+            middle = max(middle, self._motion.usual_peak_velocity)
         if not low * (1.0 - margin) <= middle <= high * (1.0 + margin):
             return (
                 f"the peak velocity of {middle:.3g} m/s is outside of the identified "
@@ -257,6 +260,18 @@ class ForcePredictor:
             reason=reason,
             continuity=continuity,
         )
+
+
+def _held(motion: Motion, parameters: ParameterSet) -> Motion:
+    """The motion, its peak velocity held within the range that the parameters were identified in.
+
+    How the coefficients depend on the peak velocity is known there and nowhere else.
+    """
+    low, high = parameters.peak_velocity_range
+    v_m = motion.peak_velocity
+    if v_m.min() >= low and v_m.max() <= high:
+        return motion
+    return replace(motion, peak_velocity=np.clip(v_m, low, high))
 
 
 def _middle(values: Array) -> float:

@@ -12,7 +12,12 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.damper.sigmoid import (
+    Array,
+    force_from_coefficients,
+    operating_point_coefficients,
+)
+from mr_damper_ros.rig.excitation import BandLimitedRandom
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.streaming.centre import MotionCentre
 from mr_damper_ros.streaming.predictor import ForcePredictor, Prediction, PredictorSettings
@@ -239,6 +244,38 @@ def test_a_velocity_that_was_not_identified_is_doubtful(factor: float) -> None:
     reason = last_reason(predictor(), stream(factor * RUN.displacement))
     assert "the peak velocity of" in reason
     assert "outside of the identified 0.02 to 0.05 m/s" in reason
+
+
+@pytest.mark.parametrize(("frequency", "edge"), [(1.0, 0.05), (4.0, 0.02)])
+def test_the_law_is_not_extrapolated_beyond_the_identified_peak_velocities(
+    frequency: float, edge: float
+) -> None:
+    """A sine of 0.031 m/s per hertz, below and above."""
+    run = known.run(frequency=frequency, current=1.0, samples=SAMPLES, seed=None)
+    limits = (edge, edge) if edge > 0.03 else (0.01, edge)
+    limited = dataclasses.replace(SET, peak_velocity_range=limits)
+    coefficients = operating_point_coefficients(SET.values, edge, 1.0)
+    expected = force_from_coefficients(coefficients, run.velocity, run.acceleration)
+    late = slice(SAMPLES // 2, None)
+    got = forces(predicted(predictor(limited), stream(run.displacement)))
+    assert nrmse(got[late], expected[late]) < PREDICTED
+    assert nrmse(run.clean[late], expected[late]) > 2.0 * PREDICTED
+
+
+def random_motion(rms: float) -> Array:
+    time = np.arange(SAMPLES) * PERIOD
+    return BandLimitedRandom(rms=rms, low=0.5, high=4.0, seed=4).at(time).displacement
+
+
+def test_a_random_motion_that_passes_through_low_speeds_stays_valid() -> None:
+    limited = dataclasses.replace(SET, peak_velocity_range=(0.02, 0.5))
+    predictions = predicted(predictor(limited), stream(random_motion(3e-3)))
+    assert {p.reason for p in predictions[300:]} == {""}
+
+
+def test_a_random_motion_that_stays_low_is_doubtful() -> None:
+    limited = dataclasses.replace(SET, peak_velocity_range=(0.2, 0.5))
+    assert "peak velocity" in last_reason(predictor(limited), stream(random_motion(3e-3)))
 
 
 def test_a_wider_margin_of_velocity_is_a_setting() -> None:

@@ -269,7 +269,7 @@ def test_nelder_mead_finds_the_minimum_without_a_polish(start: Array) -> None:
 
 def test_random_motion_is_fitted_down_to_the_noise() -> None:
     motion = BandLimitedRandom(rms=4e-3, low=0.2, high=3.0, seed=2).at(np.arange(4000) * 1e-3)
-    v_m = peak_velocity_of_window(motion.velocity, 1e-3)
+    v_m = peak_velocity_of_window(motion.velocity, motion.acceleration, 1e-3)
     coefficients = operating_point_coefficients(known.PLAUSIBLE, v_m, 0.8)
     clean = force_from_coefficients(coefficients, motion.velocity, motion.acceleration)
     measured = clean + np.random.default_rng(1).normal(0.0, known.NOISE, clean.size)
