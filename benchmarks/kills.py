@@ -89,7 +89,8 @@ def figures(nodes: int = 100, workers: int = 100, seed: int = 0) -> list[Figure]
             "recovery_s_max",
             max(kill.recovery for kill in kills),
             "longest time [s] from a kill, followed at once by the start of the node, to its next "
-            "samples, report of a window, or force",
+            "samples, report of a window (1 s of new data), or valid force (after three reversals "
+            "of a motion of 1 Hz)",
             (0.0, 3.0),
             ", ".join(f"{victim} {time:.2f} s" for victim, time in slowest.items()),
         ),

@@ -84,6 +84,11 @@ class PeakVelocity:
         self.known_from: int | None = None
 
     @property
+    def half_cycles(self) -> int:
+        """Of how many whole half-cycles the angular frequency is; eight at most."""
+        return sum(part.whole for part in self._finished)
+
+    @property
     def root_mean_square(self) -> float:
         """Of the peak velocity [m/s] over the latest half-cycles."""
         parts = self._known

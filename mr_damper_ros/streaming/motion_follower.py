@@ -18,6 +18,9 @@ from mr_damper_ros.streaming.centre import MotionCentre
 _REVERSALS_FOR_CENTRE = 3
 """The centre of a motion is known once its ends have been seen, the first of them surely whole."""
 
+_HALF_CYCLES_FOR_PEAK = 4
+"""Of fewer half-cycles the angular frequency, and with it the peak velocity, is a guess."""
+
 
 class MotionFollower:
     """Follows samples of displacement ``period`` [s] apart.
@@ -61,6 +64,8 @@ class MotionFollower:
             return (
                 "the centre of the motion is not known before the motion has reversed three times"
             )
+        if self._peak.half_cycles < _HALF_CYCLES_FOR_PEAK:
+            return "the peak velocity is not known before the motion has made four half-cycles"
         return ""
 
     def follow(self, displacement: Array) -> Motion:

@@ -223,6 +223,14 @@ def test_before_the_first_reversals_the_centre_is_not_known() -> None:
     assert "the centre of the motion is not known before" in last_reason(predictor(), quarter)
 
 
+def test_before_four_half_cycles_of_a_random_motion_its_peak_velocity_is_not_known() -> None:
+    unlimited = ParameterSet(known.PLAUSIBLE, set_id="all")
+    reasons = [p.reason for p in predicted(predictor(unlimited), stream(random_motion(3e-3)))]
+    before = [k for k, reason in enumerate(reasons) if "half-cycles" in reason]
+    assert before
+    assert set(reasons[before[-1] + 1 :]) == {""}
+
+
 def test_a_damper_that_stands_still_has_no_centre() -> None:
     still = np.full(3000, 0.01) + np.random.default_rng(0).normal(0.0, 1e-7, 3000)
     assert last_reason(predictor(), stream(still)) != ""
