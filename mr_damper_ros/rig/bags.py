@@ -76,29 +76,13 @@ class BagError(ValueError):
 
 
 @dataclass(frozen=True)
-class BagMessage:
+class _Message:
     """One serialised message: ``data`` is what a publisher sends (CDR with its header)."""
 
     topic: str
     message_type: str
     time_ns: int
     data: bytes
-
-
-@dataclass(frozen=True)
-class BagSummary:
-    """What a bag holds: the type and the number of messages of each topic.
-
-    ``start_ns`` and ``end_ns`` are the bag times of the first and the last message; ``details``
-    is the bag's own metadata (condition, provenance, ...).
-    """
-
-    name: str
-    start_ns: int
-    end_ns: int
-    types: dict[str, str]
-    message_counts: dict[str, int]
-    details: dict[str, str]
 
 
 # ---------------------------------------------------------------------------------------------
@@ -127,11 +111,6 @@ def _typestore() -> Any:
         text = (folder / f"{message_type.rpartition('/')[2]}.msg").read_text(encoding="utf-8")
         store.register(get_types_from_msg(text, message_type))
     return store
-
-
-def message_hash(message_type: str) -> str:
-    """RIHS01 hash of a message type as this package writes it."""
-    return str(_typestore().hash_rihs01(message_type))
 
 
 def write_bag(
@@ -191,7 +170,7 @@ def _check_free(path: Path, overwrite: bool) -> None:
         raise BagError(f"{path} exists already: choose another name or ask to overwrite it")
 
 
-def _write_messages(path: Path, messages: list[BagMessage], details: dict[str, str]) -> None:
+def _write_messages(path: Path, messages: list[_Message], details: dict[str, str]) -> None:
     store = _typestore()
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for key, value in details.items():
@@ -208,7 +187,7 @@ def _write_messages(path: Path, messages: list[BagMessage], details: dict[str, s
 
 def _message(
     topic: str, message_type: str, time_ns: int, stamp_ns: int, frame_id: str, **fields: object
-) -> BagMessage:
+) -> _Message:
     store = _typestore()
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
     header = store.types["std_msgs/msg/Header"](
@@ -216,14 +195,12 @@ def _message(
         frame_id=frame_id,
     )
     message = store.types[message_type](header=header, **fields)
-    return BagMessage(
-        topic, message_type, time_ns, bytes(store.serialize_cdr(message, message_type))
-    )
+    return _Message(topic, message_type, time_ns, bytes(store.serialize_cdr(message, message_type)))
 
 
 def _sample_messages(
     recording: Recording, topic: str, block_size: int, frame_id: str
-) -> Iterator[BagMessage]:
+) -> Iterator[_Message]:
     for first in range(0, recording.sample_count, block_size):
         displacement = recording.displacement[first : first + block_size]
         yield _message(
@@ -248,7 +225,7 @@ def _indices(recording: Recording, period: float, always: Iterable[int] = ()) ->
 
 def _current_messages(
     recording: Recording, topic: str, period: float, frame_id: str
-) -> Iterator[BagMessage]:
+) -> Iterator[_Message]:
     changes = (np.flatnonzero(np.diff(recording.current)) + 1).tolist()
     for index in _indices(recording, period, changes):
         stamp = recording.stamp_ns(index)
@@ -256,7 +233,7 @@ def _current_messages(
         yield _message(topic, CURRENT_TYPE, stamp, stamp, frame_id, current=current)
 
 
-def _temperature_messages(recording: Recording, topic: str, frame_id: str) -> Iterator[BagMessage]:
+def _temperature_messages(recording: Recording, topic: str, frame_id: str) -> Iterator[_Message]:
     if recording.temperature is None:
         return
     for index in _indices(recording, _TEMPERATURE_PERIOD):
@@ -331,21 +308,6 @@ def read_bag(
     ]
 
 
-def iterate_messages(path: str | Path) -> Iterator[BagMessage]:
-    """All messages of a bag in the order of their bag time, as serialised bytes.
-
-    Raises BagError, in one sentence, where the bag is damaged.
-    """
-    with _opened(path) as bag:
-        yield from bag.raw()
-
-
-def summarise_bag(path: str | Path) -> BagSummary:
-    """Topics, times and metadata of a bag; raises BagError where it cannot be read."""
-    with _opened(path) as bag:
-        return bag.summary()
-
-
 class _OpenBag:
     """A bag that is open; failures of the library become sentences."""
 
@@ -354,20 +316,6 @@ class _OpenBag:
         self._reader = reader
         custom = reader.readers[0].storage.metadata.custom if reader.is2 else None
         self.details: dict[str, str] = {str(k): str(v) for k, v in (custom or {}).items()}
-
-    def summary(self) -> BagSummary:
-        connections = self._reader.connections
-        counts = {connection.topic: 0 for connection in connections}
-        for connection in connections:
-            counts[connection.topic] += connection.msgcount
-        return BagSummary(
-            name=self.name,
-            start_ns=self._reader.start_time,
-            end_ns=self._reader.end_time - 1,
-            types={connection.topic: connection.msgtype for connection in connections},
-            message_counts=counts,
-            details=dict(self.details),
-        )
 
     def topic(self, wanted: str, message_type: str, *, required: bool = True) -> str:
         """Name of the topic in the bag; empty where it is missing and not required."""
@@ -401,11 +349,6 @@ class _OpenBag:
         with _failures_in_words(self.name):
             for connection, _, data in self._reader.messages(connections=connections):
                 yield connection.topic, self._reader.deserialize(data, connection.msgtype)
-
-    def raw(self) -> Iterator[BagMessage]:
-        with _failures_in_words(self.name):
-            for connection, time_ns, data in self._reader.messages():
-                yield BagMessage(connection.topic, connection.msgtype, time_ns, bytes(data))
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bag_contents import messages
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.serialization import deserialize_message
 from rosbags.interfaces import (
@@ -31,7 +32,7 @@ from support import Listener, assert_one_sentence
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.rig import thesis
-from mr_damper_ros.rig.bags import iterate_messages, write_bag
+from mr_damper_ros.rig.bags import write_bag
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 SAMPLES = "/mts/samples"
@@ -39,7 +40,7 @@ CURRENT = "/supply/current"
 
 
 def recorded(bag: Path, topic: str) -> list[bytes]:
-    return [message.data for message in iterate_messages(bag) if message.topic == topic]
+    return [message.data for message in messages(bag, topic)]
 
 
 def write_texts(
@@ -116,7 +117,7 @@ def test_the_clock_follows_the_bag(start: Any, listener: Listener) -> None:
     replay = start("replay", bag=BAG, rate=20.0)
     listener.until(lambda: not replay.running, "the end of the bag")
     ticks = np.array([to_nanoseconds(message.clock) for message in clock])
-    times = [m.time_ns for m in iterate_messages(BAG)]
+    times = [m.time_ns for m in messages(BAG)]
     assert ticks[0] <= times[0] + 1_000_000_000
     assert ticks[-1] <= times[-1]
     assert times[-1] - ticks[-1] <= 300_000_000
