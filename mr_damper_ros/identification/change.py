@@ -18,26 +18,18 @@ SLACK = 0.5
 """Least slack: half the smallest shift to find, in standard deviations of a usual block."""
 
 THRESHOLD = 12.0
-"""Sum [1] that counts as a change; see :func:`average_run_length` for what that means."""
+"""Sum [1] that counts as a change.
+
+Where the residual is white noise, half a million blocks lie between two false alarms on average:
+7 h at 20 blocks per second (Siegmund, "Sequential Analysis", 1985, for both sums together). The
+slack grows where the force stands far out of the noise (see :meth:`ChangeWatch.follow`), and then
+the alarms become rarer still.
+"""
 
 _EXCURSION = 2.0
 """The sum must exceed so many times what the residual of a usual window reaches by itself."""
 
 _BLOCKS_PER_WINDOW = 40
-
-_SIEGMUND = 1.166
-"""Correction of the threshold for the overshoot over it."""
-
-
-def average_run_length(threshold: float = THRESHOLD, slack: float = SLACK) -> float:
-    """Mean number of blocks between two false alarms where the residual is white noise.
-
-    Siegmund's approximation ("Sequential Analysis", 1985), for both sides together. With the
-    defaults, half a million: 7 h at 20 blocks per second. The slack grows where the force stands
-    far out of the noise (see :meth:`ChangeWatch.follow`), and then the alarms become rarer still.
-    """
-    reach = 2.0 * slack * (threshold + _SIEGMUND)
-    return (math.exp(reach) - reach - 1.0) / (2.0 * slack**2) / 2.0
 
 
 @dataclass(frozen=True)
