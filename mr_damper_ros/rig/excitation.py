@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -87,101 +87,6 @@ class Sine:
             self.offset + scale * np.arcsin(s * sine),
             scale * rate * s * cosine / root,
             -scale * rate**2 * s * (1.0 - s * s) * sine / root**3,
-        )
-
-
-@dataclass(frozen=True)
-class BandLimitedRandom:
-    """Gaussian random motion with a flat spectrum from ``low`` to ``high`` [Hz].
-
-    ``rms`` [m] is its standard deviation over a long time; the sum of ``tones`` sines with random
-    amplitudes, frequencies and phases repeats only after a very long time.
-
-    Raises ExcitationError where a value is out of range.
-    """
-
-    rms: float
-    low: float
-    high: float
-    seed: int = 0
-    tones: int = 200
-    centre: float = 0.0
-    _rates: Array = field(init=False, repr=False, compare=False)
-    _sines: Array = field(init=False, repr=False, compare=False)
-    _cosines: Array = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        _require_positive(rms=self.rms, low=self.low, high=self.high, tones=self.tones)
-        if self.low >= self.high:
-            raise ExcitationError(
-                f"the band is {self.low} to {self.high} Hz: give the lower frequency first"
-            )
-        rng = np.random.default_rng(self.seed)
-        steps = (np.arange(self.tones) + rng.random(self.tones)) / self.tones
-        scale = self.rms / math.sqrt(self.tones)
-        object.__setattr__(
-            self, "_rates", 2.0 * np.pi * (self.low + (self.high - self.low) * steps)
-        )
-        object.__setattr__(self, "_sines", scale * rng.standard_normal(self.tones))
-        object.__setattr__(self, "_cosines", scale * rng.standard_normal(self.tones))
-
-    def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,)."""
-        angles = np.outer(time, self._rates)
-        sine, cosine = np.sin(angles), np.cos(angles)
-        motion = sine @ self._sines + cosine @ self._cosines
-        velocity = cosine @ (self._rates * self._sines) - sine @ (self._rates * self._cosines)
-        acceleration = -(sine @ (self._rates**2 * self._sines)) - (
-            cosine @ (self._rates**2 * self._cosines)
-        )
-        return Kinematics(self.centre + motion, velocity, acceleration)
-
-
-@dataclass(frozen=True)
-class Chirp:
-    """Sine whose frequency goes linearly from ``first`` to ``last`` [Hz] and back, again and again.
-
-    ``amplitude`` [m], ``sweep`` [s] for one way.
-
-    Raises ExcitationError where a value is not positive.
-    """
-
-    amplitude: float
-    first: float
-    last: float
-    sweep: float
-    centre: float = 0.0
-
-    def __post_init__(self) -> None:
-        _require_positive(
-            amplitude=self.amplitude,
-            first_frequency=self.first,
-            last_frequency=self.last,
-            sweep=self.sweep,
-        )
-
-    def at(self, time: Array) -> Kinematics:
-        """Kinematics at the times [s], shape (n,)."""
-        slope = (self.last - self.first) / self.sweep
-        number = np.floor(time / self.sweep)
-        within = time - number * self.sweep
-        upward = number % 2 == 0
-        frequency = np.where(upward, self.first + slope * within, self.last - slope * within)
-        rate_of_change = np.where(upward, slope, -slope)
-        # Every sweep, up or down, adds the same number of cycles.
-        cycles = (
-            number * 0.5 * (self.first + self.last) * self.sweep
-            + np.where(upward, self.first, self.last) * within
-            + 0.5 * rate_of_change * within**2
-        )
-        # Whole cycles are dropped first: the sine of a large angle would lose digits.
-        angle = 2.0 * np.pi * (cycles % 1.0)
-        rate = 2.0 * np.pi * frequency
-        sine, cosine = np.sin(angle), np.cos(angle)
-        return Kinematics(
-            self.centre + self.amplitude * sine,
-            self.amplitude * rate * cosine,
-            self.amplitude * (2.0 * np.pi * rate_of_change * cosine - rate**2 * sine),
         )
 
 

@@ -9,6 +9,7 @@ from itertools import product
 import known
 import numpy as np
 import pytest
+from random_motion import BandLimitedRandom
 
 from mr_damper_ros.damper.extension import EXTENDED_NAMES
 from mr_damper_ros.damper.models import MODELS
@@ -20,7 +21,6 @@ from mr_damper_ros.identification.global_fit import GlobalFit, identify_global
 from mr_damper_ros.identification.pooled import PooledMisfit
 from mr_damper_ros.identification.window import ScaleMisfit, Window
 from mr_damper_ros.kinematics.motion import window_motion
-from mr_damper_ros.rig.excitation import BandLimitedRandom
 
 LAW = MODELS["sigmoid_lag"]
 TRUTH = np.append(known.PLAUSIBLE, [4e-3, 6e-3, 1500.0, -40.0])

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from random_motion import BandLimitedRandom
 from scipy.signal import savgol_filter, sawtooth
 
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import displacement_noise, window_motion
 from mr_damper_ros.kinematics.sine import fit_sine
-from mr_damper_ros.rig.excitation import BandLimitedRandom, Sine
+from mr_damper_ros.rig.excitation import Sine
 
 EXACT = 1e-7
 """Relative: a sine without noise is found to this, whatever its phase and length."""

@@ -7,6 +7,7 @@ from functools import cache
 import known
 import numpy as np
 import pytest
+from random_motion import BandLimitedRandom
 
 from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.identification.model_fit import (
@@ -16,7 +17,6 @@ from mr_damper_ros.identification.model_fit import (
     unsettled_samples,
 )
 from mr_damper_ros.identification.window import Window
-from mr_damper_ros.rig.excitation import BandLimitedRandom
 
 LEAD_IN = 1000
 NOISE = 5.0

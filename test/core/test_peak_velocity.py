@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from random_motion import BandLimitedRandom
 
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.motion import window_motion
@@ -17,7 +18,6 @@ from mr_damper_ros.kinematics.peak_velocity import (
     StreamPeakVelocity,
     peak_velocity_of_window,
 )
-from mr_damper_ros.rig.excitation import BandLimitedRandom
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.streaming.motion_follower import MotionFollower
 from mr_damper_ros.streaming.windows import WindowAssembler

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from random_motion import BandLimitedRandom
 
 from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.damper.parameters import ParameterSet
@@ -17,7 +18,6 @@ from mr_damper_ros.damper.sigmoid import (
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.rig.excitation import BandLimitedRandom
 from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.streaming.centre import MotionCentre
 from mr_damper_ros.streaming.predictor import ForcePredictor, Prediction, PredictorSettings

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import known
 import numpy as np
+from random_motion import BandLimitedRandom
 
 from mr_damper_ros.damper.models import MODELS
 from mr_damper_ros.damper.sigmoid import SCALE_INDICES, Array
 from mr_damper_ros.identification.fit import WindowFit, fit_window
 from mr_damper_ros.identification.prior import WANDER, with_prior
 from mr_damper_ros.identification.window import ScaleMisfit, Window
-from mr_damper_ros.rig.excitation import BandLimitedRandom
 
 SIGMOID = MODELS["sigmoid"]
 RUNNING = known.PLAUSIBLE

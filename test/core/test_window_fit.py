@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import known
 import numpy as np
 import pytest
+from random_motion import BandLimitedRandom
 
 from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.damper.sigmoid import (
@@ -25,7 +26,6 @@ from mr_damper_ros.identification.search import LocalSearch
 from mr_damper_ros.identification.window import ScaleMisfit, Window
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.rig import thesis
-from mr_damper_ros.rig.excitation import BandLimitedRandom
 from mr_damper_ros.rig.thesis import Condition
 
 AT_THE_NOISE = 1.01
