@@ -16,6 +16,36 @@ from mr_damper_ros.kinematics.motion import Motion
 
 PERIOD = 1e-3
 
+ROUNDING = 1e-9
+"""[N]: the same sums in another order, of forces of a few kilonewtons."""
+
+SETTLED = 1e-3
+"""[N], 100 ms after a change: fourteen time constants leave a millionth of the step of force."""
+
+RETRACED = 1e-6
+"""[N]: the half second that is retraced is seventy time constants, which leave rounding only."""
+
+FIRST_SAMPLE = 0.2
+"""Part of a step that the lag may let through at once: tau is 7 ms, a sample 1 ms, so a ninth."""
+
+INTEGRATION = 2e-3
+"""RMSE of the integration at steps of 1 ms, relative to the spread of the force."""
+
+HALVED = 2.5
+"""Least factor on the error where the step is halved: 4 in the limit, as it is of second order."""
+
+SAMPLED_SINE = 1e-4
+"""Of a sine of size 1: the straight lines between its samples miss it by up to 4e-5."""
+
+SAME_LAG = 1e-8
+"""Of a signal of size 1, lagged by time constants that differ by 2e-10 of themselves."""
+
+NO_LAG = 1e-6
+"""Of a signal of size 1: a lag of none is computed as one of a billionth of a sample."""
+
+NO_LAG_FORCE = 1e-5
+"""[N]: the same of a force."""
+
 
 def motion(samples: int = 1000, period: float = PERIOD):
     """A sine that starts at rest in its centre of velocity, with its exact derivatives."""
@@ -35,7 +65,7 @@ def test_interface(name):
     many = model.force(np.stack([values, 1.1 * values]), w, np.full(1000, 1.0), PERIOD)
     assert one.shape == (1000,)
     assert many.shape == (2, 1000)
-    np.testing.assert_allclose(many[0], one, rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(many[0], one, rtol=1e-12, atol=ROUNDING)
     assert not np.allclose(many[1], one)
     with pytest.raises(ValueError, match="parameters"):
         model.force(values[:-1], w, 1.0, PERIOD)
@@ -67,7 +97,7 @@ def test_biviscous_is_the_published_six_pieces():
             expected.append(c_pre * (v - v0 if rising else v + v0))
     got = MODELS["nonlinear_biviscous"].force(EXAMPLES["nonlinear_biviscous"], w, 0.0, PERIOD)
     moving = np.abs(w.acceleration) > 1e-9
-    np.testing.assert_allclose((got - f0)[moving], np.array(expected)[moving], atol=1e-9)
+    np.testing.assert_allclose((got - f0)[moving], np.array(expected)[moving], atol=ROUNDING)
 
 
 def test_hyperbolic_tangent():
@@ -104,7 +134,7 @@ def test_the_force_does_not_depend_on_how_the_motion_is_cut_into_blocks(name, si
         parts.append(stream.follow(EXAMPLES[name], cut(w, first, last), current[first:last]))
         first, place = last, place + 1
     whole = MODELS[name].force(EXAMPLES[name], w, current, 5e-3)
-    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0.0, atol=ROUNDING)
 
 
 def changed_on_the_way(name, parameter, factor):
@@ -123,16 +153,15 @@ def test_hysteresis_goes_on_where_the_parameters_change(name):
     parameter = {"bouc_wen": "c0", "modified_bouc_wen": "k1"}[name]
     _, after, changed = changed_on_the_way(name, parameter, 2.0)
     whole = MODELS[name].force(changed, motion(1000), 1.0, PERIOD)
-    np.testing.assert_allclose(after, whole[400:], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(after, whole[400:], rtol=0.0, atol=ROUNDING)
 
 
 def test_a_lagging_force_does_not_jump_where_the_parameters_change():
     last, after, changed = changed_on_the_way("sigmoid_lag", "f0", 2.0)
     settled = MODELS["sigmoid_lag"].force(changed, motion(1000), 1.0, PERIOD)[400:]
     step = settled[0] - last
-    # tau is 7 ms, a sample 1 ms: the first sample has come a ninth of the way or so.
-    assert 0.0 < (after[0] - last) / step < 0.2
-    np.testing.assert_allclose(after[100:], settled[100:], atol=1e-3)
+    assert 0.0 < (after[0] - last) / step < FIRST_SAMPLE
+    np.testing.assert_allclose(after[100:], settled[100:], atol=SETTLED)
 
 
 def test_a_retraced_state_is_that_of_the_newer_parameters():
@@ -144,7 +173,7 @@ def test_a_retraced_state_is_that_of_the_newer_parameters():
     stream.retrace(changed)
     after = stream.follow(changed, cut(w, 800, 1000), 1.0)
     whole = model.force(changed, w, 1.0, PERIOD)
-    np.testing.assert_allclose(after, whole[800:], rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(after, whole[800:], rtol=0.0, atol=RETRACED)
 
 
 AMPLITUDE, OMEGA = 5e-3, 2.0 * np.pi
@@ -213,9 +242,8 @@ def test_integration_converges_to_solve_ivp(name, reference):
         expected = reference(times)
         got = model.force(EXAMPLES[name], w, 0.0, period)
         errors.append(np.sqrt(np.mean((got - expected) ** 2)) / np.std(expected))
-    assert errors[1] < 2e-3
-    # Second order: a third at least where the step is halved (a quarter in the limit).
-    assert errors[2] < errors[1] / 2.5 < errors[0] / 5.0
+    assert errors[1] < INTEGRATION
+    assert errors[2] < errors[1] / HALVED < errors[0] / (2.0 * HALVED)
 
 
 @pytest.mark.parametrize("name", ["bouc_wen", "modified_bouc_wen"])
@@ -238,7 +266,7 @@ def test_lag_of_a_sine_has_the_amplitude_and_phase_of_theory():
     got = lagged(np.sin(omega * t), np.full(3000, tau), period)[1000:]
     ratio = 1.0 / np.sqrt(1.0 + (omega * tau) ** 2)
     expected = ratio * np.sin(omega * t - np.arctan(omega * tau))[1000:]
-    np.testing.assert_allclose(got, expected, atol=1e-4)
+    np.testing.assert_allclose(got, expected, atol=SAMPLED_SINE)
 
 
 def test_lag_with_a_changing_time_constant_agrees_with_the_constant_one():
@@ -246,9 +274,9 @@ def test_lag_with_a_changing_time_constant_agrees_with_the_constant_one():
     tau = np.full(200, 5e-3)
     wobbling = tau * (1.0 + 1e-12 * np.arange(200))
     np.testing.assert_allclose(
-        lagged(signal, wobbling, PERIOD), lagged(signal, tau, PERIOD), atol=1e-8
+        lagged(signal, wobbling, PERIOD), lagged(signal, tau, PERIOD), atol=SAME_LAG
     )
-    np.testing.assert_allclose(lagged(signal, np.zeros(200), PERIOD), signal, atol=1e-6)
+    np.testing.assert_allclose(lagged(signal, np.zeros(200), PERIOD), signal, atol=NO_LAG)
 
 
 def test_lag_rises_with_the_current():
@@ -267,5 +295,5 @@ def test_sigmoid_is_the_package_law_and_the_extension_vanishes():
     np.testing.assert_allclose(MODELS["sigmoid"].force(PLAUSIBLE, w, 0.5, PERIOD), plain)
     extended = [*PLAUSIBLE, 0.0, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(
-        MODELS["sigmoid_lag"].force(extended, w, 0.5, PERIOD), plain, atol=1e-5
+        MODELS["sigmoid_lag"].force(extended, w, 0.5, PERIOD), plain, atol=NO_LAG_FORCE
     )

@@ -16,6 +16,18 @@ SIGMOID = MODELS["sigmoid"]
 RUNNING = known.PLAUSIBLE
 RANDOM = BandLimitedRandom(rms=4e-3, low=0.2, high=2.0, seed=2)
 
+UNMOVED = 0.2
+"""Standard errors by which the running set may move what a window determines well."""
+
+AS_WELL = 1.001
+"""Most that the RMSE may be of that of the fit to the window alone."""
+
+BETTER = 0.5
+"""Most that the error elsewhere may be of that of the fit to a short window alone."""
+
+ROUNDING = 1e-9
+"""Relative."""
+
 
 def steady(parameters: Array = RUNNING) -> Window:
     return known.run(parameters, current=1.0, seed=3).window
@@ -43,8 +55,8 @@ def test_a_steady_sine_is_fitted_as_without_a_running_set() -> None:
     alone = own(window)
     weighed = with_prior(SIGMOID, alone, window, off)
     errors = np.sqrt(np.diag(alone.covariance))
-    assert np.max(np.abs(weighed.scales - alone.scales) / errors) < 0.2
-    assert weighed.rmse < 1.001 * alone.rmse
+    assert np.max(np.abs(weighed.scales - alone.scales) / errors) < UNMOVED
+    assert weighed.rmse < AS_WELL * alone.rmse
 
 
 def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
@@ -61,7 +73,7 @@ def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
             ]
         )
     alone_error, weighed_error = np.median(errors, axis=0)
-    assert weighed_error < 0.5 * alone_error
+    assert weighed_error < BETTER * alone_error
 
 
 def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
@@ -70,7 +82,7 @@ def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
     jacobian = ScaleMisfit(window, RUNNING).jacobian(ScaleMisfit(window, RUNNING).start)
     force = known.rms(window.predicted_force(RUNNING))
     effects = np.sqrt(np.mean(jacobian**2, axis=0) * np.diag(weighed.covariance)) / force
-    assert np.all(effects <= WANDER * (1.0 + 1e-9))
+    assert np.all(effects <= WANDER * (1.0 + ROUNDING))
 
 
 def test_a_sudden_change_is_followed_at_once() -> None:
@@ -79,7 +91,7 @@ def test_a_sudden_change_is_followed_at_once() -> None:
     window = steady(stronger)
     alone = own(window)
     weighed = with_prior(SIGMOID, alone, window, RUNNING)
-    assert weighed.rmse < 1.001 * alone.rmse
+    assert weighed.rmse < AS_WELL * alone.rmse
 
 
 def test_other_models_are_left_alone() -> None:

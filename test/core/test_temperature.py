@@ -28,8 +28,16 @@ from mr_damper_ros.rig.excitation import Sine
 COLD, HOT = 28.0, 71.0
 POINT = (0.0314, 1.5)
 STANDARD_ERRORS = 4.0
+"""By which an estimate may miss the truth: one in some ten thousand would by chance."""
+
 MODEL_ERROR = 0.1
 """Kelvin by which a curve in ln s may differ from the emulated damper's straight line in F."""
+
+FORCE_OF_A_KELVIN = 0.007
+"""Relative: what the force of the emulated damper changes by per kelvin."""
+
+INVERTED = 1e-6
+"""Kelvin: rounding, of which the root of a nearly straight parabola makes more."""
 
 
 # -- the emulated damper -----------------------------------------------------------------------
@@ -92,14 +100,20 @@ def test_the_force_at_a_temperature_is_that_of_the_emulated_damper() -> None:
     assert found is not None
     for celsius, scale in zip(run.celsius, run.scales, strict=True):
         value = found.scale(celsius).value
-        # A kelvin is 0.7 % of the force.
-        allowed = STANDARD_ERRORS * scale.standard_error + 0.007 * MODEL_ERROR
+        allowed = STANDARD_ERRORS * scale.standard_error + FORCE_OF_A_KELVIN * MODEL_ERROR
         assert value == pytest.approx(scale.value, abs=allowed)
 
 
 # -- known maps --------------------------------------------------------------------------------
 
 ERROR = 2e-3
+"""Relative standard error of the force scale of a window."""
+
+SPREAD_ERROR = 0.2
+"""Of a standard deviation of 1 that 200 draws tell: four of its standard errors of 5 %."""
+
+SAME_CURVE = 0.2
+"""Of the error of one window, by which a map of kept points may differ from one of all points."""
 
 
 def observed(
@@ -124,7 +138,7 @@ def test_the_inverse_is_the_inverse(rate: float, span: float, seed: int) -> None
     found = fitted(*observed(seed, rate=rate, span=span))
     for celsius in np.linspace(found.low, found.high, 7)[1:-1]:
         again = found.temperature(found.scale(celsius))
-        assert again.celsius == pytest.approx(celsius, abs=1e-6)
+        assert again.celsius == pytest.approx(celsius, abs=INVERTED)
 
 
 @known.fixed(20)
@@ -145,8 +159,7 @@ def test_the_standard_errors_are_true() -> None:
         value = math.exp(-7e-3 * 20.0) * (1.0 + noise)
         told = found.temperature(ForceScale(value, ERROR * value))
         deviations.append((told.celsius - 50.0) / told.standard_error)
-    # The standard deviation of 200 has a standard error of 5 %.
-    assert np.std(deviations) == pytest.approx(1.0, abs=0.2)
+    assert np.std(deviations) == pytest.approx(1.0, abs=SPREAD_ERROR)
 
 
 def test_the_exponential_law_needs_two_coefficients_and_a_bent_one_three() -> None:
@@ -208,4 +221,5 @@ def test_what_is_kept_of_a_long_run_is_bounded_and_says_the_same() -> None:
     assert kept.windows <= 400
     assert (kept.low, kept.high) == (whole.low, whole.high)
     middle = 0.5 * (whole.low + whole.high)
-    assert kept.scale(middle).value == pytest.approx(whole.scale(middle).value, abs=0.2 * ERROR)
+    expected = whole.scale(middle).value
+    assert kept.scale(middle).value == pytest.approx(expected, abs=SAME_CURVE * ERROR)

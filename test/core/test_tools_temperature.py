@@ -20,6 +20,13 @@ FALL = 0.7561
 """Force at 71 °C over that at 28 °C, as the loops of the two published sets have it."""
 
 TOLERANCE = 0.01
+"""Of the ratio of two forces: noise, and a curve in ln s for a straight line in F."""
+
+POINT_TOLERANCE = 1e-3
+"""[m/s] and [A] of the operating point of a steady run."""
+
+WARMING = 35.0
+"""Kelvin of the 43 from cold to hot that the map must reach over: the last windows stay below."""
 
 
 def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
@@ -37,9 +44,9 @@ def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
 def test_a_bag_with_a_thermometer_gives_the_map(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", heated())
     (found,) = temperature_maps([bag_windows(tmp_path / "bag")], THESIS_28_CELSIUS).identified
-    assert found.operating_point == pytest.approx((0.0314, 1.5), abs=1e-3)
+    assert found.operating_point == pytest.approx((0.0314, 1.5), abs=POINT_TOLERANCE)
     expected = 1.0 - (1.0 - FALL) * (found.high - found.low) / (HOT - COLD)
-    assert found.high - found.low > 35.0
+    assert found.high - found.low > WARMING
     ratio = found.scale(found.high).value / found.scale(found.low).value
     assert ratio == pytest.approx(expected, abs=TOLERANCE)
 

@@ -24,8 +24,13 @@ WARMING = 24
 """Windows from 28 to 71 °C."""
 
 STANDARD_ERRORS = 4.0
+"""By which an estimate may miss the truth: one in some ten thousand would by chance."""
+
 MODEL_ERROR = 0.1
 """Kelvin by which a curve in ln s may differ from the known damper's straight line in F."""
+
+TOLD = 2.0
+"""Kelvin: a temperature that is known no better than this would say little of 43 K of warming."""
 
 
 def warmed(number: int, celsius: float, *, thermometer: bool) -> RawWindow:
@@ -79,7 +84,7 @@ def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
         assert math.isnan(report.temperature)
         allowed = STANDARD_ERRORS * report.fluid.standard_error + MODEL_ERROR
         assert abs(report.fluid.celsius - celsius) < allowed
-        assert allowed < 2.0
+        assert allowed < TOLD
 
 
 def test_without_a_map_nothing_is_estimated() -> None:
