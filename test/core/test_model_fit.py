@@ -24,6 +24,39 @@ NOISE = 5.0
 FINE = 2e-3
 """Relative to the spread of the force: what integration over another time step may cost."""
 
+THINNED = 5.0
+"""Times that: what it may cost where samples are left out too."""
+
+FITTED = 1.05
+"""RMSE over the noise, which 2000 samples tell to 1.6 %."""
+
+OTHER_SHAPE = 3.0
+"""The same of a sigmoid law: one run cannot tell its shape, and another fits nearly as well."""
+
+STANDARD_ERRORS = 5.0
+"""By which an estimate may miss the truth: none of some sixty does by chance."""
+
+SAME_END = 0.1
+"""Standard errors between the ends of two methods."""
+
+SPREAD = (0.6, 1.7)
+"""Least and most of a stated standard error over the scatter, which 20 draws tell to a sixth."""
+
+UNSETTLED = 500
+"""Most samples of 2000 that may be left out for want of a past."""
+
+ROUNDING = 1e-9
+"""Relative, and of numbers of size 1."""
+
+BY_DIFFERENCES = (0.01, 1e-6)
+"""Relative to the largest derivative, and for those that are zero: a bent law in steps of 1e-4."""
+
+ON_THE_BOUND = 1.0
+"""[N] and [N s/m], of the hundreds and thousands that a damper has."""
+
+ROBUST = 0.2
+"""Most that a robust fit may keep of what outliers do to a usual one."""
+
 
 @cache
 def window(name: str, *, sine: bool = True, noise: float = NOISE, seed: int = 0) -> Window:
@@ -48,8 +81,7 @@ MOTIONS = pytest.mark.parametrize("sine", [True, False], ids=["sine", "random"])
 def test_a_model_is_identified_from_its_own_force_without_a_start(name: str) -> None:
     model, here = MODELS[name], window(name)
     fit = fit_model(model, here)
-    # One run cannot tell the sigmoid's shape: another one fits nearly as well.
-    most = 3.0 if name.startswith("sigmoid") else 1.05
+    most = OTHER_SHAPE if name.startswith("sigmoid") else FITTED
     assert fit.rmse < most * NOISE
     assert fit.success
     low, high = model.bounds
@@ -64,9 +96,9 @@ def test_a_model_is_found_again_from_a_start_nearby(name: str, sine: bool) -> No
     start = known.EXAMPLES[name].copy()
     start[free] *= 1.1
     fit = fit_model(model, here, np.clip(start, *model.bounds))
-    assert fit.rmse < 1.05 * NOISE
+    assert fit.rmse < FITTED * NOISE
     errors = np.sqrt(np.diag(fit.covariance))
-    assert np.all(np.abs(fit.scales - known.EXAMPLES[name][free]) < 5.0 * errors)
+    assert np.all(np.abs(fit.scales - known.EXAMPLES[name][free]) < STANDARD_ERRORS * errors)
     np.testing.assert_array_equal(fit.scales, fit.parameters[free])
 
 
@@ -77,7 +109,7 @@ def test_nelder_mead_ends_where_least_squares_does(name: str) -> None:
         for method in ("nelder_mead", "least_squares")
     ]
     errors = np.sqrt(np.diag(found[1].covariance))
-    assert np.all(np.abs(found[0].scales - found[1].scales) < 0.1 * errors)
+    assert np.all(np.abs(found[0].scales - found[1].scales) < SAME_END * errors)
 
 
 def test_the_standard_errors_are_those_of_the_scatter() -> None:
@@ -87,8 +119,8 @@ def test_the_standard_errors_are_those_of_the_scatter() -> None:
     ]
     scatter = np.std([fit.scales for fit in fits], axis=0, ddof=1)
     stated = np.mean([np.sqrt(np.diag(fit.covariance)) for fit in fits], axis=0)
-    # 20 draws give a standard deviation to a sixth.
-    assert np.all((stated / scatter > 0.6) & (stated / scatter < 1.7))
+    least, most = SPREAD
+    assert np.all((stated / scatter > least) & (stated / scatter < most))
 
 
 @MOTIONS
@@ -98,7 +130,7 @@ def test_a_part_of_a_window_remembers_the_whole(name: str, sine: bool) -> None:
     settled = ~unsettled_samples(MODELS[name], here, known.EXAMPLES[name])
     part = here.part(settled & (np.arange(2000) // 50 % 4 == 3))
     error = model_force(MODELS[name], part, known.EXAMPLES[name]) - part.force
-    assert known.rms(error) < 5.0 * FINE * np.std(here.force)
+    assert known.rms(error) < THINNED * FINE * np.std(here.force)
 
 
 def test_samples_before_which_the_past_is_unknown_have_no_residual() -> None:
@@ -106,16 +138,16 @@ def test_samples_before_which_the_past_is_unknown_have_no_residual() -> None:
     misfit = ModelMisfit(MODELS["bouc_wen"], here, known.EXAMPLES["bouc_wen"])
     residual = misfit.residual(misfit.start)
     unsettled = int(np.argmax(misfit.settled))
-    assert 0 < unsettled < 500
+    assert 0 < unsettled < UNSETTLED
     assert not np.any(residual[:unsettled])
-    assert known.rms(residual[unsettled:]) < 1.05 * NOISE
+    assert known.rms(residual[unsettled:]) < FITTED * NOISE
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_unknowns_stand_for_the_parameters_they_came_from(name: str) -> None:
     misfit = ModelMisfit(MODELS[name], window(name), known.EXAMPLES[name])
     np.testing.assert_allclose(
-        misfit.parameters(misfit.start), known.EXAMPLES[name], rtol=1e-9, atol=1e-9
+        misfit.parameters(misfit.start), known.EXAMPLES[name], rtol=ROUNDING, atol=ROUNDING
     )
 
 
@@ -124,13 +156,14 @@ def test_the_jacobian_is_that_of_differences(name: str) -> None:
     misfit = ModelMisfit(MODELS[name], window(name), known.EXAMPLES[name])
     start = misfit.start
     jacobian = misfit.jacobian(start)
+    relative, least = BY_DIFFERENCES
     for column in range(start.size):
         step = 1e-4 * max(abs(start[column]), 0.1) * np.eye(start.size)[column]
         expected = (misfit.residual(start + step) - misfit.residual(start - step)) / (
             2.0 * step[column]
         )
         np.testing.assert_allclose(
-            jacobian[:, column], expected, atol=0.01 * np.abs(expected).max() + 1e-6
+            jacobian[:, column], expected, atol=relative * np.abs(expected).max() + least
         )
 
 
@@ -141,7 +174,7 @@ def test_a_parameter_that_wants_to_leave_its_bounds_stays_on_them() -> None:
     fit = fit_model(MODELS["bingham"], against)
     low = MODELS["bingham"].bounds[0]
     assert np.all(fit.parameters >= low)
-    np.testing.assert_allclose(fit.parameters[:2], 0.0, atol=1.0)
+    np.testing.assert_allclose(fit.parameters[:2], 0.0, atol=ON_THE_BOUND)
 
 
 def test_a_stop_leaves_the_best_so_far() -> None:
@@ -161,7 +194,7 @@ def test_outliers_hardly_matter_to_a_robust_fit() -> None:
         fit_model(MODELS["bingham"], spoilt, robust=robust).parameters - known.EXAMPLES["bingham"]
         for robust in (False, True)
     )
-    assert abs(robust[2]) < 0.2 * abs(usual[2])
+    assert abs(robust[2]) < ROBUST * abs(usual[2])
 
 
 def test_a_force_that_does_not_change_is_refused() -> None:
