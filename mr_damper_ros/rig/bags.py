@@ -44,6 +44,12 @@ SAMPLES_TYPE = "mr_damper_msgs/msg/MtsSamples"
 CURRENT_TYPE = "mr_damper_msgs/msg/SupplyCurrent"
 TEMPERATURE_TYPE = "sensor_msgs/msg/Temperature"
 
+_FRAME = "damper"
+"""The frame that the stamps of all messages name."""
+
+_CURRENT_PERIOD = 0.1
+"""Seconds after which a current that did not change is written again."""
+
 _TEMPERATURE_PERIOD = 1.0
 
 _FOREVER = 1e9
@@ -118,26 +124,19 @@ def write_bag(
     recording: Recording,
     *,
     block_size: int = 100,
-    current_period: float = 0.1,
-    mts_topic: str = MTS_TOPIC,
-    current_topic: str = CURRENT_TOPIC,
-    temperature_topic: str = TEMPERATURE_TOPIC,
-    frame_id: str = "damper",
     overwrite: bool = False,
 ) -> None:
     """Write a recording as a bag folder (MCAP, rosbag2 version 9).
 
-    ``block_size`` samples go into one message; the current is repeated every ``current_period``
-    [s]. The bag's metadata carry ``recording.name`` and ``recording.details``. The bag appears
-    whole or not at all; one that exists is replaced only with ``overwrite``.
+    ``block_size`` samples go into one message. The bag's metadata carry ``recording.name`` and
+    ``recording.details``. The bag appears whole or not at all; one that exists is replaced only
+    with ``overwrite``.
 
-    Raises BagError where the bag exists, is something else, or a setting is out of range, and
+    Raises BagError where the bag exists, is something else, or the block size is below 1, and
     OSError where the file system refuses.
     """
     if block_size < 1:
         raise BagError(f"the block size is {block_size}: give at least 1 sample")
-    if not (math.isfinite(current_period) and current_period > 0.0):
-        raise BagError(f"the current period is {current_period} s: it must be positive")
     if not 0 <= recording.start_ns <= recording.stamp_ns(recording.sample_count) < _STAMP_LIMIT:
         raise BagError(
             f"'{recording.name}' starts {recording.start_ns / NANOSECONDS:.0f} s after 1970, and "
@@ -146,9 +145,9 @@ def write_bag(
     path = Path(os.path.abspath(path))
     _check_free(path, overwrite)
     messages = [
-        *_current_messages(recording, current_topic, current_period, frame_id),
-        *_temperature_messages(recording, temperature_topic, frame_id),
-        *_sample_messages(recording, mts_topic, block_size, frame_id),
+        *_current_messages(recording),
+        *_temperature_messages(recording),
+        *_sample_messages(recording, block_size),
     ]
     # The order of the list decides between equal times: current first, it applies to the block.
     messages.sort(key=lambda message: message.time_ns)
@@ -186,29 +185,26 @@ def _write_messages(path: Path, messages: list[_Message], details: dict[str, str
 
 
 def _message(
-    topic: str, message_type: str, time_ns: int, stamp_ns: int, frame_id: str, **fields: object
+    topic: str, message_type: str, time_ns: int, stamp_ns: int, **fields: object
 ) -> _Message:
     store = _typestore()
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
     header = store.types["std_msgs/msg/Header"](
         stamp=store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds),
-        frame_id=frame_id,
+        frame_id=_FRAME,
     )
     message = store.types[message_type](header=header, **fields)
     return _Message(topic, message_type, time_ns, bytes(store.serialize_cdr(message, message_type)))
 
 
-def _sample_messages(
-    recording: Recording, topic: str, block_size: int, frame_id: str
-) -> Iterator[_Message]:
+def _sample_messages(recording: Recording, block_size: int) -> Iterator[_Message]:
     for first in range(0, recording.sample_count, block_size):
         displacement = recording.displacement[first : first + block_size]
         yield _message(
-            topic,
+            MTS_TOPIC,
             SAMPLES_TYPE,
             recording.stamp_ns(first + displacement.size - 1),
             recording.stamp_ns(first),
-            frame_id,
             seq=first,
             period=recording.period,
             displacement=displacement,
@@ -223,24 +219,22 @@ def _indices(recording: Recording, period: float, always: Iterable[int] = ()) ->
     return sorted({*regular, *always, recording.sample_count - 1})
 
 
-def _current_messages(
-    recording: Recording, topic: str, period: float, frame_id: str
-) -> Iterator[_Message]:
+def _current_messages(recording: Recording) -> Iterator[_Message]:
     changes = (np.flatnonzero(np.diff(recording.current)) + 1).tolist()
-    for index in _indices(recording, period, changes):
+    for index in _indices(recording, _CURRENT_PERIOD, changes):
         stamp = recording.stamp_ns(index)
         current = float(recording.current[index])
-        yield _message(topic, CURRENT_TYPE, stamp, stamp, frame_id, current=current)
+        yield _message(CURRENT_TOPIC, CURRENT_TYPE, stamp, stamp, current=current)
 
 
-def _temperature_messages(recording: Recording, topic: str, frame_id: str) -> Iterator[_Message]:
+def _temperature_messages(recording: Recording) -> Iterator[_Message]:
     if recording.temperature is None:
         return
     for index in _indices(recording, _TEMPERATURE_PERIOD):
         stamp = recording.stamp_ns(index)
         celsius = float(recording.temperature[index])
         yield _message(
-            topic, TEMPERATURE_TYPE, stamp, stamp, frame_id, temperature=celsius, variance=0.0
+            TEMPERATURE_TOPIC, TEMPERATURE_TYPE, stamp, stamp, temperature=celsius, variance=0.0
         )
 
 
