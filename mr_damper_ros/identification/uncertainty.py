@@ -8,6 +8,9 @@ import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
 
+_DETERMINED = 1e-10
+"""A singular value smaller than this part of the largest stands for a direction without data."""
+
 _FEWEST_BLOCKS = 20
 """Fewer block sums than this would give a covariance of their own chance."""
 
@@ -15,7 +18,7 @@ _WHITE = 3.0
 """Residuals whose lag-1 autocorrelation is within this many standard errors of 0 count as white."""
 
 
-def normal_inverse(jacobian: Array, relative_cutoff: float = 1e-10) -> Array:
+def normal_inverse(jacobian: Array) -> Array:
     """Inverse of JᵀJ for a Jacobian of shape (n, p), shape (p, p).
 
     Columns are scaled first, so that units do not matter. Directions that the data do not
@@ -26,7 +29,7 @@ def normal_inverse(jacobian: Array, relative_cutoff: float = 1e-10) -> Array:
     # The triangular factor has the singular values of the whole Jacobian, and is small.
     triangular = np.linalg.qr(jacobian / safe, mode="r")
     _, singular, vt = np.linalg.svd(triangular, full_matrices=False)
-    determined = singular > relative_cutoff * max(float(singular[0]), 1e-300)
+    determined = singular > _DETERMINED * max(float(singular[0]), 1e-300)
     inverse = np.asarray((vt[determined].T / singular[determined] ** 2) @ vt[determined])
     inverse = inverse / np.outer(safe, safe)
     lost = np.any(np.abs(vt[~determined]) > 1e-3, axis=0) | (lengths == 0.0)
