@@ -36,6 +36,15 @@ which they begin is not that at which they end."""
 OBSERVED = 0.05
 """Relative: what an observer of 40 Hz makes of the acceleration of a motion of up to 4 Hz."""
 
+OF_NOISE = 0.15
+"""Relative: how far half-cycles of a noisy acceleration may be off twice the mean square."""
+
+RARE = 5.0
+"""Standard deviations of the noise of a velocity, which hardly any of 6000 samples exceeds."""
+
+MOSTLY = 0.9
+"""Least part of a recording in which a stream, which looks back only, agrees with it."""
+
 ROUNDING = 1e-12
 """Relative: sums of other parts of the same samples."""
 
@@ -147,16 +156,16 @@ def test_with_noise_its_mean_square_is_still_twice_that_of_the_velocity() -> Non
     noise = np.random.default_rng(1).normal(0.0, np.std(acceleration), TIME.size)
     found = peak_velocity_of_window(velocity, acceleration + noise, PERIOD)
     expected = np.sqrt(2.0 * np.mean(velocity**2))
-    assert np.sqrt(np.mean(found**2)) == pytest.approx(expected, rel=0.15)
+    assert np.sqrt(np.mean(found**2)) == pytest.approx(expected, rel=OF_NOISE)
 
 
 def test_noise_of_the_velocity_does_not_count_as_half_cycles() -> None:
     """Else the angular frequency would be that of the noise between two reversals."""
     velocity, acceleration = sine(0.5)
-    noise = np.random.default_rng(1).normal(0.0, 1e-3, TIME.size)
+    deviation = 1e-3
+    noise = np.random.default_rng(1).normal(0.0, deviation, TIME.size)
     found = PeakVelocity(PERIOD).follow(velocity + noise, acceleration)
-    rare = 5.0 * 1e-3
-    assert np.all(np.abs(found[TIME > 2.5] - 0.03) < rare)
+    assert np.all(np.abs(found[TIME > 2.5] - 0.03) < RARE * deviation)
 
 
 def test_values_beyond_all_measure_leave_it_a_number() -> None:
@@ -196,4 +205,4 @@ def test_a_recording_and_a_stream_have_nearly_the_same_peak_velocity() -> None:
     stream = StreamPeakVelocity(PERIOD).follow(displacement)
     same = np.abs(stream / whole.peak_velocity - 1.0) < OBSERVED
     # Not before the stream has seen as many half-cycles as the recording knows from the start.
-    assert np.mean(same[3000:]) > 0.9
+    assert np.mean(same[3000:]) > MOSTLY

@@ -9,6 +9,9 @@ import pytest
 
 from mr_damper_ros.streaming.running_error import RunningError
 
+ROUNDING = 1e-9
+"""Relative: sums over blocks for sums over all samples."""
+
 
 def test_it_is_the_nrmse_of_what_lies_within_the_memory() -> None:
     rng = np.random.default_rng(1)
@@ -20,7 +23,7 @@ def test_it_is_the_nrmse_of_what_lies_within_the_memory() -> None:
     recent = slice(500, None)
     error = predicted[recent] - measured[recent]
     expected = math.sqrt(np.mean(error**2)) / np.std(measured[recent])
-    assert running.nrmse == pytest.approx(expected, rel=1e-9)
+    assert running.nrmse == pytest.approx(expected, rel=ROUNDING)
     running.reset()
     assert math.isnan(running.nrmse)
 

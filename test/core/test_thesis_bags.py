@@ -15,6 +15,9 @@ from mr_damper_ros.tools import thesis_bags
 COMMITTED = Path(__file__).resolve().parents[2] / "bags"
 NAMES = ["5.0mm_1Hz_0.0A", "5.0mm_1Hz_0.5A", "5.0mm_1Hz_1.5A", "7.5mm_1Hz_1.0A"]
 
+ROUNDING_FORCE, ROUNDING_DISPLACEMENT = 1e-9, 1e-15
+"""[N] and [m]: processors differ in the last digit of a sine or a hyperbolic tangent."""
+
 
 def folders(path: Path) -> list[str]:
     return sorted(entry.name for entry in path.iterdir() if entry.is_dir())
@@ -35,9 +38,10 @@ def test_a_committed_bag_is_what_the_program_makes(name: str, tmp_path: Path) ->
     assert committed.period == fresh.period
     assert committed.details == fresh.details
     np.testing.assert_array_equal(committed.current, fresh.current)
-    # Processors differ in the last digit of a sine or a hyperbolic tangent.
-    np.testing.assert_allclose(committed.force, fresh.force, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(committed.displacement, fresh.displacement, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(committed.force, fresh.force, rtol=0.0, atol=ROUNDING_FORCE)
+    np.testing.assert_allclose(
+        committed.displacement, fresh.displacement, rtol=0.0, atol=ROUNDING_DISPLACEMENT
+    )
     a, b = (
         [(m.topic, m.message_type, m.time_ns, len(m.data)) for m in messages(folder)]
         for folder in (COMMITTED / name, tmp_path / name)
