@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 import threading
@@ -87,6 +88,10 @@ def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: thre
         raise _NodeError(_without_source_position(error)) from error
     executor = make_executor()
     executor.add_node(node)
+    # What was made so far stays to the end. Looking through it for garbage takes some tens of
+    # milliseconds, in which blocks would wait.
+    gc.collect()
+    gc.freeze()
     try:
         while not stop.is_set():
             executor.spin_once(timeout_sec=_WAKE_UP)
