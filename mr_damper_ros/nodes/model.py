@@ -27,12 +27,13 @@ from mr_damper_ros.streaming.state import StateError, read_parameter_file
 _REPORTS = 10
 """Reports that may wait: only the newest ones matter."""
 
-_HEAD_START = 1e-4
+_HEAD_START = 1e-3
 """Seconds for which the node rests once a force is out: on a computer with no processor to spare
 who waits for the force may be put on this one, and would wait for the rest of the work, too."""
 
-_UNHURRIED = 1e-3
-"""A node that had no block for so many seconds is not behind, and can rest."""
+_PART_OF_REST = 0.1
+"""The head start is no more than this part of the time since the last block: no node falls behind
+by it."""
 
 
 @dataclass(frozen=True)
@@ -193,8 +194,7 @@ class Model(Node):
         prediction = self._predictor.predict(block)
         self._force.publish(self._message.of(prediction))
         self._slowest = max(self._slowest, time.perf_counter() - began)
-        if began - self._idle_since > _UNHURRIED:
-            time.sleep(_HEAD_START)
+        time.sleep(min(_HEAD_START, _PART_OF_REST * (began - self._idle_since)))
         self._last = prediction
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
