@@ -133,7 +133,7 @@ class ForcePredictor:
         self, motion: Motion, current: Array, parameters: ParameterSet, stream: ForceStream
     ) -> _Reckoned:
         force = stream.follow(parameters.values, _held(motion, parameters), current)
-        doubt = self._doubt_of_range(motion.peak_velocity, current, parameters)
+        doubt = self._doubt_of_range(motion, current, parameters)
         return _Reckoned(motion, current, force, bool(np.isfinite(force).all()), doubt)
 
     def predict(self, block: SampleBlock) -> Prediction:
@@ -227,7 +227,7 @@ class ForcePredictor:
                 )
         return ""
 
-    def _doubt_of_range(self, speed: Array, current: Array, parameters: ParameterSet) -> str:
+    def _doubt_of_range(self, motion: Motion, current: Array, parameters: ParameterSet) -> str:
         """Why the parameters do not hold for this motion and current; empty where they do."""
         low, high = parameters.current_range
         margin = self._settings.current_margin
@@ -238,13 +238,13 @@ class ForcePredictor:
             )
         low, high = parameters.peak_velocity_range
         margin = self._settings.velocity_margin
-        middle = _middle(speed)
-        if middle < low * (1.0 - margin) and self._motion is not None:
-            # A random motion passes through low values; it is low where it stays there.
-            middle = max(middle, self._motion.usual_peak_velocity)
-        if not low * (1.0 - margin) <= middle <= high * (1.0 + margin):
+        speed = _middle(motion.peak_velocity)
+        if self._motion is not None and motion is not self._motion.foreseen:
+            # A motion that is no sine passes through low values without being small.
+            speed = max(speed, self._motion.usual_peak_velocity)
+        if not low * (1.0 - margin) <= speed <= high * (1.0 + margin):
             return (
-                f"the peak velocity of {middle:.3g} m/s is outside of the identified "
+                f"the peak velocity of {speed:.3g} m/s is outside of the identified "
                 f"{low:.3g} to {high:.3g} m/s"
             )
         return ""

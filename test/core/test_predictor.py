@@ -296,6 +296,15 @@ def test_a_random_motion_that_passes_through_low_speeds_stays_valid() -> None:
     assert {p.reason for p in predictions[300:]} == {""}
 
 
+def test_bursts_of_the_displacement_are_no_motion_to_rely_on() -> None:
+    """What the observer makes of them turns often enough, but is beyond all that was identified."""
+    spoilt = RUN.displacement[:250].copy()
+    for burst in (slice(0, 20), slice(60, 80), slice(120, 140)):
+        spoilt[burst] *= 1e3
+    limited = dataclasses.replace(SET, peak_velocity_range=(0.001, 0.05))
+    assert not any(p.valid for p in predicted(predictor(limited), stream(spoilt)))
+
+
 def test_a_random_motion_that_stays_low_is_doubtful() -> None:
     limited = dataclasses.replace(SET, peak_velocity_range=(0.2, 0.5))
     assert "peak velocity" in last_reason(predictor(limited), stream(random_motion(3e-3)))
