@@ -243,13 +243,7 @@ def _temperature_messages(recording: Recording) -> Iterator[_Message]:
 # ---------------------------------------------------------------------------------------------
 
 
-def read_bag(
-    path: str | Path,
-    *,
-    mts_topic: str = MTS_TOPIC,
-    current_topic: str = CURRENT_TOPIC,
-    temperature_topic: str = TEMPERATURE_TOPIC,
-) -> list[Recording]:
+def read_bag(path: str | Path) -> list[Recording]:
     """Read the recordings in a bag, which is a folder or a single ``.mcap`` or ``.db3`` file.
 
     There are several where samples are missing, stamps jump back, or the period changes. Topics
@@ -260,9 +254,9 @@ def read_bag(
     Raises BagError, in one sentence, where the bag is damaged or does not hold the streams.
     """
     with _opened(path) as bag:
-        samples = bag.topic(mts_topic, SAMPLES_TYPE)
-        current = bag.topic(current_topic, CURRENT_TYPE)
-        temperature = bag.topic(temperature_topic, TEMPERATURE_TYPE, required=False)
+        samples = bag.topic(MTS_TOPIC, SAMPLES_TYPE)
+        current = bag.topic(CURRENT_TOPIC, CURRENT_TYPE)
+        temperature = bag.topic(TEMPERATURE_TOPIC, TEMPERATURE_TYPE, required=False)
         segments = _Segments(bag.name, samples)
         currents = _Currents(bag.name, current)
         celsius: list[tuple[int, float]] = []
@@ -314,14 +308,13 @@ class _OpenBag:
     def topic(self, wanted: str, message_type: str, *, required: bool = True) -> str:
         """Name of the topic in the bag; empty where it is missing and not required."""
         types = {connection.topic: connection.msgtype for connection in self._reader.connections}
-        ending = "/" + wanted.strip("/")
-        found = [ending] if ending in types else sorted(t for t in types if t.endswith(ending))
+        found = [wanted] if wanted in types else sorted(t for t in types if t.endswith(wanted))
         if len(found) > 1:
             if not required:
                 return ""
             raise BagError(
-                f"the bag '{self.name}' has several topics that end in {ending} "
-                f"({', '.join(found)}): say which one"
+                f"the bag '{self.name}' has several topics that end in {wanted} "
+                f"({', '.join(found)}): make a bag of the topics of one rig with ros2 bag convert"
             )
         if found and types[found[0]] == message_type:
             return found[0]
@@ -330,12 +323,13 @@ class _OpenBag:
         if found:
             raise BagError(
                 f"the topic {found[0]} in the bag '{self.name}' carries {types[found[0]]}, "
-                f"not {message_type}: name the topic that does"
+                f"not {message_type}: record that type, or make a bag of a text or MAT file with "
+                "ros2 run mr_damper_ros import_record"
             )
         listed = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(types.items())) or "none"
         raise BagError(
-            f"the bag '{self.name}' has no topic {ending}: name the topic that carries "
-            f"{message_type}; its topics are {listed}"
+            f"the bag '{self.name}' has no topic {wanted}, in whatever namespace, with "
+            f"{message_type}: record it; its topics are {listed}"
         )
 
     def decoded(self, topics: set[str]) -> Iterator[tuple[str, Any]]:

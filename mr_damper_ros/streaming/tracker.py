@@ -193,7 +193,6 @@ class Report:
 
     window_start_ns: int
     stamp_ns: int
-    window_duration: float
     sample_count: int
     method: str
     evaluations: int
@@ -648,7 +647,6 @@ class WindowTracker:
         return Report(
             window_start_ns=raw.start_ns,
             stamp_ns=raw.end_ns,
-            window_duration=raw.force.size * raw.period,
             sample_count=raw.force.size,
             method=fit.method if fit else self._settings.method,
             evaluations=fit.evaluations if fit else 0,
@@ -704,7 +702,6 @@ class WindowTracker:
         return Report(
             window_start_ns=result.task.stamp_ns,
             stamp_ns=result.task.stamp_ns,
-            window_duration=0.0,
             sample_count=sum(window.sample_count for window in result.task.windows),
             method="differential_evolution",
             evaluations=fit.evaluations if fit else 0,
