@@ -15,7 +15,7 @@ from mr_damper_ros.damper.parameters import ParameterError, ParameterSet
 _PLAIN, _WITH_MEMORY = 1, 2
 """Versions of the files: a set alone, and one with the memory of what identified it."""
 
-_HEADER = re.compile(r"# mr_damper_ros parameters, version (\d{1,9}), sha256 ([0-9a-f]{64})\n")
+_HEADER = re.compile(r"# mr_damper_ros parameters, version ([1-9]\d{0,8}), sha256 ([0-9a-f]{64})\n")
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 
@@ -185,7 +185,9 @@ def _checked(text: str, path: Path) -> str:
     if int(header[1]) > _WITH_MEMORY:
         raise StateError(f"{path} was written by a newer version: update mr_damper_ros")
     body = text[header.end() :]
-    if _digest(body) != header[2]:
+    # The checksum does not cover the version, but the version says what must be there.
+    of_version = (int(header[1]) == _WITH_MEMORY) == (_MEMORY_LINE in body)
+    if _digest(body) != header[2] or not of_version:
         raise StateError(
             f"{path} is damaged: it is not what was written "
             "(if it was edited on purpose, delete its first line)"
