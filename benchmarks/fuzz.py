@@ -463,7 +463,9 @@ class _State:
             kept, memory = self._state.load_with_memory("identifier")
         except StateError:
             return ""
-        if b"sha256" in data.partition(b"\n")[0] and data != self._good:
+        # Line ends of other systems are the same lines.
+        lines = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        if b"sha256" in lines.partition(b"\n")[0] and lines != self._good:
             return "a damaged file was believed"
         if not np.isfinite(kept.values).all():
             return "a parameter that is not finite"

@@ -152,6 +152,7 @@ def _read(path: Path) -> tuple[ParameterSet, str]:
 
 
 def _text(path: Path) -> str:
+    """What a file holds; lines that end as on other systems count as ours."""
     try:
         path = path.expanduser()
         status = path.stat()

@@ -174,6 +174,15 @@ def test_every_damage_is_noticed(tmp_path: Path, memory: str) -> None:
             state.load("cold")
 
 
+@pytest.mark.parametrize("line_end", [b"\r\n", b"\r"])
+def test_line_ends_of_other_systems_are_no_damage(tmp_path: Path, line_end: bytes) -> None:
+    state = StateDirectory(tmp_path)
+    path = state.save("cold", SET, '{"windows":3}')
+    path.write_bytes(path.read_bytes().replace(b"\n", line_end))
+    kept, memory = state.load_with_memory("cold")
+    assert (same(kept, SET), memory) == (True, '{"windows":3}')
+
+
 def test_a_damaged_file_is_set_aside(tmp_path: Path) -> None:
     state = StateDirectory(tmp_path)
     for expected in ("cold.aside", "cold.aside1"):
