@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -26,7 +24,7 @@ from benchmarks import (
     whole_damper,
     window_refit,
 )
-from benchmarks.figure import Figure, Value, table
+from benchmarks.figure import Figure, table, write
 
 OUTPUT = Path("build/bench.json")
 
@@ -90,24 +88,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{name} ...", end=" ", file=sys.stderr, flush=True)
         figures += chosen[name]()
         print(f"{time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
-        _write(figures, options.output)
+        write(figures, options.output)
     if options.quick:
         print("QUICK RUN: fewer repetitions and shorter recordings; these are not the figures.")
     print(table(figures))
     print(f"\nwritten to {options.output}")
     return 0
-
-
-def _write(figures: Sequence[Figure], place: Path) -> None:
-    """Write what has been measured so far: what comes next may fail."""
-    place.parent.mkdir(parents=True, exist_ok=True)
-    document = {figure.key: _number(figure.value) for figure in figures}
-    place.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _number(value: Value) -> Value:
-    """The value as JSON can hold it: what is infinite was not reached at all."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _parser() -> argparse.ArgumentParser:

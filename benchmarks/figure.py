@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 Value = float | list[float] | None
 
@@ -31,6 +34,18 @@ class Figure:
         low, high = self.bar
         values = self.value if isinstance(self.value, list) else [self.value]
         return "yes" if all(low <= value <= high for value in values) else "no"
+
+
+def write(figures: Sequence[Figure], place: Path) -> None:
+    """Write what has been measured so far as one JSON object: what comes next may fail."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    document = {figure.key: _number(figure.value) for figure in figures}
+    place.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _number(value: Value) -> Value:
+    """The value as JSON can hold it: what is infinite was not reached at all."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def table(figures: Sequence[Figure]) -> str:

@@ -6,15 +6,13 @@ Writes ``build/soak.json`` and prints a table.
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks import endurance, fuzz, kills
-from benchmarks.figure import Figure, table
+from benchmarks.figure import Figure, table, write
 
 OUTPUT = Path("build/soak.json")
 
@@ -33,15 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{name} ...", end=" ", file=sys.stderr, flush=True)
         figures += parts[name]()
         print(f"{time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+        write(figures, options.output)
     print(table(figures))
-    document = {
-        figure.key: figure.value
-        if isinstance(figure.value, (int, float)) and math.isfinite(figure.value)
-        else None
-        for figure in figures
-    }
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     print(f"\nwritten to {options.output}")
     return 0
 

@@ -81,6 +81,8 @@ class PeakVelocity:
         self._present = _HalfCycle(whole=False)
         self._sense = 0.0
         self._count = 0
+        # Of the whole half-cycles; it changes with them, not with every block.
+        self._whole_time_scale: float | None = None
         self.known_from: int | None = None
 
     @property
@@ -136,25 +138,38 @@ class PeakVelocity:
             self._finish()
         return used
 
-    def _time_scale(self, velocity: Array, acceleration: Array) -> Array:
-        parts = self._known
-        squares: Array = np.array([sum(part.squared_velocity for part in parts)])
-        curvature: Array = np.array([sum(part.squared_acceleration for part in parts)])
+    def _time_scale(self, velocity: Array, acceleration: Array) -> Array | float:
+        if self._whole_time_scale is not None:
+            return self._whole_time_scale
         with np.errstate(over="ignore"):
-            if parts[-1] is self._present:
-                squares = squares + np.cumsum(velocity**2)
-                curvature = curvature + np.cumsum(acceleration**2)
-        # A motion that has not been seen to turn, or beyond what a number can hold, has none.
-        usable = (curvature > 0.0) & np.isfinite(squares) & np.isfinite(curvature)
-        return np.sqrt(np.divide(squares, curvature, out=np.zeros(usable.size), where=usable))
+            sums = np.cumsum(velocity**2), np.cumsum(acceleration**2)
+        return _root_of_ratio(*(s + more for s, more in zip(self._sums(), sums, strict=True)))
+
+    def _sums(self) -> tuple[float, float]:
+        parts = self._known
+        return (
+            sum(part.squared_velocity for part in parts),
+            sum(part.squared_acceleration for part in parts),
+        )
 
     def _finish(self) -> None:
         if self._finished and not self._finished[0].whole:
             self._finished.clear()
         self._finished.append(self._present)
         self._present = _HalfCycle(whole=True)
+        if self._finished[-1].whole:
+            squares = (np.array([total]) for total in self._sums())
+            self._whole_time_scale = float(_root_of_ratio(*squares)[0])
         if self.known_from is None and len(self._finished) == HALF_CYCLES:
             self.known_from = self._count
+
+
+def _root_of_ratio(velocity: Array, acceleration: Array) -> Array:
+    """Times (n,) [s] of sums of squares; 0 where the motion was not seen to turn, or where the
+    sums are beyond what a number can hold.
+    """  # noqa: D205
+    usable = (acceleration > 0.0) & np.isfinite(velocity) & np.isfinite(acceleration)
+    return np.sqrt(np.divide(velocity, acceleration, out=np.zeros(usable.size), where=usable))
 
 
 class StreamPeakVelocity:

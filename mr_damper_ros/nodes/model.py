@@ -31,9 +31,11 @@ _HEAD_START = 1e-3
 """Seconds for which the node rests once a force is out: on a computer with no processor to spare
 who waits for the force may be put on this one, and would wait for the rest of the work, too."""
 
-_PART_OF_REST = 0.1
-"""The head start is no more than this part of the time since the last block: no node falls behind
-by it."""
+_PART_OF_PAUSE = 0.1
+"""The head start is no more than this part of the pause since the last block ..."""
+
+_UNHURRIED = 1e-3
+"""... and after a pause shorter than this [s] there is none: the node may be behind."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +196,9 @@ class Model(Node):
         prediction = self._predictor.predict(block)
         self._force.publish(self._message.of(prediction))
         self._slowest = max(self._slowest, time.perf_counter() - began)
-        time.sleep(min(_HEAD_START, _PART_OF_REST * (began - self._idle_since)))
+        pause = began - self._idle_since
+        if pause > _UNHURRIED:
+            time.sleep(min(_HEAD_START, _PART_OF_PAUSE * pause))
         self._last = prediction
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
