@@ -36,7 +36,7 @@ class WindowFit:
     """Result of the fit of one window.
 
     ``scales`` (7,) and their ``covariance`` (7, 7) are in the order of ``COEFFICIENT_NAMES`` (see
-    :class:`ScaleMisfit`); ``parameters`` (16,) or (20,) have the shape of the start.
+    :class:`ScaleMisfit`); ``parameters`` (16,) or (19,) have the shape of the start.
     ``coefficients`` (7,) and ``coefficient_covariance`` (7, 7) hold at ``operating_point`` (peak
     velocity [m/s], current [A]). ``rmse`` [N]; ``nrmse`` = RMSE/std of the force.
     """
@@ -64,12 +64,12 @@ def fit_window(
     robust: bool = False,
     should_stop: Callable[[], bool] | None = None,
 ) -> WindowFit:
-    """Scales of a window, searched from the parameters ``start`` of shape (16,) or (20,).
+    """Scales of a window, searched from the parameters ``start`` of shape (16,) or (19,).
 
-    A start that leaves more than a quarter of the force's variance competes with a few starts
-    read off the data (peak force and peak velocity). ``robust`` bounds the influence of outliers
-    (Huber's weights). ``should_stop`` is asked at every evaluation; where it says so, the best
-    so far is returned with ``success`` False.
+    Where the start leaves more than a quarter of the force's variance, a second search begins with
+    the best of a few starts read off the data (peak force and peak velocity). ``robust`` bounds
+    the influence of outliers (Huber's weights). ``should_stop`` is asked at every evaluation; where
+    it says so, the best so far is returned with ``success`` False.
 
     Raises ValueError for an unknown method or a force that does not change.
     """
@@ -80,18 +80,32 @@ def fit_window(
         raise ValueError("the force does not change: there is nothing to identify")
     misfit = ScaleMisfit(window, start)
     search = LocalSearch(misfit, misfit.start, should_stop)
+    searches = [search]
     weights = np.ones(window.sample_count)
     message = CONVERGED
     try:
-        _start(search, misfit, spread)
-        if method == "nelder_mead":
-            search.nelder_mead()
-        search.least_squares()
+        # "not <=" also holds for a cost that is not a number.
+        if not search.try_out(misfit.start) <= POOR_START * spread**2 * window.sample_count:
+            searches.append(LocalSearch(misfit, misfit.start, should_stop))
+            for candidate in _cold_starts(misfit):
+                searches[1].try_out(candidate)
+        for each in searches:
+            if math.isfinite(each.best_cost):
+                _descend(each, method)
+        search = min(searches, key=lambda found: found.best_cost)
         if robust:
             weights = search.reweighted_least_squares()
     except StopRequestedError:
         message = "stopped before it converged: this is the best so far"
-    return _result(misfit, search, weights, spread, method, message)
+        search = min(searches, key=lambda found: found.best_cost)
+    evaluations = sum(each.evaluations for each in searches)
+    return _result(misfit, search, weights, spread, method, message, evaluations)
+
+
+def _descend(search: LocalSearch, method: str) -> None:
+    if method == "nelder_mead":
+        search.nelder_mead()
+    search.least_squares()
 
 
 def _result(
@@ -101,6 +115,7 @@ def _result(
     spread: float,
     method: str,
     message: str,
+    evaluations: int,
 ) -> WindowFit:
     scales = search.best
     window = misfit.window
@@ -122,19 +137,10 @@ def _result(
         nrmse=rmse / spread,
         sample_count=window.sample_count,
         method=method,
-        evaluations=search.evaluations,
+        evaluations=evaluations,
         success=message == CONVERGED,
         message=message,
     )
-
-
-def _start(search: LocalSearch, misfit: ScaleMisfit, spread: float) -> None:
-    """Start from the given scales, or from better ones read off the data."""
-    cost = search.try_out(misfit.start)
-    # "not <=" also holds for a cost that is not a number.
-    if not cost <= POOR_START * spread**2 * misfit.window.sample_count:
-        for candidate in _cold_starts(misfit):
-            search.try_out(candidate)
 
 
 def _cold_starts(misfit: ScaleMisfit) -> list[Array]:

@@ -3,17 +3,21 @@
 In a steady sine a window determines its seven scales to a fraction of a percent. In random motion
 it may hold two strokes, and what the law cannot follow is correlated over much of it: some
 combinations of the scales are then as good as unknown, and a fit on its own puts them anywhere.
-They must stay where they were. So the fit of a window is the most probable set given both the
-window and the running set: the samples count by what the law leaves of them at best, once per
-correlation length, and the scales wander from window to window by no more than a damper does.
+They must stay where they were, and so must a scale that the window hardly notices, such as the
+viscous slope of a direction in which it is slow. So the fit of a window is the most probable set
+given both the window and the running set: the samples count by what the law leaves of them at best,
+once per correlation length, and the scales wander from window to window by no more than a damper
+does.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
+from mr_damper_ros.damper.extension import SIGMOID_COUNT
 from mr_damper_ros.damper.models import Model
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.identification.fit import WindowFit
@@ -22,11 +26,14 @@ from mr_damper_ros.identification.search import LocalSearch
 from mr_damper_ros.identification.uncertainty import correlation_length
 from mr_damper_ros.identification.unscented import FilterState, as_fit
 from mr_damper_ros.identification.window import ScaleMisfit, Window
+from mr_damper_ros.kinematics.motion import Motion
 
 _CONTRADICTED = 24.3
 """Seven squared normal numbers exceed this once in a thousand times."""
 
 _MOST_DOUBLINGS = 10
+
+_SINE_SAMPLES = 256
 
 WANDER = 0.03
 """Standard deviation of what the change of one scale between two windows does to the force [1].
@@ -37,10 +44,18 @@ another matter: where the window contradicts the running set, they may wander fu
 
 
 def with_prior(
-    model: Model, fit: WindowFit, window: Window, running: Array, *, robust: bool = False
+    model: Model,
+    fit: WindowFit,
+    window: Window,
+    running: Array,
+    *,
+    fastest: float = math.inf,
+    robust: bool = False,
 ) -> WindowFit:
-    """The fit of a window on its own, weighed against the running set of shape (16,) or (20,).
+    """The fit of a window on its own, weighed against the running set of shape (16,) or (19,).
 
+    ``fastest`` [m/s] is the largest peak velocity that the running set holds for, infinite where
+    that is not known: what a scale does to the force is seen in the window and in a sine so fast.
     Where the window determines the scales, the fit hardly changes; that of a model other than the
     sigmoid law and its extension does not change at all.
     """
@@ -48,10 +63,10 @@ def with_prior(
         return fit
     misfit = ScaleMisfit(window, running)
     prior = misfit.start
-    jacobian = misfit.jacobian(prior)
-    effect = np.sqrt(np.mean(jacobian**2, axis=0))
-    strength = float(np.sqrt(np.mean((misfit.residual(prior) + window.force) ** 2)))
-    width = WANDER * strength / np.maximum(effect, 1e-12 * strength)
+    width = _width(misfit)
+    if math.isfinite(fastest):
+        sine = _sine(fastest, window.operating_point[1])
+        width = np.minimum(width, _width(ScaleMisfit(sine, running[:SIGMOID_COUNT])))
     left = misfit.residual(fit.scales)
     length = max(correlation_length(left), 1)
     # A fit with seven scales leaves less of few independent samples than is there.
@@ -71,12 +86,31 @@ def with_prior(
             break
         # The damper has changed by more than it usually does: less is known than was thought.
         width = 2.0 * width
-    information = misfit.jacobian(scales) * width / noise if noise > 0.0 else jacobian * 0.0
+    information = misfit.jacobian(scales) * width / noise if noise > 0.0 else np.zeros((1, 7))
     precision = information.T @ information + np.eye(prior.size)
     covariance = np.linalg.inv(precision) * np.outer(width, width)
     state = FilterState(scales, covariance, 0, window.operating_point)
     weighed = as_fit(state, window, running, evaluations)
     return replace(weighed, method=fit.method, success=fit.success, message=fit.message)
+
+
+def _width(misfit: ScaleMisfit) -> Array:
+    """Standard deviation (7,) of the change of each scale between two windows, by its effect."""
+    jacobian = misfit.jacobian(misfit.start)
+    effect = np.sqrt(np.mean(jacobian**2, axis=0))
+    force = misfit.residual(misfit.start) + misfit.window.force
+    strength = float(np.sqrt(np.mean(force**2)))
+    return np.asarray(WANDER * strength / np.maximum(effect, 1e-12 * strength))
+
+
+def _sine(peak_velocity: float, current: float) -> Window:
+    """A cycle of a sine, to see what scales do to the force of it."""
+    angle: Array = 2.0 * np.pi * np.arange(_SINE_SAMPLES) / _SINE_SAMPLES
+    nothing = np.zeros(_SINE_SAMPLES)
+    velocity, acceleration = peak_velocity * np.cos(angle), -np.sin(angle)
+    speeds = np.full(_SINE_SAMPLES, peak_velocity)
+    motion = Motion(nothing, velocity, acceleration, speeds, sine=None)
+    return Window(motion, nothing, np.full(_SINE_SAMPLES, current))
 
 
 class _Weighed:

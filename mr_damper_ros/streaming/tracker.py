@@ -130,7 +130,8 @@ class FitTask:
 
     ``baselines`` are those of the force scale; ``state`` is where the filter stood and ``watch``
     that of the detector of changes, if they run; samples stamped before ``changed_ns`` are of the
-    damper before its last sudden change. ``known``: the start is a set of this very damper.
+    damper before its last sudden change. ``known``: the start is a set of this very damper, and
+    holds up to the peak velocity ``fastest`` [m/s], infinite where that is not known.
     """
 
     window: RawWindow
@@ -141,6 +142,7 @@ class FitTask:
     changed_ns: int = 0
     baselines: tuple[WindowFit, ...] = ()
     known: bool = False
+    fastest: float = math.inf
 
     @property
     def model(self) -> Model:
@@ -251,14 +253,18 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         )
         if task.known:
             part = window.part(~held_back)
-            trained = with_prior(model, trained, part, task.start, robust=settings.robust)
+            trained = with_prior(
+                model, trained, part, task.start, fastest=task.fastest, robust=settings.robust
+            )
         evidence = _evidence(model, held_back, window, task.start, trained.parameters)
         # What is published uses every sample; the held-back part only judged whether to.
         final = fit_to_window(
             model, window, trained.parameters, method="least_squares", robust=settings.robust
         )
         if task.known:
-            final = with_prior(model, final, window, task.start, robust=settings.robust)
+            final = with_prior(
+                model, final, window, task.start, fastest=task.fastest, robust=settings.robust
+            )
     except ValueError as error:
         return FitResult(task, str(error))
     final = replace(
@@ -522,6 +528,7 @@ class WindowTracker:
             self._changed_ns,
             self._baselines.fits,
             known=bool(self.parameters.observable.any()),
+            fastest=self.parameters.peak_velocity_range[1],
         )
 
     def complete(self, result: FitResult) -> Report:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import known
 import numpy as np
+import pytest
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.sigmoid import SCALE_INDICES, Array
+from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, SCALE_INDICES, Array
 from mr_damper_ros.identification.fit import WindowFit, fit_window
 from mr_damper_ros.identification.prior import WANDER, with_prior
 from mr_damper_ros.identification.window import ScaleMisfit, Window
@@ -74,6 +75,21 @@ def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
         )
     alone_error, weighed_error = np.median(errors, axis=0)
     assert weighed_error < BETTER * alone_error
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_slope_that_a_window_hardly_shows_stays(seed: int) -> None:
+    # Fast forwards, slow backwards: 2 mm/s of 0.1 m/s say little of the slope backwards.
+    time = np.arange(400) * 1e-3
+    displacement = 0.016 * np.sin(2.0 * np.pi * (time - 0.13))
+    whole = Window.from_samples(displacement, np.zeros(400), 1.0, 1e-3)
+    rest = BandLimitedRandom(rms=30.0, low=2.0, high=20.0, seed=seed).at(time).displacement
+    made = Window(whole.motion, whole.predicted_force(RUNNING) + rest, whole.current, 1e-3)
+    window = made.part(whole.motion.velocity > -0.002)
+    weighed = with_prior(SIGMOID, own(window), window, RUNNING, fastest=0.1)
+    backwards = COEFFICIENT_NAMES.index("k_e")
+    moved = abs(weighed.scales[backwards] - RUNNING[SCALE_INDICES][backwards])
+    assert 0.1 * moved < WANDER
 
 
 def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
