@@ -143,7 +143,9 @@ class _Process:
         except Exception:  # closed, or half a message of a killed process
             self._inbox.put(("gone",))
         finally:
-            self._connection.close()
+            # Not under a sending, which ends by itself: nobody is left to read.
+            with self._sending:
+                self._connection.close()
 
     def messages(self) -> list[Any]:
         """What has arrived since the last call; ("gone",) is the last message of all."""
