@@ -18,7 +18,7 @@ def median_nrmse_percent(
 ) -> float:
     """Median over the windows of RMSE/std [%] of one set identified from all of them.
 
-    ``start`` (16,) or (20,) tells which law.
+    ``start`` (16,) or (19,) tells which law.
     """
     return 100.0 * identify_global(windows, start, settings).median_nrmse
 

@@ -1,10 +1,17 @@
-"""What the extended law adds to the sigmoid force: a lag, a stiffness and an offset.
+"""What the extended law adds to the sigmoid force: a compliance, a stiffness and an offset.
 
-F_s is the sigmoid force, and tau dF_l/dt + F_l = F_s with tau = tau0 + tau1 |i|; the force is
-F_l + stiffness u + offset. The lag is the coil's and the fluid's, the stiffness and the offset are
-those of the gas (thesis 3.2; the thesis adds 100 N to its records by hand).
+What carries the force of the fluid gives way: the fluid itself, the rod, the mounts. Such a spring
+in series with the damper (a Maxwell element) makes the force late. With F_s the sigmoid force,
 
-A parameter array of the extended law holds the sixteen of the sigmoid law first, then the four of
+    tau dF_l/dt + F_l = F_s,  tau = compliance * f_t tanh(alpha x / 2) / x,
+    x = v + sgn(a) v_h + v_d,
+
+the fraction being the damping that the sigmoid amounts to at its velocity x. So the lag is long
+where the force is steep, around a reversal, short where the fluid flows, and rises with the yield
+force, that is with the current. The force is F_l + stiffness u + offset: those of the gas (thesis
+3.2; the thesis adds 100 N to its records by hand). doc/extended_law.md tells what else was tried.
+
+A parameter array of the extended law holds the sixteen of the sigmoid law first, then the three of
 :data:`EXTENSION_NAMES`.
 """
 
@@ -19,42 +26,39 @@ from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
 EXTENDED_MODEL = "sigmoid_lag"
 """Name of the extended law in ``MODELS``."""
 
-EXTENSION_NAMES = ("tau0", "tau1", "stiffness", "offset")
-"""The four parameters of the extension: [s], [s/A], [N/m], [N]."""
+COMPLIANCE = "compliance"
+"""The parameter that makes the lag; it must not be negative."""
+
+EXTENSION_NAMES = (COMPLIANCE, "stiffness", "offset")
+"""The three parameters of the extension: [m/N], [N/m], [N]."""
 
 EXTENDED_NAMES = (*PARAMETER_NAMES, *EXTENSION_NAMES)
-"""The twenty parameters of the extended law, in the order of its parameter arrays."""
-
-LAG_NAMES = ("tau0", "tau1")
-"""Those of the lag, which must not be negative."""
+"""The nineteen parameters of the extended law, in the order of its parameter arrays."""
 
 SIGMOID_COUNT = len(PARAMETER_NAMES)
 
 SETTLING = 7.0
 """Time constants after which a lag has forgotten its start to a thousandth."""
 
-_SHORTEST = 1e-9
-"""A time constant shorter than this part of the sample period is none."""
-
-_STRETCH = 300.0
-"""Time constants over which exponentials are summed up at once: e^300 is still a number."""
+_SHORTEST, _LONGEST = 1e-9, 1e9
+"""A time constant of fewer sample periods than the first is none; none counts as more than the
+other."""
 
 
 class Extension(NamedTuple):
-    """The four parameters, each a number or an array that broadcasts."""
+    """The three parameters, each a number or an array that broadcasts."""
 
-    tau0: Array | float
-    tau1: Array | float
+    compliance: Array | float
     stiffness: Array | float
     offset: Array | float
 
-    def time_constant(self, current: Array) -> Array:
-        """Time constant [s] of the lag at coil currents [A]; never negative."""
-        return np.maximum(self.tau0 + self.tau1 * np.abs(current), 0.0)
+    def time_constant(self, damping: Array) -> Array:
+        """Time constant [s] of the lag where the sigmoid has this damping [N s/m]; not negative."""
+        return np.maximum(self.compliance * damping, 0.0)
 
 
 def is_extended(parameters: Array) -> bool:
-    """Whether an array (..., 16) or (..., 20) is of the extended law.
+    """Whether an array (..., 16) or (..., 19) is of the extended law.
 
     Raises ValueError for any other length.
     """
@@ -68,107 +72,101 @@ def is_extended(parameters: Array) -> bool:
 
 
 def extension_of(parameters: Array) -> Extension:
-    """The last four of twenty parameters (20,)."""
+    """The last three of nineteen parameters (19,)."""
     return Extension(*parameters[SIGMOID_COUNT:].tolist())
 
 
 def name_of_law(parameters: Array) -> str:
-    """Name in ``MODELS`` of the law that parameters (16,) or (20,) belong to."""
+    """Name in ``MODELS`` of the law that parameters (16,) or (19,) belong to."""
     return EXTENDED_MODEL if is_extended(parameters) else "sigmoid"
 
 
 def without_extension(sixteen: Array) -> Array:
-    """Parameters (20,) of the extended law that give the force of these (16,)."""
+    """Parameters (19,) of the extended law that give the force of these (16,)."""
     return np.concatenate((sixteen, np.zeros(len(EXTENSION_NAMES))))
+
+
+LagState = tuple[Array, Array, Array]
+"""Of the sample before: the signal, the lagged signal and the time constant [s]."""
 
 
 class FirstOrderLag:
     """First-order lag of signals sampled every ``period`` [s], along their first axis.
 
-    ``time_constant`` [s] is a number or has shape (n,). Exact where the signal is linear between
-    samples, whatever the period; a time constant of 0 changes nothing. The lag starts settled;
-    with ``periodic``, for a constant time constant, the n samples are one period of the signal.
+    ``time_constant`` (n,) [s] is that at the samples; between two of them their mean holds.
+    Exact where it is constant and the signal linear between samples, whatever the period; a time
+    constant of 0 changes nothing. The lag starts settled, or goes on from ``state``; with
+    ``periodic`` the n samples are one period of the signal.
     """
 
     def __init__(
-        self, time_constant: Array | float, period: float, *, periodic: bool = False
+        self,
+        time_constant: Array,
+        period: float,
+        *,
+        periodic: bool = False,
+        state: LagState | None = None,
     ) -> None:
-        tau = np.maximum(time_constant, _SHORTEST * period)
-        if tau.ndim and np.ptp(tau) == 0.0:
-            tau = tau[:1].mean()
+        before = _one_earlier(time_constant)
+        if state is not None:
+            before[0] = state[2]
+        elif not periodic:
+            before[0] = time_constant[0]
+        tau = np.clip(0.5 * (before + time_constant), _SHORTEST * period, _LONGEST * period)
         ratio = period / tau
-        self._periodic = periodic
+        self._periodic, self._state = periodic, state
+        self._ratio = ratio
         self._decay = np.exp(-ratio)
         # Weights of the earlier and the later end of the line between two samples.
         mean = -np.expm1(-ratio) / ratio
         self._before, self._now = mean - self._decay, 1.0 - mean
         self._mean_slope = (mean - self._decay) / tau
         self._decay_slope = self._decay * ratio / tau
-        self._ratio = ratio
 
-    def __call__(self, values: Array, state: tuple[Array, Array] | None = None) -> Array:
-        """The lagged signal, for values of shape (n,) or (n, p).
-
-        ``state``: the last sample before these, and its lagged value.
-        """
-        driven = _times(self._before, _one_earlier(values)) + _times(self._now, values)
-        if state is not None:
-            first, before, now = (np.ravel(w)[0] for w in (self._decay, self._before, self._now))
-            driven[0] = before * state[0] + now * values[0] + first * state[1]
+    def __call__(self, values: Array) -> Array:
+        """The lagged signal, shape (n,), of one of shape (n,)."""
+        driven = self._before * _one_earlier(values) + self._now * values
+        if self._state is not None:
+            value, late = self._state[0], self._state[1]
+            driven[0] = self._before[0] * value + self._now[0] * values[0] + self._decay[0] * late
         elif not self._periodic:
             driven[0] = values[0]
         return self._recursion(driven)
 
-    def derivative(self, values: Array, lagged: Array, weight: Array | float = 1.0) -> Array:
-        """Derivative (n,) of the lagged signal by a change ``weight`` (n,) of the time constant.
+    def derivative(
+        self, values: Array, lagged: Array, of_values: Array, of_time_constant: Array
+    ) -> Array:
+        """Derivatives (n, p) of the lagged signal where signal and time constant have these (n, p).
 
         ``values`` (n,) is the signal, ``lagged`` (n,) what :meth:`__call__` made of it.
         """
-        driven = (
+        by_time_constant = (
             self._decay_slope * _one_earlier(lagged)
             + (self._mean_slope - self._decay_slope) * _one_earlier(values)
             - self._mean_slope * values
-        ) * weight
+        )
+        driven = (
+            self._before[:, np.newaxis] * _one_earlier(of_values)
+            + self._now[:, np.newaxis] * of_values
+            + by_time_constant[:, np.newaxis]
+            * (0.5 * (_one_earlier(of_time_constant) + of_time_constant))
+        )
         if not self._periodic:
-            driven[0] = 0.0
+            driven[0] = of_values[0]
         return self._recursion(driven)
 
     def _recursion(self, driven: Array) -> Array:
-        """Solve y[k] = decay[k] y[k-1] + driven[k]."""
-        if self._decay.ndim:
-            return self._changing_recursion(driven)
-        from scipy.signal import lfilter  # here: see mr_damper_ros.start
+        """Solve y[k] = decay[k] y[k-1] + driven[k] by forward substitution."""
+        from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.start
 
-        decay = float(self._decay)
-        result = np.asarray(lfilter([1.0], [1.0, -decay], driven, axis=0))
+        bands = np.ones((2, self._decay.size))
+        bands[1, :-1] = -self._decay[1:]
+        result = dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape)
         if self._periodic:
-            count = driven.shape[0]
-            before = result[-1] / (1.0 - decay**count)
-            powers = decay ** np.arange(1.0, count + 1.0)
-            result += np.multiply.outer(powers, before)
-        return result
-
-    def _changing_recursion(self, driven: Array) -> Array:
-        # Written with sums: y[k] e^E[k] = y[0] + sum of driven[j] e^E[j], E the time in time
-        # constants, over stretches that are short enough for the exponentials.
-        steps = np.minimum(self._ratio, 36.0)
-        result = np.array(driven)
-        first, count = 1, driven.shape[0]
-        ends = np.cumsum(steps)
-        while first < count:
-            last = int(np.searchsorted(ends, ends[first - 1] + _STRETCH, side="right"))
-            grown = np.exp(ends[first:last] - ends[first - 1])
-            sums = np.cumsum(_times(grown, driven[first:last]), axis=0)
-            result[first:last] = _times(1.0 / grown, result[first - 1] + sums)
-            first = last
-        return result
-
-
-def _times(weight: Array, values: Array) -> Array:
-    """Product along the first axis."""
-    if weight.ndim and values.ndim > 1:
-        weight = weight[:, np.newaxis]
-    return np.asarray(weight * values)
+            passed = np.cumsum(self._ratio)
+            before = result[-1] / -np.expm1(-passed[-1])
+            result += np.multiply.outer(np.exp(-passed), before)
+        return np.asarray(result)
 
 
 def _one_earlier(values: Array) -> Array:
@@ -179,16 +177,18 @@ def lagged(
     values: Array,
     time_constant: Array,
     period: float,
+    *,
+    periodic: bool = False,
     state: tuple[Array, ...] | None = None,
 ) -> Array:
     """Lag of signals of shape (..., n) along their last axis; see :class:`FirstOrderLag`.
 
-    ``time_constant`` [s] has the shape (..., n) or broadcasts to it. ``state``: the last samples
-    before these, and their lagged values, each of shape (...).
+    ``time_constant`` [s] has the same shape. ``state``: the last samples before these, their
+    lagged values and their time constants, each of shape (...).
     """
-    tau = np.broadcast_to(time_constant, values.shape)
     result = np.empty(values.shape)
     for place in np.ndindex(values.shape[:-1]):
-        before = None if state is None else (state[0][place], state[1][place])
-        result[place] = FirstOrderLag(tau[place], period)(values[place], before)
+        before = None if state is None else (state[0][place], state[1][place], state[2][place])
+        lag = FirstOrderLag(time_constant[place], period, periodic=periodic, state=before)
+        result[place] = lag(values[place])
     return result

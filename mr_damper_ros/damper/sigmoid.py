@@ -60,6 +60,9 @@ _COEFFICIENT_LIMIT = 1e100
 _EXPONENT_LIMIT = 230.0
 """exp(230) is about 1e100: beyond it every coefficient has reached its limit anyway."""
 
+_SMALL_ARGUMENT = 1e-6
+"""Below it tanh(x)/x is 1 to twelve digits, and what is computed of its slope is rounding."""
+
 
 class Coefficients(NamedTuple):
     """The seven operating-point coefficients; the fields broadcast against each other.
@@ -175,6 +178,57 @@ def force_from_coefficients(
     slope = np.where(v >= 0.0, c.k_c, c.k_e)
     sigmoid = np.tanh(0.5 * c.alpha * (v + np.sign(acceleration) * c.v_h + c.v_d))
     return np.asarray((c.f_t * sigmoid - c.f_d) * (1.0 + slope * np.abs(v)))
+
+
+def secant_damping(
+    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Damping [N s/m] that the sigmoid amounts to: its force over its velocity.
+
+    f_t tanh(alpha x / 2) / x with x = v + sgn(a) v_h + v_d; shapes as for
+    :func:`force_from_coefficients`.
+    """
+    c = coefficients
+    return np.asarray(
+        c.f_t * 0.5 * c.alpha * _tanh_ratio(_half_argument(c, velocity, acceleration))
+    )
+
+
+def secant_damping_jacobian(
+    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Derivatives of :func:`secant_damping` by the seven coefficients, shape (..., n, 7)."""
+    c = coefficients
+    half = _half_argument(c, velocity, acceleration)
+    ratio = _tanh_ratio(half)
+    slope = 1.0 - np.tanh(half) ** 2
+    by_velocity = c.f_t * (0.5 * c.alpha) ** 2 * _divided(slope - ratio, half)
+    nothing = np.zeros(half.shape)
+    columns = (
+        0.5 * c.alpha * ratio,
+        0.5 * c.f_t * slope,
+        *(nothing, nothing),
+        by_velocity * np.sign(acceleration),
+        by_velocity,
+        nothing,
+    )
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+
+def _half_argument(c: Coefficients, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+    v = np.asarray(velocity, dtype=float)
+    return np.asarray(0.5 * c.alpha * (v + np.sign(acceleration) * c.v_h + c.v_d))
+
+
+def _tanh_ratio(x: Array) -> Array:
+    """tanh(x)/x, 1 at 0."""
+    return np.where(np.abs(x) < _SMALL_ARGUMENT, 1.0, _divided(np.tanh(x), x))
+
+
+def _divided(dividend: Array, divisor: Array) -> Array:
+    """The quotient, 0 where the divisor is next to it."""
+    small = np.abs(divisor) < _SMALL_ARGUMENT
+    return np.where(small, 0.0, dividend / np.where(small, 1.0, divisor))
 
 
 def force(

@@ -81,7 +81,7 @@ class Determination:
 
 
 def names_of(parameters: Array) -> tuple[str, ...]:
-    """Names of parameters (16,) of the sigmoid law or (20,) of the extended one."""
+    """Names of parameters (16,) of the sigmoid law or (19,) of the extended one."""
     return EXTENDED_NAMES if is_extended(parameters) else PARAMETER_NAMES
 
 

@@ -1,11 +1,12 @@
-"""One set of the sixteen parameters, or of the twenty of the extended law, for many windows.
+"""One set of the sixteen parameters, or of the nineteen of the extended law, for many windows.
 
 1. Each window gives its seven coefficients (least squares, no dependence on velocity or current
    assumed within it).
 2. The laws are fitted to these coefficients: differential evolution over the sixteen parameters
    in their decoupled groups (:mod:`laws`).
 3. A local search on the samples themselves, over the parameters that the data determine. It
-   begins with the lag, stiffness and offset of the start; the first two steps take them as given.
+   begins with the compliance, stiffness and offset of the start; the first two steps take them as
+   given.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.damper.extension import (
+    COMPLIANCE,
     EXTENDED_NAMES,
-    LAG_NAMES,
+    EXTENSION_NAMES,
     SIGMOID_COUNT,
-    extension_of,
     is_extended,
     name_of_law,
 )
@@ -50,13 +51,12 @@ from mr_damper_ros.identification.laws import (
 from mr_damper_ros.identification.observability import (
     determined_parameters,
     operating_points_within,
-    varied_extension,
     varied_parameters,
 )
 from mr_damper_ros.identification.pooled import PooledMisfit
 from mr_damper_ros.identification.search import LocalSearch, StopRequestedError
 from mr_damper_ros.identification.uncertainty import correlation_length, least_squares_covariance
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.identification.window import Window, slowest_lag
 
 __all__ = ["METHODS", "GlobalFit", "GlobalProgress", "identify_global"]
 
@@ -148,7 +148,7 @@ def neutral_shape(parameters: Array, top_current: float) -> Array:
 
     ``v_h`` and ``v_d`` stay proportional to the peak velocity. Where k2 or k3 is freed, the
     coefficient rises smoothly up to ``top_current`` [A] and saturates beyond. Shape (16,) or
-    (20,), as that of the parameters.
+    (19,), as that of the parameters.
     """
     names = EXTENDED_NAMES[: len(parameters)]
     values = dict(zip(names, np.asarray(parameters, dtype=float), strict=True))
@@ -168,8 +168,8 @@ def identify_global(
 ) -> GlobalFit:
     """One parameter set for all windows.
 
-    ``start`` (16,) or (20,) tells the law, and the values that undetermined parameters keep (one
-    with which the windows cannot be fitted takes that of :func:`neutral_shape`); a time constant
+    ``start`` (16,) or (19,) tells the law, and the values that undetermined parameters keep (one
+    with which the windows cannot be fitted takes that of :func:`neutral_shape`); a compliance
     that would become negative is held at 0 and counts as undetermined. ``method``: "global" as
     described above; "nelder_mead" and "least_squares" search on the samples from the
     laws; "differential_evolution" searches on the samples over all free parameters at once, as
@@ -224,7 +224,7 @@ class _GlobalSearch:
         )
         self._bounds = parameter_ranges(windows, start)
         if is_extended(start):
-            self._varied |= varied_extension(currents)
+            self._varied |= frozenset(EXTENSION_NAMES)
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
         self._report = report
         self.free: frozenset[str] = frozenset()
@@ -334,11 +334,7 @@ class _GlobalSearch:
 
     def whole_misfit(self) -> PooledMisfit:
         """Of all samples, but those where the lag that was found may not have settled."""
-        if not is_extended(self.best):
-            return self._misfit(self.windows, 0.0)
-        currents = np.array([np.max(np.abs(window.current)) for window in self.windows])
-        slowest = float(np.max(extension_of(self.best).time_constant(currents)))
-        return self._misfit(self.windows, slowest)
+        return self._misfit(self.windows, slowest_lag(self.windows, self.best))
 
     def _misfit(self, windows: Sequence[Window], slowest_lag: float) -> PooledMisfit:
         return PooledMisfit(windows, [fit.rmse for fit in self.fits], slowest_lag)
@@ -410,13 +406,12 @@ class _GlobalSearch:
 
     def _local(self, pooled: PooledMisfit, start: Array, nelder_mead: bool) -> Array:
         found = self._polish(pooled, start, self.free, nelder_mead)
-        lags = [name for name in self._names if name in LAG_NAMES]
-        held: set[str] = set()
-        while negative := [name for name in lags if found[self._names.index(name)] < 0.0]:
-            # The best that is allowed lies on the bound.
-            held.update(negative)
-            found[[self._names.index(name) for name in negative]] = 0.0
-            found = self._polish(pooled, found, self.free - held, False)
+        if COMPLIANCE in self._names:
+            place = self._names.index(COMPLIANCE)
+            if found[place] < 0.0:
+                # The best that is allowed lies on the bound.
+                found[place] = 0.0
+                found = self._polish(pooled, found, self.free - {COMPLIANCE}, False)
         return found
 
     def _polish(
@@ -462,21 +457,16 @@ def parameter_ranges(
 def extension_bounds(windows: Sequence[Window]) -> dict[str, tuple[float, float]]:
     """Plausible bounds of the extension, from what the data span.
 
-    A lag turns no motion by more than 45 degrees; the stiffness and the offset make no more than
-    all of the force in any window.
+    The compliance gives way to the force by no more than the amplitude of any window; the stiffness
+    and the offset make no more than all of the force in it.
     """
-    rates, stiffnesses, forces, currents = [], [], [], []
+    stiffnesses, forces = [], []
     for window in windows:
-        motion = window.motion
         force = float(np.max(np.abs(window.force)))
-        rates.append(float(np.std(motion.acceleration) / np.std(motion.velocity)))
-        stiffnesses.append(force / motion.amplitude)
+        stiffnesses.append(force / window.motion.amplitude)
         forces.append(force)
-        currents.append(float(np.max(np.abs(window.current))))
-    lag = 1.0 / max(rates)
     return {
-        "tau0": (0.0, lag),
-        "tau1": (0.0, lag / max(*currents, 1e-12)),
+        COMPLIANCE: (0.0, 1.0 / max(stiffnesses)),
         "stiffness": (-min(stiffnesses), min(stiffnesses)),
         "offset": (-min(forces), min(forces)),
     }
@@ -532,8 +522,11 @@ def _independent(residual: Array) -> float:
 def _result(search: _GlobalSearch, method: str, message: str) -> GlobalFit:
     best = search.best
     names = EXTENDED_NAMES[: best.size]
-    held = [name for name in LAG_NAMES if name in names and best[names.index(name)] == 0.0]
-    places = [place for place, name in enumerate(names) if name in search.free.difference(held)]
+    places = [
+        place
+        for place, name in enumerate(names)
+        if name in search.free and not (name == COMPLIANCE and best[place] == 0.0)
+    ]
     covariance = np.zeros((best.size, best.size))
     errors = np.full(best.size, math.nan)
     misfit = search.whole_misfit()

@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.damper.extension import SETTLING, Extension, FirstOrderLag
+from mr_damper_ros.damper.extension import SETTLING, Extension, FirstOrderLag, lagged
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.sine import Sine
@@ -26,6 +27,13 @@ _FEWER_PER_CYCLE = 200
 
 _LONGEST_SETTLING = 0.25
 """No more than this part of a window is left out because the lag may not have settled."""
+
+
+class Along(NamedTuple):
+    """Sigmoid force [N] and its damping [N s/m] along a history, or derivatives of both."""
+
+    force: Array
+    damping: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,31 +114,37 @@ class History:
             places=self.places / stride,
         )
 
-    def lag(self, extension: Extension) -> FirstOrderLag:
-        """The lag of the extended law along the history."""
-        constant = extension.time_constant(self.current)
-        return FirstOrderLag(constant, self.period, periodic=self.periodic)
+    def force(self, plain: Array, past: Along, displacement: Array, extension: Extension) -> Array:
+        """Force [N] of the extended law, shape (..., n), from that of the sigmoid law.
 
-    def late(self, plain: Array, past: Array, lag: FirstOrderLag) -> Array:
-        """Values with the lag, shape (n,) or (n, p).
-
-        ``plain`` are the values without it at the samples, ``past`` (m,) or (m, p) those along the
-        history. Only what the lag changes is interpolated: it is smoother than the force.
+        ``plain`` (..., n) is the latter at the samples, ``past`` along the history.
         """
-        return np.asarray(plain - self.at_samples(past - lag(past)))
-
-    def force(self, plain: Array, past: Array, displacement: Array, extension: Extension) -> Array:
-        """Force [N] of the extended law, shape (n,), from that of the sigmoid law."""
-        late = self.late(plain, past, self.lag(extension))
+        constant = extension.time_constant(past.damping)
+        missing = past.force - lagged(past.force, constant, self.period, periodic=self.periodic)
+        # Only what the lag changes is interpolated: it is smoother than the force.
+        late = plain - np.moveaxis(self.at_samples(np.moveaxis(missing, -1, 0)), 0, -1)
         return np.asarray(late + extension.stiffness * displacement + extension.offset)
 
-    def extension_jacobian(self, past: Array, displacement: Array, extension: Extension) -> Array:
-        """Derivatives (n, 4) of :meth:`force` by the four parameters of the extension."""
-        lag = self.lag(extension)
-        late = lag(past)
-        by_tau0 = self.at_samples(lag.derivative(past, late))
-        by_tau1 = self.at_samples(lag.derivative(past, late, np.abs(self.current)))
-        return np.column_stack((by_tau0, by_tau1, displacement, np.ones(displacement.size)))
+    def jacobian(
+        self, plain: Array, past: Along, by_sigmoid: Along, extension: Extension
+    ) -> tuple[Array, Array]:
+        """Derivatives (n, p) of :meth:`force` by p parameters, and (n,) by the compliance.
+
+        ``plain`` (n, p) are those of the sigmoid force at the samples, ``by_sigmoid`` (m, p) those
+        of ``past`` along the history.
+        """
+        constant = extension.time_constant(past.damping)
+        lag = FirstOrderLag(constant, self.period, periodic=self.periodic)
+        # A damping below zero makes no lag.
+        damping = np.maximum(past.damping, 0.0)
+        lagging = (past.damping > 0.0)[:, np.newaxis]
+        of_force = np.column_stack((by_sigmoid.force, np.zeros(damping.size)))
+        of_constant = np.column_stack(
+            (extension.compliance * by_sigmoid.damping * lagging, damping)
+        )
+        late = lag.derivative(past.force, lag(past.force), of_force, of_constant)
+        missing = self.at_samples(of_force - late)
+        return plain - missing[:, :-1], -missing[:, -1]
 
     def at_samples(self, values: Array) -> Array:
         """Values (m, ...) along the history, interpolated at the samples of the window (n, ...)."""

@@ -291,10 +291,9 @@ def _sizes(model: Model, window: Window) -> Array:
         "s/m": 1.0 / speed,
         "m/s": speed,
         "m": amplitude,
-        "s": amplitude / speed,
+        "m/N": amplitude / force,
         "1": 1.0,
         "1/A": 1.0,
         "A": 1.0,
-        "s/A": amplitude / speed,
     }
     return np.array([by_unit[parameter.unit] for parameter in model.parameters])

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mr_damper_ros.damper.extension import EXTENDED_NAMES, EXTENSION_NAMES
+from mr_damper_ros.damper.extension import EXTENDED_NAMES
 from mr_damper_ros.damper.sigmoid import SCALE_PARAMETER_NAMES, Array
 from mr_damper_ros.identification.window import Window
 
@@ -21,9 +21,6 @@ VELOCITY_SHAPE = ("a1", "k0", "a4")
 
 CURRENT_SHAPE = (("k2", "k3"), ("a2", "a3"), ("I0", "I1"))
 """They need two, three and four currents."""
-
-CURRENT_LAG = "tau1"
-"""The one parameter of the extension that needs two currents."""
 
 _DIFFERENT_VELOCITY = 1.2
 """Peak velocities count as different where they are this factor apart."""
@@ -48,12 +45,6 @@ def varied_parameters(speeds: Sequence[float], currents: Sequence[float]) -> fro
         if different >= needed:
             names.update(group)
     return frozenset(names)
-
-
-def varied_extension(currents: Sequence[float]) -> frozenset[str]:
-    """The same for what the extended law adds."""
-    alone = _count_different(currents) < 2
-    return frozenset(EXTENSION_NAMES) - (frozenset((CURRENT_LAG,)) if alone else frozenset())
 
 
 def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], list[float]]:
@@ -84,7 +75,7 @@ def determined_parameters(
 ) -> frozenset[str]:
     """Those of the candidates that the samples determine.
 
-    ``jacobian`` (n, 16) or (n, 20) belongs to a residual of unit variance; ``ranges`` are the
+    ``jacobian`` (n, 16) or (n, 19) belongs to a residual of unit variance; ``ranges`` are the
     plausible ranges of the shape parameters and of those of the extension. Scale parameters come
     first; another joins, the surest first, while no standard error exceeds a quarter of its range.
     """

@@ -8,7 +8,7 @@ drowning all others.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from itertools import pairwise
 
@@ -27,13 +27,16 @@ from mr_damper_ros.damper.sigmoid import (
     coefficient_parameter_jacobian,
     force_from_coefficients,
     operating_point_coefficients,
+    secant_damping,
+    secant_damping_jacobian,
 )
+from mr_damper_ros.identification.history import Along
 from mr_damper_ros.identification.window import Window
 from mr_damper_ros.kinematics.motion import Motion
 
 
 class PooledMisfit:
-    """Weighted residual of windows and its Jacobian for parameters of shape (16,) or (20,)."""
+    """Weighted residual of windows and its Jacobian for parameters of shape (16,) or (19,)."""
 
     def __init__(
         self, windows: Sequence[Window], noise: Sequence[float], slowest_lag: float = 0.0
@@ -72,7 +75,7 @@ class PooledMisfit:
         return float(np.mean(np.square(self.residual(parameters))))
 
     def population_cost(self, parameters: Array) -> Array:
-        """:meth:`mean_square` of many sets, shape (s, 16) or (s, 20) to (s,)."""
+        """:meth:`mean_square` of many sets, shape (s, 16) or (s, 19) to (s,)."""
         total = np.zeros(parameters.shape[0])
         forces = self._forces(parameters)
         for weight, force, window in zip(self._weights, forces, self.windows, strict=True):
@@ -90,40 +93,31 @@ class PooledMisfit:
         """Force [N] of each window, shape (..., n)."""
         if not is_extended(parameters):
             return self._own.forces(parameters)
-        plain = self._own.forces(parameters[..., :SIGMOID_COUNT])
-        past = self._past(plain, self._histories.forces(parameters[..., :SIGMOID_COUNT]))
+        sixteen = parameters[..., :SIGMOID_COUNT]
+        plain = self._own.forces(sixteen)
+        past = self._histories.along(sixteen)
         if parameters.ndim == 1:
             return self._extended(plain, past, extension_of(parameters))
         sets = [
-            self._extended([p[k] for p in plain], [p[k] for p in past], extension_of(values))
+            self._extended(
+                [force[k] for force in plain],
+                [Along(force[k], damping[k]) for force, damping in past],
+                extension_of(values),
+            )
             for k, values in enumerate(parameters)
         ]
         return [np.stack(forces) for forces in zip(*sets, strict=True)]
 
     @cached_property
     def _histories(self) -> _Motions:
-        """Of the windows that are not their own history."""
         histories = (window.history for window in self.windows)
-        return _Motions([(h.motion, h.current, h.periodic) for h in histories if not h.is_window])
-
-    @cached_property
-    def _history_weights(self) -> list[float]:
-        pairs = zip(self._weights, self.windows, strict=True)
-        return [weight for weight, window in pairs if not window.history.is_window]
+        return _Motions([(h.motion, h.current, h.periodic) for h in histories])
 
     @cached_property
     def _unsettled(self) -> list[np.ndarray]:
         return [window.history.unsettled(self._slowest_lag) for window in self.windows]
 
-    def _past(self, own: list[Array], histories: list[Array]) -> list[Array]:
-        """Of each window what belongs to its history, which may be the window itself."""
-        rest = iter(histories)
-        return [
-            values if window.history.is_window else next(rest)
-            for window, values in zip(self.windows, own, strict=True)
-        ]
-
-    def _extended(self, plain: list[Array], past: list[Array], extension: Extension) -> list[Array]:
+    def _extended(self, plain: list[Array], past: list[Along], extension: Extension) -> list[Array]:
         forces = []
         for place, window in enumerate(self.windows):
             displacement, unsettled = window.motion.displacement, self._unsettled[place]
@@ -133,21 +127,22 @@ class PooledMisfit:
         return forces
 
     def _extended_jacobian(self, parameters: Array) -> Array:
-        """All twenty columns."""
+        """All nineteen columns."""
         sixteen, extension = parameters[:SIGMOID_COUNT], extension_of(parameters)
-        plain = self._own.jacobians(sixteen, None, self._weights)
-        past = self._past(plain, self._histories.jacobians(sixteen, None, self._history_weights))
-        forces = self._past(self._own.forces(sixteen), self._histories.forces(sixteen))
+        plain = self._own.jacobians(sixteen, None, np.ones(len(self.windows)))
+        past = self._histories.along(sixteen)
+        by_sixteen = self._histories.jacobians_along(sixteen)
         blocks = []
         for place, window in enumerate(self.windows):
-            history = window.history
-            of_sixteen = history.late(plain[place], past[place], history.lag(extension))
-            of_extension = self._weights[place] * history.extension_jacobian(
-                forces[place], window.motion.displacement, extension
+            of_sixteen, of_compliance = window.history.jacobian(
+                plain[place], past[place], by_sixteen[place], extension
             )
-            block = np.hstack((of_sixteen, of_extension))
+            displacement = window.motion.displacement
+            block = np.column_stack(
+                (of_sixteen, of_compliance, displacement, np.ones(displacement.size))
+            )
             block[self._unsettled[place]] = 0.0
-            blocks.append(block)
+            blocks.append(self._weights[place] * block)
         return np.concatenate(blocks)
 
 
@@ -169,37 +164,57 @@ class _Motions:
         self._peak_velocity = np.concatenate([np.empty(0), *speeds])
         self._current = np.concatenate([np.empty(0), *currents])
 
-    def _coefficients(self, parameters: Array) -> list[Coefficients]:
-        """Coefficients of each motion, for parameters of shape (..., 16)."""
+    def _each(self, parameters: Array) -> Iterator[tuple[Coefficients, Array, Array]]:
+        """Of each motion the coefficients for parameters (..., 16), the velocity, the branch."""
         together = operating_point_coefficients(parameters, self._peak_velocity, self._current)
-        return [Coefficients(*(c[..., place] for c in together)) for place in self._places]
+        for place, velocity, branch in zip(
+            self._places, self._velocities, self._branches, strict=True
+        ):
+            yield Coefficients(*(c[..., place] for c in together)), velocity, branch
 
     def forces(self, parameters: Array) -> list[Array]:
         """Force [N] along each motion, shape (..., n), for parameters of shape (..., 16)."""
+        return [force_from_coefficients(*motion) for motion in self._each(parameters)]
+
+    def along(self, parameters: Array) -> list[Along]:
+        """The same with the damping of the sigmoid."""
         return [
-            force_from_coefficients(coefficients, velocity, branch)
-            for coefficients, velocity, branch in zip(
-                self._coefficients(parameters), self._velocities, self._branches, strict=True
-            )
+            Along(force_from_coefficients(*motion), secant_damping(*motion))
+            for motion in self._each(parameters)
         ]
 
     def jacobians(
-        self, parameters: Array, columns: Sequence[int] | None, weights: Sequence[float]
+        self, parameters: Array, columns: Sequence[int] | None, weights: Sequence[float] | Array
     ) -> list[Array]:
         """Derivatives (n, p) of each motion's force by all or some parameters, times a weight."""
-        coefficients = self._coefficients(parameters)
-        inner = coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
+        inner = self._inner_jacobian(parameters)
         if columns is not None:
             inner = inner[..., columns]
-        jacobians = []
-        for c, place, velocity, branch, weight in zip(
-            coefficients, self._places, self._velocities, self._branches, weights, strict=True
-        ):
-            by_coefficient = coefficient_jacobian(c, velocity, branch)
-            scaled = weight * inner[place]
-            if scaled.shape[0] == 1:
-                jacobians.append(by_coefficient @ scaled[0])
-            else:
-                # Row by row: as a batched product of vectors and matrices.
-                jacobians.append((by_coefficient[:, np.newaxis, :] @ scaled)[:, 0, :])
-        return jacobians
+        return [
+            _chain(coefficient_jacobian(*motion), weight * inner[place])
+            for motion, place, weight in zip(
+                self._each(parameters), self._places, weights, strict=True
+            )
+        ]
+
+    def jacobians_along(self, parameters: Array) -> list[Along]:
+        """Derivatives (n, 16) of what :meth:`along` gives by all parameters."""
+        inner = self._inner_jacobian(parameters)
+        return [
+            Along(
+                _chain(coefficient_jacobian(*motion), inner[place]),
+                _chain(secant_damping_jacobian(*motion), inner[place]),
+            )
+            for motion, place in zip(self._each(parameters), self._places, strict=True)
+        ]
+
+    def _inner_jacobian(self, parameters: Array) -> Array:
+        return coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
+
+
+def _chain(outer: Array, inner: Array) -> Array:
+    """Derivatives (n, p) by parameters from those (n, 7) by coefficients and (n or 1, 7, p)."""
+    if inner.shape[0] == 1:
+        return np.asarray(outer @ inner[0])
+    # Row by row: as a batched product of vectors and matrices.
+    return np.asarray((outer[:, np.newaxis, :] @ inner)[:, 0, :])

@@ -8,6 +8,7 @@ window in which the damper moves.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,8 +23,10 @@ from mr_damper_ros.damper.sigmoid import (
     coefficient_jacobian,
     force_from_coefficients,
     operating_point_coefficients,
+    secant_damping,
+    secant_damping_jacobian,
 )
-from mr_damper_ros.identification.history import History, following_stride
+from mr_damper_ros.identification.history import Along, History, following_stride
 from mr_damper_ros.kinematics.motion import Motion, window_motion
 
 _K5 = PARAMETER_NAMES.index("k5")
@@ -138,15 +141,14 @@ class Window:
         return History(whole.motion, whole.current, whole.period, places, branch, periodic=False)
 
     def predicted_force(self, parameters: Array) -> Array:
-        """Force [N] of parameters (16,) or (20,) over the window, shape (n,)."""
-        plain = _sigmoid_force(parameters, self.motion, self.current)
+        """Force [N] of parameters (16,) or (19,) over the window, shape (n,)."""
+        sixteen = parameters[:SIGMOID_COUNT]
+        plain = _sigmoid_along(sixteen, self.motion, self.current).force
         if not is_extended(parameters):
             return plain
-        history, extension = self.history, extension_of(parameters)
-        past = plain
-        if not history.is_window:
-            past = _sigmoid_force(parameters, history.motion, history.current)
-        return history.force(plain, past, self.motion.displacement, extension)
+        history = self.history
+        past = _sigmoid_along(sixteen, history.motion, history.current)
+        return history.force(plain, past, self.motion.displacement, extension_of(parameters))
 
     @property
     def sample_count(self) -> int:
@@ -167,10 +169,21 @@ class Window:
         return float(v_m), float(np.mean(self.current))
 
 
-def _sigmoid_force(parameters: Array, motion: Motion, current: Array) -> Array:
-    sixteen = parameters[:SIGMOID_COUNT]
+def slowest_lag(windows: Sequence[Window], parameters: Array) -> float:
+    """Longest time constant [s] of the lag in any of the windows; 0 for parameters (16,)."""
+    if not is_extended(parameters):
+        return 0.0
+    extension, sixteen = extension_of(parameters), parameters[:SIGMOID_COUNT]
+    dampings = (_sigmoid_along(sixteen, w.motion, w.current).damping for w in windows)
+    return max(float(np.max(extension.time_constant(damping))) for damping in dampings)
+
+
+def _sigmoid_along(sixteen: Array, motion: Motion, current: Array) -> Along:
     coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
-    return force_from_coefficients(coefficients, motion.velocity, motion.acceleration)
+    return Along(
+        force_from_coefficients(coefficients, motion.velocity, motion.acceleration),
+        secant_damping(coefficients, motion.velocity, motion.acceleration),
+    )
 
 
 class ScaleMisfit:
@@ -178,8 +191,8 @@ class ScaleMisfit:
 
     The scales, in the order of ``COEFFICIENT_NAMES``, are f0, a0, k1c, k1e, k4, k6 and f0 k5:
     the last is a product, so that the force offset stays linear and may be zero. Of the extended
-    law the lag, the stiffness and the offset are frozen too; samples at the begin of the window,
-    where the lag may not have settled, then have no residual.
+    law the compliance, the stiffness and the offset are frozen too; samples at the begin of the
+    window, where the lag may not have settled, then have no residual.
     """
 
     def __init__(self, window: Window, parameters: Array) -> None:
@@ -229,12 +242,28 @@ class ScaleMisfit:
     def jacobian(self, scales: Array) -> Array:
         """Derivatives of the residual with respect to the scales, shape (n, 7)."""
         derivatives = coefficient_jacobian(self.coefficients(scales), self._velocity, self._branch)
-        for column, base in enumerate(self._base):
-            derivatives[:, column] *= base
+        self._multiply_by_base(derivatives)
         return derivatives if self._late is None else self._late.jacobian(derivatives, scales)
 
+    def along(self, scales: Array) -> Along:
+        """Sigmoid force and damping of the window, each of shape (n,)."""
+        motion = self.coefficients(scales), self._velocity, self._branch
+        return Along(force_from_coefficients(*motion), secant_damping(*motion))
+
+    def jacobian_along(self, scales: Array) -> Along:
+        """Derivatives of :meth:`along` with respect to the scales, each of shape (n, 7)."""
+        motion = self.coefficients(scales), self._velocity, self._branch
+        both = Along(coefficient_jacobian(*motion), secant_damping_jacobian(*motion))
+        for derivatives in both:
+            self._multiply_by_base(derivatives)
+        return both
+
+    def _multiply_by_base(self, derivatives: Array) -> None:
+        for column, base in enumerate(self._base):
+            derivatives[:, column] *= base
+
     def parameters(self, scales: Array) -> Array:
-        """The parameters (16,) or (20,) with these scales and all else as it was."""
+        """The parameters (16,) or (19,) with these scales and all else as it was."""
         values = self._start.copy()
         values[SCALE_INDICES] = scales
         values[_K5] = scales[6] / scales[0] if scales[0] != 0.0 else 0.0
@@ -245,26 +274,24 @@ class _Late:
     """The extension of the law over a window: what it makes of the force and its derivatives."""
 
     def __init__(self, window: Window, parameters: Array) -> None:
-        history, extension = window.history, extension_of(parameters)
-        self._window, self._history, self._lag = window, history, history.lag(extension)
-        self._past = None
-        if not history.is_window:
-            nothing = np.zeros(history.current.size)
-            past = Window(history.motion, nothing, history.current)
-            self._past = ScaleMisfit(past, parameters[:SIGMOID_COUNT])
-        self._rest = extension.stiffness * window.motion.displacement + extension.offset
-        slowest = float(np.max(extension.time_constant(history.current)))
-        self._unsettled = history.unsettled(slowest)
+        self._window, self._history = window, window.history
+        self._extension = extension_of(parameters)
+        motion, current = self._history.motion, self._history.current
+        past = Window(motion, np.zeros(current.size), current)
+        self._past = ScaleMisfit(past, parameters[:SIGMOID_COUNT])
+        damping = self._past.along(self._past.start).damping
+        slowest = float(np.max(self._extension.time_constant(damping)))
+        self._unsettled = self._history.unsettled(slowest)
 
     def force(self, plain: Array, scales: Array) -> Array:
-        past = plain if self._past is None else self._past.residual(scales)
-        force = self._history.late(plain.T, past.T, self._lag).T + self._rest
+        past, displacement = self._past.along(scales), self._window.motion.displacement
+        force = self._history.force(plain, past, displacement, self._extension)
         force[..., self._unsettled] = self._window.force[self._unsettled]
-        return np.asarray(force)
+        return force
 
     def jacobian(self, plain: Array, scales: Array) -> Array:
-        past = plain if self._past is None else self._past.jacobian(scales)
-        derivatives = self._history.late(plain, past, self._lag)
+        past, by_scales = self._past.along(scales), self._past.jacobian_along(scales)
+        derivatives, _ = self._history.jacobian(plain, past, by_scales, self._extension)
         derivatives[self._unsettled] = 0.0
         return derivatives
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.damper.extension import extension_of, is_extended
 from mr_damper_ros.identification.determination import (
     Determination,
     determination,
@@ -30,7 +29,7 @@ from mr_damper_ros.identification.pooled import PooledMisfit
 from mr_damper_ros.identification.profile import Profile, ProfileLikelihood
 from mr_damper_ros.identification.search import StopRequestedError
 from mr_damper_ros.identification.temperature import TemperatureMap
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.identification.window import Window, slowest_lag
 from mr_damper_ros.tools.progress import ProgressLine
 
 _POLL = 0.2
@@ -54,10 +53,7 @@ class Findings:
 def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> PooledMisfit:
     """The misfit that the set was searched with."""
     values = fit.parameter_set.values
-    slowest = 0.0
-    if is_extended(values):
-        currents = np.array([np.max(np.abs(window.current)) for window in windows])
-        slowest = float(np.max(extension_of(values).time_constant(currents)))
+    slowest = slowest_lag(windows, values)
     return PooledMisfit(thinned_for_search(windows), fit.noise.tolist(), slowest)
 
 

@@ -50,7 +50,7 @@ EXAMPLES = {
     "bouc_wen": np.array([4000.0, 3000.0, -20.0, 500.0, 3e-4, 0.4, 1.5]),
     "modified_bouc_wen": np.array([3000.0, 500.0, 60000.0, 1500.0, -20.0, 600.0, 2e-4, 0.5, 1.5]),
     "sigmoid": PLAUSIBLE,
-    "sigmoid_lag": np.array([*PLAUSIBLE, 0.004, 0.003, 2000.0, -40.0]),
+    "sigmoid_lag": np.array([*PLAUSIBLE, 3e-8, 2000.0, -40.0]),
 }
 """Parameters of a damper by the name of its model."""
 

@@ -1,4 +1,4 @@
-"""Identification of the extended law: lag, stiffness and offset with the sixteen parameters."""
+"""Identification of the extended law: compliance, stiffness and offset with the sixteen."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mr_damper_ros.identification.window import ScaleMisfit, Window
 from mr_damper_ros.kinematics.motion import window_motion
 
 LAW = MODELS["sigmoid_lag"]
-TRUTH = np.append(known.PLAUSIBLE, [4e-3, 6e-3, 1500.0, -40.0])
+TRUTH = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0])
 PERIOD = 1e-3
 LEAD_IN = 500
 """Samples before a window, in which the lag of the truth settles."""
@@ -43,8 +43,8 @@ FINE = 1e-3
 THINNED = 5.0
 """Times that: what it may cost where samples are left out too."""
 
-SETTLED = 70
-"""Samples that say nothing for want of a past: seven time constants of the lag at 1 A, 10 ms."""
+SETTLED = 80
+"""Samples that say nothing for want of a past: seven of the longest time constants, 11.4 ms."""
 
 SETTLED_ERROR = 1
 """Sample, where a number of time constants is rounded to samples."""
@@ -85,7 +85,8 @@ def window(
     return whole.part(slice(LEAD_IN, None))
 
 
-MOTIONS = pytest.mark.parametrize("frequency", [0.2, 3.0, 0.0], ids=["slow", "fast", "random"])
+# The slow window is one cycle: in less some of the scales are open.
+MOTIONS = pytest.mark.parametrize("frequency", [0.5, 3.0, 0.0], ids=["slow", "fast", "random"])
 
 
 @MOTIONS
@@ -119,6 +120,16 @@ def test_the_scales_of_a_window_are_found_where_the_extension_is_known(frequency
         errors = (fit.scales - truth.start) / np.sqrt(np.diag(fit.covariance))
         assert np.max(np.abs(errors)) < STANDARD_ERRORS, method
         np.testing.assert_array_equal(fit.parameters[16:], TRUTH[16:])
+
+
+def test_a_poor_start_is_searched_from_as_well_as_what_is_read_off_the_data():
+    # Of 0.4 of a cycle: all that is read off it leads to another minimum.
+    here = window(0.2)
+    start = TRUTH.copy()
+    start[SCALE_INDICES] *= 1.3
+    fit = fit_window(here, start, method="least_squares")
+    truth = ScaleMisfit(here, TRUTH)
+    assert fit.rmse**2 * here.sample_count <= truth.sum_of_squares(truth.start)
 
 
 @MOTIONS
@@ -168,12 +179,12 @@ def pooled(most: int) -> PooledMisfit:
 
 
 @pytest.mark.parametrize("most", [100, 5000], ids=["thinned", "whole"])
-def test_the_jacobian_of_all_twenty_is_that_of_differences(most):
+def test_the_jacobian_of_all_nineteen_is_that_of_differences(most):
     misfit = pooled(most)
     jacobian = misfit.jacobian(TRUTH)
     for column, name in enumerate(EXTENDED_NAMES):
         size = 1e-5 * abs(TRUTH[column])
-        step = size * np.eye(20)[column]
+        step = size * np.eye(19)[column]
         expected = (misfit.residual(TRUTH + step) - misfit.residual(TRUTH - step)) / (2 * size)
         np.testing.assert_allclose(
             jacobian[:, column],
@@ -181,7 +192,7 @@ def test_the_jacobian_of_all_twenty_is_that_of_differences(most):
             atol=BY_DIFFERENCES * np.abs(expected).max(),
             err_msg=name,
         )
-    np.testing.assert_array_equal(misfit.jacobian(TRUTH, [3, 17]), jacobian[:, [3, 17]])
+    np.testing.assert_array_equal(misfit.jacobian(TRUTH, [3, 16]), jacobian[:, [3, 16]])
 
 
 def test_the_pooled_misfit_of_the_truth_is_the_noise():
@@ -197,14 +208,14 @@ def test_the_cost_of_many_sets_is_that_of_each():
 
 
 def test_without_lag_stiffness_and_offset_the_misfit_is_that_of_the_sixteen():
-    sixteen = np.append(known.PLAUSIBLE, np.zeros(4))
+    sixteen = np.append(known.PLAUSIBLE, NONE)
     np.testing.assert_allclose(
         pooled(100).residual(sixteen), pooled(100).residual(known.PLAUSIBLE), atol=SAME_FORCE
     )
 
 
 QUICK = EvolutionSettings(generations=40, population=8)
-NONE = np.zeros(4)
+NONE = np.zeros(3)
 CURRENTS = (0.0, 0.4, 0.8, 1.2)
 
 
@@ -234,7 +245,7 @@ def test_the_extension_is_found_with_the_sixteen(found):
     assert got.model == "sigmoid_lag"
     errors = (got.values - TRUTH)[16:] / got.standard_errors[16:]
     assert np.max(np.abs(errors)) < STANDARD_ERRORS
-    np.testing.assert_allclose(got.values[16:19], TRUTH[16:19], rtol=DETERMINED)
+    np.testing.assert_allclose(got.values[16:18], TRUTH[16:18], rtol=DETERMINED)
 
 
 def test_all_runs_are_fitted_down_to_the_noise(found):
@@ -256,25 +267,16 @@ def test_coefficients_of_an_extended_set_are_those_of_its_sigmoid_law(found):
     assert np.all(np.abs(coefficients - known.positive(truth)) < STANDARD_ERRORS * errors)
 
 
-def test_one_current_does_not_tell_a_lag_that_rises_with_it():
-    start = np.append(known.PLAUSIBLE, [0.0, 2e-3, 0.0, 0.0])
-    got = identify_global(runs(TRUTH[16:], (0.6,)), start, QUICK).parameter_set
-    assert got.values[17] == 2e-3
-    assert not got.observable[17]
-    assert got.observable[16]
-    assert got.values[16] + 0.6 * 2e-3 == pytest.approx(4e-3 + 0.6 * 6e-3, rel=DETERMINED)
-
-
 def test_a_damper_that_is_early_has_no_lag():
-    start = np.append(known.PLAUSIBLE, [2e-3, 0.0, 0.0, 0.0])
+    start = np.append(known.PLAUSIBLE, [1e-8, 0.0, 0.0])
     early = []
     for window in runs(NONE, (0.0, 0.8)):
         plain = window.predicted_force(known.PLAUSIBLE)
         ahead = plain + 2e-3 * np.gradient(plain, PERIOD)
         early.append(replace(window, force=ahead + window.force - plain))
     got = identify_global(early, start, QUICK).parameter_set
-    np.testing.assert_array_equal(got.values[16:18], 0.0)
-    assert not np.any(got.observable[16:18])
+    assert got.values[16] == 0.0
+    assert not got.observable[16]
 
 
 def test_of_a_damper_without_lag_none_is_found():
@@ -287,8 +289,8 @@ def test_of_a_damper_without_lag_none_is_found():
 @pytest.mark.parametrize("method", ["nelder_mead", "differential_evolution"])
 def test_every_method_identifies_the_extended_law(method):
     windows = runs(TRUTH[16:], (0.6,))[2:]
-    start = np.append(known.PLAUSIBLE, [0.0, 6e-3, 0.0, 0.0])
+    start = np.append(known.PLAUSIBLE, NONE)
     fit = identify_global(windows, start, QUICK, method=method)
-    assert fit.parameter_set.values.shape == (20,)
+    assert fit.parameter_set.values.shape == (19,)
     noise = np.median([known.NOISE / np.std(w.force) for w in windows])
     assert fit.median_nrmse < FITTED_QUICKLY * noise

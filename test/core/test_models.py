@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from mr_damper_ros.damper.extension import lagged
 from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.sigmoid import force
+from mr_damper_ros.damper.sigmoid import force, operating_point_coefficients
 from mr_damper_ros.kinematics.motion import Motion
 
 PERIOD = 1e-3
@@ -26,7 +26,7 @@ RETRACED = 1e-6
 """[N]: the half second that is retraced is seventy time constants, which leave rounding only."""
 
 FIRST_SAMPLE = 0.2
-"""Part of a step that the lag may let through at once: tau is 7 ms, a sample 1 ms, so a ninth."""
+"""Part of a step that the lag may let through at once; tau is up to 15 ms, a sample 1 ms."""
 
 INTEGRATION = 2e-3
 """RMSE of the integration at steps of 1 ms, relative to the spread of the force."""
@@ -39,6 +39,9 @@ SAMPLED_SINE = 1e-4
 
 SAME_LAG = 1e-8
 """Of a signal of size 1, lagged by time constants that differ by 2e-10 of themselves."""
+
+MAXWELL = 0.1
+"""[N] of 1250: straight lines between samples, and the curvature of a tanh at 1e-3."""
 
 NO_LAG = 1e-6
 """Of a signal of size 1: a lag of none is computed as one of a billionth of a sample."""
@@ -271,29 +274,44 @@ def test_lag_of_a_sine_has_the_amplitude_and_phase_of_theory():
 
 def test_lag_with_a_changing_time_constant_agrees_with_the_constant_one():
     signal = np.random.default_rng(0).normal(size=(2, 200))
-    tau = np.full(200, 5e-3)
+    tau = np.full((2, 200), 5e-3)
     wobbling = tau * (1.0 + 1e-12 * np.arange(200))
     np.testing.assert_allclose(
         lagged(signal, wobbling, PERIOD), lagged(signal, tau, PERIOD), atol=SAME_LAG
     )
-    np.testing.assert_allclose(lagged(signal, np.zeros(200), PERIOD), signal, atol=NO_LAG)
+    np.testing.assert_allclose(lagged(signal, np.zeros((2, 200)), PERIOD), signal, atol=NO_LAG)
 
 
-def test_lag_rises_with_the_current():
+def test_the_time_constant_of_the_lag_is_the_compliance_times_the_damping_of_the_sigmoid():
     w = motion(2000)
-    values = EXAMPLES["sigmoid_lag"]
+    compliance, stiffness, offset = EXAMPLES["sigmoid_lag"][16:]
     plain = MODELS["sigmoid"].force(PLAUSIBLE, w, 1.5, PERIOD)
-    got = MODELS["sigmoid_lag"].force(values, w, 1.5, PERIOD)
-    tau = 0.004 + 0.003 * 1.5
-    expected = lagged(plain, np.full(2000, tau), PERIOD) + 2000.0 * w.displacement - 40.0
+    got = MODELS["sigmoid_lag"].force(EXAMPLES["sigmoid_lag"], w, 1.5, PERIOD)
+    c = operating_point_coefficients(PLAUSIBLE, w.peak_velocity, 1.5)
+    velocity = w.velocity + np.sign(w.acceleration) * c.v_h + c.v_d
+    damping = c.f_t * np.tanh(0.5 * c.alpha * velocity) / velocity
+    expected = lagged(plain, compliance * damping, PERIOD) + stiffness * w.displacement + offset
     np.testing.assert_allclose(got, expected)
+
+
+def test_a_sigmoid_that_is_a_dashpot_makes_a_maxwell_element():
+    # F + s c dF/dt = c v, for a dashpot c and the compliance s: theory of its force in a sine.
+    dashpot, compliance, w = 4e4, 5e-7, motion(3000)
+    yield_force = 1e6  # so large that tanh is straight; f0 counts twice where a1 is zero
+    values = np.zeros(19)
+    values[[0, 3, 16]] = 0.5 * yield_force, 2.0 * dashpot / yield_force, compliance
+    got = MODELS["sigmoid_lag"].force(values, w, 0.0, PERIOD)[1000:]
+    angle = 2.0 * np.pi * 1.0 * dashpot * compliance
+    tau = dashpot * compliance
+    slower = (w.velocity - tau * w.acceleration) / (1.0 + angle**2)
+    np.testing.assert_allclose(got, dashpot * slower[1000:], atol=MAXWELL)
 
 
 def test_sigmoid_is_the_package_law_and_the_extension_vanishes():
     w = motion()
     plain = force(PLAUSIBLE, w.displacement, w.velocity, w.acceleration, 0.5)
     np.testing.assert_allclose(MODELS["sigmoid"].force(PLAUSIBLE, w, 0.5, PERIOD), plain)
-    extended = [*PLAUSIBLE, 0.0, 0.0, 0.0, 0.0]
+    extended = [*PLAUSIBLE, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(
         MODELS["sigmoid_lag"].force(extended, w, 0.5, PERIOD), plain, atol=NO_LAG_FORCE
     )

@@ -206,7 +206,7 @@ def test_the_arrays_of_a_set_are_its_own_and_cannot_be_changed() -> None:
 
 
 def test_a_set_of_another_model_than_needed_is_refused() -> None:
-    extended = ParameterSet(np.zeros(20), model="sigmoid_lag")
+    extended = ParameterSet(np.zeros(19), model="sigmoid_lag")
     assert extended.of_model("sigmoid_lag") is extended
     with pytest.raises(ParameterError, match=r"those of model 'sigmoid_lag': give .* 'sigmoid'"):
         extended.of_model("sigmoid")

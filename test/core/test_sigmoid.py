@@ -26,6 +26,8 @@ from mr_damper_ros.damper.sigmoid import (
     operating_point_coefficients,
     parameter_jacobian,
     peak_velocity,
+    secant_damping,
+    secant_damping_jacobian,
 )
 from mr_damper_ros.rig import thesis
 from mr_damper_ros.rig.thesis import Condition
@@ -275,11 +277,13 @@ def test_derivatives_around_a_plausible_damper(
     assert_columns_agree(parameter_jacobian(values, u, v, a, current), numeric, PARAMETER_NAMES)
 
 
+COEFFICIENT_SIZES = np.array([1000.0, 200.0, 10.0, 10.0, 0.05, 0.01, 100.0])
+
+
 @known.fixed(60)
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 7), st.integers(0, 2**31))
 def test_derivatives_by_the_seven_coefficients(x: tuple[float, ...], seed: int) -> None:
-    sizes = np.array([1000.0, 200.0, 10.0, 10.0, 0.05, 0.01, 100.0])
-    values = np.array(x) * sizes
+    values = np.array(x) * COEFFICIENT_SIZES
     v, a = np.random.default_rng(seed).normal(0.0, (0.1, 1.0), (40, 2)).T
     a[:2] = 0.0
 
@@ -288,6 +292,34 @@ def test_derivatives_by_the_seven_coefficients(x: tuple[float, ...], seed: int) 
 
     analytic = coefficient_jacobian(Coefficients(*values), v, a)
     assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
+
+
+@known.fixed(60)
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 7), st.integers(0, 2**31))
+def test_derivatives_of_the_damping_by_the_seven_coefficients(
+    x: tuple[float, ...], seed: int
+) -> None:
+    values = np.array(x) * COEFFICIENT_SIZES
+    v, a = np.random.default_rng(seed).normal(0.0, (0.1, 1.0), (40, 2)).T
+
+    def at(c: Array) -> Array:
+        return secant_damping(Coefficients(*c), v, a)
+
+    analytic = secant_damping_jacobian(Coefficients(*values), v, a)
+    assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
+
+
+def test_the_damping_is_the_force_of_the_sigmoid_over_its_velocity() -> None:
+    c = Coefficients(*np.array([1000.0, 200.0, 0.0, 0.0, -0.02, 0.003, 0.0]))
+    v, a = np.array([0.1, 0.1, -0.01, 0.0]), np.array([1.0, -1.0, 1.0, -1.0])
+    shifted = v + np.sign(a) * c.v_h + c.v_d
+    damping = secant_damping(c, v, a)
+    np.testing.assert_allclose(damping * shifted, force_from_coefficients(c, v, a))
+
+
+def test_the_damping_at_rest_is_the_steepness_of_the_sigmoid() -> None:
+    c = Coefficients(*np.array([1000.0, 200.0, 5.0, 5.0, -0.02, 0.003, 60.0]))
+    assert secant_damping(c, 0.017, 1.0) == pytest.approx(0.5 * 1000.0 * 200.0)
 
 
 def test_derivatives_of_the_coefficients_by_the_parameters() -> None:

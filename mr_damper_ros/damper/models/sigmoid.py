@@ -1,12 +1,12 @@
-"""The sigmoid law as a model, and the law extended by a lag, a stiffness and an offset."""
+"""The sigmoid law as a model, and the law extended by a compliance, a stiffness and an offset."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mr_damper_ros.damper.extension import (
+    COMPLIANCE,
     EXTENSION_NAMES,
-    LAG_NAMES,
     SIGMOID_COUNT,
     Extension,
     lagged,
@@ -18,6 +18,7 @@ from mr_damper_ros.damper.sigmoid import (
     Array,
     force_from_coefficients,
     operating_point_coefficients,
+    secant_damping,
 )
 
 
@@ -31,11 +32,15 @@ def _sigmoid(
 def _extended(
     parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
 ) -> tuple[Array, State]:
-    plain, _ = _sigmoid(parameters[..., :SIGMOID_COUNT], motion, current, period, None)
+    sixteen = parameters[..., :SIGMOID_COUNT]
+    coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
+    plain = force_from_coefficients(coefficients, motion.velocity, motion.acceleration)
+    damping = secant_damping(coefficients, motion.velocity, motion.acceleration)
     extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:, np.newaxis], -2, 0))
-    late = lagged(plain, extension.time_constant(current), period, state)
+    time_constant = extension.time_constant(damping)
+    late = lagged(plain, time_constant, period, state=state)
     force = np.asarray(late + extension.stiffness * motion.displacement + extension.offset)
-    return force, (plain[..., -1], late[..., -1])
+    return force, (plain[..., -1], late[..., -1], time_constant[..., -1])
 
 
 def _starts(half_span: float, middle: float, speed: float, amplitude: float) -> Array:
@@ -57,8 +62,8 @@ def _starts(half_span: float, middle: float, speed: float, amplitude: float) -> 
 
 def _extended_starts(half_span: float, middle: float, speed: float, amplitude: float) -> Array:
     plain = _starts(half_span, middle, speed, amplitude)
-    lag = 0.02 * amplitude / speed
-    return np.hstack([plain, np.tile([lag, 0.0, 0.0, 0.0], (len(plain), 1))])
+    compliance = 0.02 * amplitude / half_span
+    return np.hstack([plain, np.tile([compliance, 0.0, 0.0], (len(plain), 1))])
 
 
 _UNITS = {
@@ -93,14 +98,14 @@ EXTENDED_SIGMOID = Model(
     (
         *_SIGMOID_PARAMETERS,
         *(
-            Parameter(name, unit, *((0.0, 1.0) if name in LAG_NAMES else ()))
-            for name, unit in zip(EXTENSION_NAMES, ("s", "s/A", "N/m", "N"), strict=True)
+            Parameter(name, unit, 0.0 if name == COMPLIANCE else -np.inf)
+            for name, unit in zip(EXTENSION_NAMES, ("m/N", "N/m", "N"), strict=True)
         ),
     ),
     _extended,
     f"{_WANG}; the extension is this package's",
     _extended_starts,
-    free_in_one_run=(*SCALE_PARAMETER_NAMES, "tau0", "stiffness", "offset"),
+    free_in_one_run=(*SCALE_PARAMETER_NAMES, *EXTENSION_NAMES),
     remembers=True,
     strength=("f0",),
 )
