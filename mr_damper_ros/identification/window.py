@@ -200,7 +200,7 @@ class ScaleMisfit:
         self._start = np.asarray(parameters, dtype=float)
         motion = window.motion
         base = operating_point_coefficients(self._unit, motion.peak_velocity, window.current)
-        self._base = tuple(_constant_if_steady(values) for values in base)
+        self._base = _one_if_steady(np.stack(np.broadcast_arrays(*base)))
         self._velocity = motion.velocity
         self._branch = np.sign(motion.acceleration)
         self._late = _Late(window, self._start) if is_extended(self._start) else None
@@ -225,7 +225,9 @@ class ScaleMisfit:
 
     def coefficients(self, scales: Array) -> Coefficients:
         """Operating-point coefficients for scales of shape (7,)."""
-        return Coefficients(*(scale * base for scale, base in zip(scales, self._base, strict=True)))
+        count, *others = scales.shape
+        base = self._base.reshape(count, *(1,) * (len(others) - 1), -1)
+        return Coefficients(*(scales.reshape(count, *(others or (1,))) * base))
 
     def residual(self, scales: Array) -> Array:
         """Model minus measurement [N], shape (n,)."""
@@ -242,7 +244,7 @@ class ScaleMisfit:
     def jacobian(self, scales: Array) -> Array:
         """Derivatives of the residual with respect to the scales, shape (n, 7)."""
         derivatives = coefficient_jacobian(self.coefficients(scales), self._velocity, self._branch)
-        self._multiply_by_base(derivatives)
+        derivatives *= self._base.T
         return derivatives if self._late is None else self._late.jacobian(derivatives, scales)
 
     def along(self, scales: Array) -> Along:
@@ -255,12 +257,8 @@ class ScaleMisfit:
         motion = self.coefficients(scales), self._velocity, self._branch
         both = Along(coefficient_jacobian(*motion), secant_damping_jacobian(*motion))
         for derivatives in both:
-            self._multiply_by_base(derivatives)
+            derivatives *= self._base.T
         return both
-
-    def _multiply_by_base(self, derivatives: Array) -> None:
-        for column, base in enumerate(self._base):
-            derivatives[:, column] *= base
 
     def parameters(self, scales: Array) -> Array:
         """The parameters (16,) or (19,) with these scales and all else as it was."""
@@ -296,11 +294,12 @@ class _Late:
         return derivatives
 
 
-def _constant_if_steady(values: Array) -> Array:
-    spread = float(np.ptp(values))
-    if spread <= _STEADY * float(np.max(np.abs(values))):
-        return np.asarray(values[:1].mean())
-    return values
+def _one_if_steady(base: Array) -> Array:
+    """Coefficients (7, n) of unit scales, or (7, 1) where they do not change."""
+    spread = np.ptp(base, axis=1)
+    if np.all(spread <= _STEADY * np.max(np.abs(base), axis=1)):
+        return np.asarray(base.mean(axis=1, keepdims=True))
+    return base
 
 
 def scale_parameter_errors(scales: Array, covariance: Array) -> Array:
