@@ -30,6 +30,9 @@ _COLD_HYSTERESIS = (0.0, -0.2, -0.4)
 POOR_START = 0.25
 """Where the start leaves more than this part of the force's variance, others are tried too."""
 
+_ROUGHLY, _FEW_STEPS = 1e-3, 40
+"""Relative tolerance of the sum of squares, and steps, after which two starts are compared."""
+
 
 @dataclass(frozen=True, eq=False)
 class WindowFit:
@@ -66,8 +69,8 @@ def fit_window(
 ) -> WindowFit:
     """Scales of a window, searched from the parameters ``start`` of shape (16,) or (19,).
 
-    Where the start leaves more than a quarter of the force's variance, a second search begins with
-    the best of a few starts read off the data (peak force and peak velocity). ``robust`` bounds
+    A start that leaves more than a quarter of the force's variance competes with the best of a few
+    starts read off the data (peak force and peak velocity). ``robust`` bounds
     the influence of outliers (Huber's weights). ``should_stop`` is asked at every evaluation; where
     it says so, the best so far is returned with ``success`` False.
 
@@ -80,32 +83,20 @@ def fit_window(
         raise ValueError("the force does not change: there is nothing to identify")
     misfit = ScaleMisfit(window, start)
     search = LocalSearch(misfit, misfit.start, should_stop)
-    searches = [search]
     weights = np.ones(window.sample_count)
     message = CONVERGED
     try:
         # "not <=" also holds for a cost that is not a number.
         if not search.try_out(misfit.start) <= POOR_START * spread**2 * window.sample_count:
-            searches.append(LocalSearch(misfit, misfit.start, should_stop))
-            for candidate in _cold_starts(misfit):
-                searches[1].try_out(candidate)
-        for each in searches:
-            if math.isfinite(each.best_cost):
-                _descend(each, method)
-        search = min(searches, key=lambda found: found.best_cost)
+            _compete(search, misfit, should_stop)
+        if method == "nelder_mead":
+            search.nelder_mead()
+        search.least_squares()
         if robust:
             weights = search.reweighted_least_squares()
     except StopRequestedError:
         message = "stopped before it converged: this is the best so far"
-        search = min(searches, key=lambda found: found.best_cost)
-    evaluations = sum(each.evaluations for each in searches)
-    return _result(misfit, search, weights, spread, method, message, evaluations)
-
-
-def _descend(search: LocalSearch, method: str) -> None:
-    if method == "nelder_mead":
-        search.nelder_mead()
-    search.least_squares()
+    return _result(misfit, search, weights, spread, method, message)
 
 
 def _result(
@@ -115,7 +106,6 @@ def _result(
     spread: float,
     method: str,
     message: str,
-    evaluations: int,
 ) -> WindowFit:
     scales = search.best
     window = misfit.window
@@ -137,10 +127,28 @@ def _result(
         nrmse=rmse / spread,
         sample_count=window.sample_count,
         method=method,
-        evaluations=evaluations,
+        evaluations=search.evaluations,
         success=message == CONVERGED,
         message=message,
     )
+
+
+def _compete(
+    search: LocalSearch, misfit: ScaleMisfit, should_stop: Callable[[], bool] | None
+) -> None:
+    """A few steps from the given start, and from the best read off the data; the better stays.
+
+    Their costs alone would not tell which of them leads to the deeper minimum.
+    """
+    other = LocalSearch(misfit, misfit.start, should_stop)
+    try:
+        for candidate in _cold_starts(misfit):
+            other.try_out(candidate)
+        for each in (search, other):
+            if math.isfinite(each.best_cost):
+                each.least_squares(tolerance=_ROUGHLY, most_steps=_FEW_STEPS)
+    finally:
+        search.take_over(other)
 
 
 def _cold_starts(misfit: ScaleMisfit) -> list[Array]:

@@ -77,6 +77,12 @@ class LocalSearch:
             self.best, self.best_cost = unknowns, cost
         return cost
 
+    def take_over(self, other: LocalSearch) -> None:
+        """Go on from what another search has found, if it is better; its evaluations count too."""
+        self.evaluations += other.evaluations
+        if other.best_cost < self.best_cost:
+            self.best, self.best_cost = other.best, other.best_cost
+
     def nelder_mead(self) -> None:
         """Nelder-Mead from the best so far, with new axes as long as it moves far."""
         from scipy import optimize  # here: see mr_damper_ros.start
