@@ -37,8 +37,9 @@ _MOST_WORDS = 5
 _ROUNDING = 1e-10
 """A move that the samples notice less than this, of what they may notice, is one they do not."""
 
-_PREFER_SHAPE = 1e3
-"""Where a scale trades with a shape parameter, it is the shape that is said to be open."""
+_PREFER_SHAPE = 1e2
+"""Where a scale trades with a shape parameter, it is the shape that is said to be open; not where
+the shape's part is less than a hundredth, or one direction would be told several times."""
 
 
 @dataclass(frozen=True)
