@@ -18,6 +18,9 @@ from mr_damper_ros.damper.sigmoid import Array
 STRATEGIES = ("rand/1", "best/1", "rand-to-best/2", "rand/2")
 """Mutation schemes by the names of the thesis' table 3."""
 
+_MUTATION, _RECOMBINATION = 0.8, 0.8
+"""Factor on differences F, and the probability CR that a value is the mutant's; thesis 2.7.2."""
+
 
 @dataclass(frozen=True, eq=False)
 class Evolved:
@@ -35,8 +38,6 @@ def evolve(
     rng: np.random.Generator,
     *,
     strategy: str = "rand/1",
-    mutation: float = 0.8,
-    recombination: float = 0.8,
     generations: int = 500,
     population: int = 160,
 ) -> Evolved:
@@ -51,8 +52,8 @@ def evolve(
     people = low + (high - low) * rng.random((population, low.size))
     costs = _finite(cost(people))
     for _ in range(generations):
-        mutants = _mutants(people, people[np.argmin(costs)], strategy, mutation, rng)
-        crossed = rng.random(people.shape) < recombination
+        mutants = _mutants(people, people[np.argmin(costs)], strategy, rng)
+        crossed = rng.random(people.shape) < _RECOMBINATION
         crossed[np.arange(population), rng.integers(low.size, size=population)] = True
         trials = np.clip(np.where(crossed, mutants, people), low, high)
         trial_costs = _finite(cost(trials))
@@ -67,18 +68,16 @@ def _finite(costs: Array) -> Array:
     return np.nan_to_num(costs, nan=1e300, posinf=1e300)
 
 
-def _mutants(
-    people: Array, best: Array, strategy: str, mutation: float, rng: np.random.Generator
-) -> Array:
+def _mutants(people: Array, best: Array, strategy: str, rng: np.random.Generator) -> Array:
     """Mutants (s, p); partners are drawn by rotating a permutation, so they differ."""
     count = people.shape[0]
     order = rng.permutation(count)
     turns = rng.choice(np.arange(1, count), size=4, replace=False)
     one, two, three, four, five = (people[np.roll(order, turn)] for turn in (0, *turns))
     if strategy == "rand/1":
-        return np.asarray(one + mutation * (two - three))
+        return np.asarray(one + _MUTATION * (two - three))
     if strategy == "best/1":
-        return np.asarray(best + mutation * (one - two))
+        return np.asarray(best + _MUTATION * (one - two))
     if strategy == "rand-to-best/2":
-        return np.asarray(people + mutation * (best - people + one - two))
-    return np.asarray(one + mutation * (two - three + four - five))
+        return np.asarray(people + _MUTATION * (best - people + one - two))
+    return np.asarray(one + _MUTATION * (two - three + four - five))
