@@ -21,7 +21,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
+from mr_damper_ros.damper.sigmoid import (
+    PARAMETER_NAMES,
+    Array,
+    Coefficients,
+    coefficient_jacobian,
+    force_from_coefficients,
+    secant_damping,
+    secant_damping_jacobian,
+)
 
 EXTENDED_MODEL = "sigmoid_lag"
 """Name of the extended law in ``MODELS``."""
@@ -55,6 +63,33 @@ class Extension(NamedTuple):
     def time_constant(self, damping: Array) -> Array:
         """Time constant [s] of the lag where the sigmoid has this damping [N s/m]; not negative."""
         return np.maximum(self.compliance * damping, 0.0)
+
+
+class ForceAndDamping(NamedTuple):
+    """Force [N] of the sigmoid law and the damping [N s/m] of its sigmoid, or derivatives."""
+
+    force: Array
+    damping: Array
+
+
+def force_and_damping(
+    coefficients: Coefficients, velocity: Array, acceleration: Array
+) -> ForceAndDamping:
+    """Both of shape (..., n), for coefficients that broadcast against velocity (n,) [m/s]."""
+    return ForceAndDamping(
+        force_from_coefficients(coefficients, velocity, acceleration),
+        secant_damping(coefficients, velocity, acceleration),
+    )
+
+
+def force_and_damping_jacobian(
+    coefficients: Coefficients, velocity: Array, acceleration: Array
+) -> ForceAndDamping:
+    """Derivatives of both by the seven coefficients, of shape (..., n, 7)."""
+    return ForceAndDamping(
+        coefficient_jacobian(coefficients, velocity, acceleration),
+        secant_damping_jacobian(coefficients, velocity, acceleration),
+    )
 
 
 def is_extended(parameters: Array) -> bool:

@@ -70,9 +70,9 @@ def fit_window(
     """Scales of a window, searched from the parameters ``start`` of shape (16,) or (19,).
 
     A start that leaves more than a quarter of the force's variance competes with the best of a few
-    starts read off the data (peak force and peak velocity). ``robust`` bounds
-    the influence of outliers (Huber's weights). ``should_stop`` is asked at every evaluation; where
-    it says so, the best so far is returned with ``success`` False.
+    starts read off the data (peak force and peak velocity). ``robust`` bounds the influence of
+    outliers (Huber's weights). ``should_stop`` is asked at every evaluation; where it says so, the
+    best so far is returned with ``success`` False.
 
     Raises ValueError for an unknown method or a force that does not change.
     """

@@ -56,7 +56,7 @@ from mr_damper_ros.identification.observability import (
 from mr_damper_ros.identification.pooled import PooledMisfit
 from mr_damper_ros.identification.search import LocalSearch, StopRequestedError
 from mr_damper_ros.identification.uncertainty import correlation_length, least_squares_covariance
-from mr_damper_ros.identification.window import Window, slowest_lag
+from mr_damper_ros.identification.window import Window, longest_lag
 
 __all__ = ["METHODS", "GlobalFit", "GlobalProgress", "identify_global"]
 
@@ -334,7 +334,7 @@ class _GlobalSearch:
 
     def whole_misfit(self) -> PooledMisfit:
         """Of all samples, but those where the lag that was found may not have settled."""
-        return self._misfit(self.windows, slowest_lag(self.windows, self.best))
+        return self._misfit(self.windows, longest_lag(self.windows, self.best))
 
     def _misfit(self, windows: Sequence[Window], slowest_lag: float) -> PooledMisfit:
         return PooledMisfit(windows, [fit.rmse for fit in self.fits], slowest_lag)

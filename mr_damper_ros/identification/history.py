@@ -10,11 +10,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.damper.extension import SETTLING, Extension, FirstOrderLag, lagged
+from mr_damper_ros.damper.extension import (
+    SETTLING,
+    Extension,
+    FirstOrderLag,
+    ForceAndDamping,
+    lagged,
+)
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.sine import Sine
@@ -27,13 +32,6 @@ _FEWER_PER_CYCLE = 200
 
 _LONGEST_SETTLING = 0.25
 """No more than this part of a window is left out because the lag may not have settled."""
-
-
-class Along(NamedTuple):
-    """Sigmoid force [N] and its damping [N s/m] along a history, or derivatives of both."""
-
-    force: Array
-    damping: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,9 @@ class History:
             places=self.places / stride,
         )
 
-    def force(self, plain: Array, past: Along, displacement: Array, extension: Extension) -> Array:
+    def force(
+        self, plain: Array, past: ForceAndDamping, displacement: Array, extension: Extension
+    ) -> Array:
         """Force [N] of the extended law, shape (..., n), from that of the sigmoid law.
 
         ``plain`` (..., n) is the latter at the samples, ``past`` along the history.
@@ -126,7 +126,7 @@ class History:
         return np.asarray(late + extension.stiffness * displacement + extension.offset)
 
     def jacobian(
-        self, plain: Array, past: Along, by_sigmoid: Along, extension: Extension
+        self, plain: Array, past: ForceAndDamping, by_sigmoid: ForceAndDamping, extension: Extension
     ) -> tuple[Array, Array]:
         """Derivatives (n, p) of :meth:`force` by p parameters, and (n,) by the compliance.
 

@@ -17,7 +17,10 @@ import numpy as np
 from mr_damper_ros.damper.extension import (
     SIGMOID_COUNT,
     Extension,
+    ForceAndDamping,
     extension_of,
+    force_and_damping,
+    force_and_damping_jacobian,
     is_extended,
 )
 from mr_damper_ros.damper.sigmoid import (
@@ -27,10 +30,7 @@ from mr_damper_ros.damper.sigmoid import (
     coefficient_parameter_jacobian,
     force_from_coefficients,
     operating_point_coefficients,
-    secant_damping,
-    secant_damping_jacobian,
 )
-from mr_damper_ros.identification.history import Along
 from mr_damper_ros.identification.window import Window
 from mr_damper_ros.kinematics.motion import Motion
 
@@ -101,7 +101,7 @@ class PooledMisfit:
         sets = [
             self._extended(
                 [force[k] for force in plain],
-                [Along(force[k], damping[k]) for force, damping in past],
+                [ForceAndDamping(force[k], damping[k]) for force, damping in past],
                 extension_of(values),
             )
             for k, values in enumerate(parameters)
@@ -117,7 +117,9 @@ class PooledMisfit:
     def _unsettled(self) -> list[np.ndarray]:
         return [window.history.unsettled(self._slowest_lag) for window in self.windows]
 
-    def _extended(self, plain: list[Array], past: list[Along], extension: Extension) -> list[Array]:
+    def _extended(
+        self, plain: list[Array], past: list[ForceAndDamping], extension: Extension
+    ) -> list[Array]:
         forces = []
         for place, window in enumerate(self.windows):
             displacement, unsettled = window.motion.displacement, self._unsettled[place]
@@ -176,12 +178,9 @@ class _Motions:
         """Force [N] along each motion, shape (..., n), for parameters of shape (..., 16)."""
         return [force_from_coefficients(*motion) for motion in self._each(parameters)]
 
-    def along(self, parameters: Array) -> list[Along]:
+    def along(self, parameters: Array) -> list[ForceAndDamping]:
         """The same with the damping of the sigmoid."""
-        return [
-            Along(force_from_coefficients(*motion), secant_damping(*motion))
-            for motion in self._each(parameters)
-        ]
+        return [force_and_damping(*motion) for motion in self._each(parameters)]
 
     def jacobians(
         self, parameters: Array, columns: Sequence[int] | None, weights: Sequence[float] | Array
@@ -197,13 +196,12 @@ class _Motions:
             )
         ]
 
-    def jacobians_along(self, parameters: Array) -> list[Along]:
+    def jacobians_along(self, parameters: Array) -> list[ForceAndDamping]:
         """Derivatives (n, 16) of what :meth:`along` gives by all parameters."""
         inner = self._inner_jacobian(parameters)
         return [
-            Along(
-                _chain(coefficient_jacobian(*motion), inner[place]),
-                _chain(secant_damping_jacobian(*motion), inner[place]),
+            ForceAndDamping(
+                *(_chain(outer, inner[place]) for outer in force_and_damping_jacobian(*motion))
             )
             for motion, place in zip(self._each(parameters), self._places, strict=True)
         ]

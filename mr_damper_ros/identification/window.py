@@ -14,7 +14,14 @@ from functools import cached_property
 
 import numpy as np
 
-from mr_damper_ros.damper.extension import SIGMOID_COUNT, extension_of, is_extended
+from mr_damper_ros.damper.extension import (
+    SIGMOID_COUNT,
+    ForceAndDamping,
+    extension_of,
+    force_and_damping,
+    force_and_damping_jacobian,
+    is_extended,
+)
 from mr_damper_ros.damper.sigmoid import (
     PARAMETER_NAMES,
     SCALE_INDICES,
@@ -24,9 +31,8 @@ from mr_damper_ros.damper.sigmoid import (
     force_from_coefficients,
     operating_point_coefficients,
     secant_damping,
-    secant_damping_jacobian,
 )
-from mr_damper_ros.identification.history import Along, History, following_stride
+from mr_damper_ros.identification.history import History, following_stride
 from mr_damper_ros.kinematics.motion import Motion, window_motion
 
 _K5 = PARAMETER_NAMES.index("k5")
@@ -143,11 +149,11 @@ class Window:
     def predicted_force(self, parameters: Array) -> Array:
         """Force [N] of parameters (16,) or (19,) over the window, shape (n,)."""
         sixteen = parameters[:SIGMOID_COUNT]
-        plain = _sigmoid_along(sixteen, self.motion, self.current).force
+        plain = force_from_coefficients(*_sigmoid(sixteen, self.motion, self.current))
         if not is_extended(parameters):
             return plain
         history = self.history
-        past = _sigmoid_along(sixteen, history.motion, history.current)
+        past = force_and_damping(*_sigmoid(sixteen, history.motion, history.current))
         return history.force(plain, past, self.motion.displacement, extension_of(parameters))
 
     @property
@@ -169,21 +175,19 @@ class Window:
         return float(v_m), float(np.mean(self.current))
 
 
-def slowest_lag(windows: Sequence[Window], parameters: Array) -> float:
+def longest_lag(windows: Sequence[Window], parameters: Array) -> float:
     """Longest time constant [s] of the lag in any of the windows; 0 for parameters (16,)."""
     if not is_extended(parameters):
         return 0.0
     extension, sixteen = extension_of(parameters), parameters[:SIGMOID_COUNT]
-    dampings = (_sigmoid_along(sixteen, w.motion, w.current).damping for w in windows)
+    dampings = (secant_damping(*_sigmoid(sixteen, w.motion, w.current)) for w in windows)
     return max(float(np.max(extension.time_constant(damping))) for damping in dampings)
 
 
-def _sigmoid_along(sixteen: Array, motion: Motion, current: Array) -> Along:
+def _sigmoid(sixteen: Array, motion: Motion, current: Array) -> tuple[Coefficients, Array, Array]:
+    """Coefficients along a motion, and the velocity and acceleration that go with them."""
     coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
-    return Along(
-        force_from_coefficients(coefficients, motion.velocity, motion.acceleration),
-        secant_damping(coefficients, motion.velocity, motion.acceleration),
-    )
+    return coefficients, motion.velocity, motion.acceleration
 
 
 class ScaleMisfit:
@@ -247,15 +251,14 @@ class ScaleMisfit:
         derivatives *= self._base.T
         return derivatives if self._late is None else self._late.jacobian(derivatives, scales)
 
-    def along(self, scales: Array) -> Along:
+    def along(self, scales: Array) -> ForceAndDamping:
         """Sigmoid force and damping of the window, each of shape (n,)."""
-        motion = self.coefficients(scales), self._velocity, self._branch
-        return Along(force_from_coefficients(*motion), secant_damping(*motion))
+        return force_and_damping(self.coefficients(scales), self._velocity, self._branch)
 
-    def jacobian_along(self, scales: Array) -> Along:
+    def jacobian_along(self, scales: Array) -> ForceAndDamping:
         """Derivatives of :meth:`along` with respect to the scales, each of shape (n, 7)."""
-        motion = self.coefficients(scales), self._velocity, self._branch
-        both = Along(coefficient_jacobian(*motion), secant_damping_jacobian(*motion))
+        coefficients = self.coefficients(scales)
+        both = force_and_damping_jacobian(coefficients, self._velocity, self._branch)
         for derivatives in both:
             derivatives *= self._base.T
         return both

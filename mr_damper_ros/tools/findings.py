@@ -29,7 +29,7 @@ from mr_damper_ros.identification.pooled import PooledMisfit
 from mr_damper_ros.identification.profile import Profile, ProfileLikelihood
 from mr_damper_ros.identification.search import StopRequestedError
 from mr_damper_ros.identification.temperature import TemperatureMap
-from mr_damper_ros.identification.window import Window, slowest_lag
+from mr_damper_ros.identification.window import Window, longest_lag
 from mr_damper_ros.tools.progress import ProgressLine
 
 _POLL = 0.2
@@ -53,7 +53,7 @@ class Findings:
 def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> PooledMisfit:
     """The misfit that the set was searched with."""
     values = fit.parameter_set.values
-    slowest = slowest_lag(windows, values)
+    slowest = longest_lag(windows, values)
     return PooledMisfit(thinned_for_search(windows), fit.noise.tolist(), slowest)
 
 

@@ -9,6 +9,7 @@ from mr_damper_ros.damper.extension import (
     EXTENSION_NAMES,
     SIGMOID_COUNT,
     Extension,
+    force_and_damping,
     lagged,
 )
 from mr_damper_ros.damper.models.base import Model, MotionLike, Parameter, State
@@ -18,7 +19,6 @@ from mr_damper_ros.damper.sigmoid import (
     Array,
     force_from_coefficients,
     operating_point_coefficients,
-    secant_damping,
 )
 
 
@@ -34,8 +34,7 @@ def _extended(
 ) -> tuple[Array, State]:
     sixteen = parameters[..., :SIGMOID_COUNT]
     coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
-    plain = force_from_coefficients(coefficients, motion.velocity, motion.acceleration)
-    damping = secant_damping(coefficients, motion.velocity, motion.acceleration)
+    plain, damping = force_and_damping(coefficients, motion.velocity, motion.acceleration)
     extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:, np.newaxis], -2, 0))
     time_constant = extension.time_constant(damping)
     late = lagged(plain, time_constant, period, state=state)
