@@ -28,11 +28,68 @@ from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.rig import thesis
 from mr_damper_ros.rig.thesis import Condition
 
-AT_THE_NOISE = 1.01
-"""RMSE of a fit over that of the truth."""
+AT_THE_NOISE = 1.0001
+"""RMSE of a fit over that of the truth: the minimum lies no higher, and the search ends in it."""
 
-SAME_MINIMUM = 1e-3
-"""Two methods agree in every coefficient to this part of its standard error."""
+NEAR_THE_NOISE = 1.02
+"""RMSE over the noise that was ordered, which 7001 samples tell to 0.85 %."""
+
+SAME_MINIMUM = 3e-4
+"""Part of a standard error: searches on other ways end in one minimum, to a tenth of this."""
+
+STANDARD_ERRORS = 4.0
+"""By which an estimate may miss the truth: one normal number in 16 000 does."""
+
+THREE_STANDARD_ERRORS = 0.99
+"""Least share within: of 210, two may be outside, and 0.6 of normal numbers are."""
+
+MEAN_SQUARE = 0.25
+"""Of a mean square of 1, which 210 independent errors tell to 0.1 and correlated ones to more."""
+
+COVERAGE = 0.03
+"""Of 0.95: 200 fits tell the share to 0.6 to 1.5 %, as their coefficients are correlated."""
+
+COVERAGE_OF_ONE = 0.046
+"""Of 0.95: three standard errors of a share of 200."""
+
+AT_THE_BOUND = 1.15
+"""Mean variance over the bound: one from 200 draws has a standard error of 0.1."""
+
+BELOW_THE_BOUND = 0.6
+"""Least variance over the bound: four such standard errors; less is a fault of the test."""
+
+REPORTED = 0.02
+"""Of the bound's variances: the mean of 200 measured variances of the noise errs by 0.2 %."""
+
+ROUNDING = 1e-12
+"""Relative: rounding of sums over 2000 samples, and of a parameter from its coefficient."""
+
+NOISELESS = 1e-11
+"""Relative: without noise the search converges quadratically, to rounding."""
+
+WARM_EVALUATIONS = {"least_squares": 20, "nelder_mead": 150}
+"""Most evaluations from the fit of the window before: twice those it takes, or thrice."""
+
+UNPOLISHED = 1.002
+"""RMSE over the least: a standard error in each of seven coefficients costs 7/4000."""
+
+NEAR_THE_RANDOM_NOISE = 1.04
+"""RMSE over the noise that was ordered, which 4000 samples tell to 1.1 %."""
+
+SPOILT = 20.0
+"""Bounds: one sample in twenty is off by 400 N on average, and so is the mean force by 20 N."""
+
+ROBUST_TYPICAL = 1.5
+"""Bounds: the median of a normal error is 0.7 of them."""
+
+ROBUST_WORST = 8.0
+"""Bounds: one-sided outliers leave Huber's estimate a bias of some bounds in the offset."""
+
+ROBUST_VARIANCE = 1.4
+"""Over the bound: 1.05 by Huber's constant, for 95 % efficiency; 40 draws are good for 22 %."""
+
+LED_SOMEWHERE = 0.5
+"""NRMSE: the start's is 39, that of a constant force 1."""
 
 CLEAN = [c for c in thesis.CONDITIONS if thesis.is_clean(c)]
 
@@ -104,13 +161,12 @@ def test_the_coefficients_are_recovered_within_three_standard_errors(
 ) -> None:
     errors = np.abs([case.errors for case in cases.values()])
     assert errors.size == 210
-    assert np.mean(errors <= 3.0) >= 0.99
+    assert np.mean(errors <= 3.0) >= THREE_STANDARD_ERRORS
 
 
 def test_the_errors_have_the_size_that_the_fits_claim(cases: dict[Condition, Case]) -> None:
     errors = np.array([case.errors for case in cases.values()])
-    # 210 squares of standard normal numbers, correlated within a fit: 1 within 0.25.
-    assert np.mean(errors**2) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(errors**2) == pytest.approx(1.0, abs=MEAN_SQUARE)
 
 
 def test_the_recordings_of_the_rig_are_fitted_down_to_the_noise_too() -> None:
@@ -120,7 +176,7 @@ def test_the_recordings_of_the_rig_are_fitted_down_to_the_noise_too() -> None:
     window = Window.from_samples(
         recording.displacement, recording.force, recording.current, recording.period
     )
-    assert fit_window(window, LITERATURE).rmse <= AT_THE_NOISE * known.NOISE * 1.01
+    assert fit_window(window, LITERATURE).rmse <= NEAR_THE_NOISE * known.NOISE
 
 
 # -- statistics over many noise realisations -------------------------------------------------
@@ -146,23 +202,31 @@ def cramer_rao_bound(run: known.Run) -> Array:
     return np.asarray(known.NOISE**2 * np.linalg.inv(jacobian.T @ jacobian))
 
 
+def within_95_percent(fits: list[WindowFit]) -> Array:
+    """Whether the interval of each fit and coefficient holds the truth, shape (fits, 7)."""
+    return np.array(
+        [
+            np.abs(fit.coefficients - TRUTH.coefficients) <= 1.96 * standard_errors(fit)
+            for fit in fits
+        ]
+    )
+
+
 def test_the_95_percent_intervals_cover_95_percent(realisations: list[WindowFit]) -> None:
-    inside = [
-        np.abs(fit.coefficients - TRUTH.coefficients) <= 1.96 * standard_errors(fit)
-        for fit in realisations
-    ]
-    assert 0.91 <= np.mean(inside) <= 0.98
-    # Three standard errors of a share of 200.
-    for name, share in zip(COEFFICIENT_NAMES, np.mean(inside, axis=0), strict=True):
-        assert 0.90 <= share <= 0.995, name
+    assert np.mean(within_95_percent(realisations)) == pytest.approx(0.95, abs=COVERAGE)
+
+
+def test_the_95_percent_intervals_of_each_coefficient_do(realisations: list[WindowFit]) -> None:
+    shares = np.mean(within_95_percent(realisations), axis=0)
+    for name, share in zip(COEFFICIENT_NAMES, shares, strict=True):
+        assert share == pytest.approx(0.95, abs=COVERAGE_OF_ONE), name
 
 
 def test_the_variance_is_at_the_cramer_rao_bound(realisations: list[WindowFit]) -> None:
     errors = np.array([fit.coefficients - TRUTH.coefficients for fit in realisations])
     ratio = np.mean(errors**2, axis=0) / np.diag(cramer_rao_bound(TRUTH))
-    # A variance from 200 draws has a standard error of 10 %.
-    assert np.mean(ratio) <= 1.15, dict(zip(COEFFICIENT_NAMES, ratio.round(2), strict=True))
-    assert np.min(ratio) >= 0.6, "below the bound: the test itself is wrong"
+    assert np.mean(ratio) <= AT_THE_BOUND, dict(zip(COEFFICIENT_NAMES, ratio.round(2), strict=True))
+    assert np.min(ratio) >= BELOW_THE_BOUND, "below the bound: the test itself is wrong"
 
 
 def test_the_reported_covariance_is_the_bound(realisations: list[WindowFit]) -> None:
@@ -170,14 +234,16 @@ def test_the_reported_covariance_is_the_bound(realisations: list[WindowFit]) -> 
     bound = cramer_rao_bound(TRUTH)
     scale = np.sqrt(np.diag(bound))
     np.testing.assert_allclose(
-        reported / np.outer(scale, scale), bound / np.outer(scale, scale), atol=0.1
+        reported / np.outer(scale, scale), bound / np.outer(scale, scale), atol=REPORTED
     )
 
 
 def test_the_coefficients_are_unbiased(realisations: list[WindowFit]) -> None:
     errors = np.array([fit.coefficients - TRUTH.coefficients for fit in realisations])
     bias = errors.mean(axis=0) / (errors.std(axis=0) / math.sqrt(SEEDS))
-    assert np.max(np.abs(bias)) < 4.0, dict(zip(COEFFICIENT_NAMES, bias.round(1), strict=True))
+    assert np.max(np.abs(bias)) < STANDARD_ERRORS, dict(
+        zip(COEFFICIENT_NAMES, bias.round(1), strict=True)
+    )
 
 
 # -- starts ----------------------------------------------------------------------------------
@@ -198,7 +264,8 @@ STARTS = {
 def test_the_minimum_does_not_depend_on_the_start(start: Array, method: str) -> None:
     run = known.run(current=1.0, seed=3)
     fit = fit_window(run.window, start, method=method)
-    assert np.max(np.abs((fit.coefficients - run.coefficients) / standard_errors(fit))) < 4.0
+    errors = (fit.coefficients - run.coefficients) / standard_errors(fit)
+    assert np.max(np.abs(errors)) < STANDARD_ERRORS
 
 
 @pytest.mark.parametrize("factor", [1e-3, 1e3], ids=["millinewtons", "meganewtons"])
@@ -211,7 +278,7 @@ def test_the_fit_does_not_depend_on_the_size_of_the_damper(factor: float) -> Non
     forces = np.isin(COEFFICIENT_NAMES, ("f_t", "f_d"))
     expected = usual.coefficients * np.where(forces, factor, 1.0)
     errors = standard_errors(usual) * np.where(forces, factor, 1.0)
-    np.testing.assert_allclose((scaled.coefficients - expected) / errors, 0.0, atol=0.02)
+    np.testing.assert_allclose((scaled.coefficients - expected) / errors, 0.0, atol=SAME_MINIMUM)
 
 
 def test_the_yield_force_is_positive() -> None:
@@ -231,7 +298,7 @@ def test_the_parameters_have_the_coefficients_of_the_fit() -> None:
     fit = fit_window(run.window, THESIS_28_CELSIUS)
     again = ScaleMisfit(run.window, fit.parameters)
     assert again.sum_of_squares(again.start) == pytest.approx(
-        fit.rmse**2 * fit.sample_count, rel=1e-9
+        fit.rmse**2 * fit.sample_count, rel=ROUNDING
     )
 
 
@@ -244,14 +311,14 @@ def test_a_force_without_noise_is_fitted_exactly_and_without_a_warning(
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fit = fit_window(run.window, start, method=method)
-    np.testing.assert_allclose(fit.coefficients, run.coefficients, rtol=1e-6)
+    np.testing.assert_allclose(fit.coefficients, run.coefficients, rtol=NOISELESS)
 
 
-def test_a_warm_start_needs_few_evaluations() -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_a_warm_start_needs_few_evaluations(method: str) -> None:
     before = fit_window(known.run(current=1.0, seed=1).window, LITERATURE).parameters
     window = known.run(current=1.0, seed=2).window
-    assert fit_window(window, before, method="least_squares").evaluations < 30
-    assert fit_window(window, before, method="nelder_mead").evaluations < 600
+    assert fit_window(window, before, method=method).evaluations < WARM_EVALUATIONS[method]
 
 
 @pytest.mark.parametrize("start", [known.PLAUSIBLE, LITERATURE], ids=["near", "far"])
@@ -263,11 +330,13 @@ def test_nelder_mead_finds_the_minimum_without_a_polish(start: Array) -> None:
     misfit = ScaleMisfit(run.window, away)
     search = LocalSearch(misfit, misfit.start)
     search.nelder_mead()
-    # Within 0.1 % of the residual; the polish that follows in a fit takes the rest.
-    assert math.sqrt(search.best_cost / near.sample_count) <= 1.002 * near.rmse
+    # The polish that follows in a fit takes the rest.
+    assert math.sqrt(search.best_cost / near.sample_count) <= UNPOLISHED * near.rmse
 
 
-def test_random_motion_is_fitted_down_to_the_noise() -> None:
+@pytest.fixture(scope="module")
+def random_fit() -> WindowFit:
+    """The known damper in random motion, searched from scales half as large again."""
     motion = BandLimitedRandom(rms=4e-3, low=0.2, high=3.0, seed=2).at(np.arange(4000) * 1e-3)
     v_m = peak_velocity_of_window(motion.velocity, motion.acceleration, 1e-3)
     coefficients = operating_point_coefficients(known.PLAUSIBLE, v_m, 0.8)
@@ -277,11 +346,17 @@ def test_random_motion_is_fitted_down_to_the_noise() -> None:
     assert window.motion.sine is None
     start = known.PLAUSIBLE.copy()
     start[SCALE_INDICES] *= 1.5
-    fit = fit_window(window, start)
-    assert fit.rmse <= 1.05 * known.NOISE
-    np.testing.assert_allclose(
-        fit.parameters[SCALE_INDICES], known.PLAUSIBLE[SCALE_INDICES], rtol=0.15, atol=0.02
-    )
+    return fit_window(window, start)
+
+
+def test_random_motion_is_fitted_down_to_the_noise(random_fit: WindowFit) -> None:
+    assert random_fit.rmse <= NEAR_THE_RANDOM_NOISE * known.NOISE
+
+
+def test_the_scales_are_recovered_from_random_motion(random_fit: WindowFit) -> None:
+    errors = random_fit.parameters[SCALE_INDICES] - known.PLAUSIBLE[SCALE_INDICES]
+    allowed = STANDARD_ERRORS * np.sqrt(np.diag(random_fit.covariance))
+    np.testing.assert_array_less(np.abs(errors), allowed)
 
 
 # -- outliers --------------------------------------------------------------------------------
@@ -300,7 +375,7 @@ def test_outliers_spoil_the_plain_fit() -> None:
     run = with_outliers(0)
     fit = fit_window(run.window, LITERATURE)
     bound = np.sqrt(np.diag(cramer_rao_bound(run)))
-    assert np.max(np.abs(fit.coefficients - run.coefficients) / bound) > 20.0
+    assert np.max(np.abs(fit.coefficients - run.coefficients) / bound) > SPOILT
 
 
 def test_outliers_hardly_touch_the_robust_fit() -> None:
@@ -311,9 +386,8 @@ def test_outliers_hardly_touch_the_robust_fit() -> None:
         errors.append(
             (fit.coefficients - run.coefficients) / np.sqrt(np.diag(cramer_rao_bound(run)))
         )
-    # One-sided outliers leave Huber's estimate a bias of a few bounds in the offset.
-    assert np.median(np.abs(errors)) < 2.0
-    assert np.max(np.abs(errors)) < 10.0
+    assert np.median(np.abs(errors)) < ROBUST_TYPICAL
+    assert np.max(np.abs(errors)) < ROBUST_WORST
 
 
 def test_without_outliers_the_robust_fit_is_nearly_as_good() -> None:
@@ -323,8 +397,7 @@ def test_without_outliers_the_robust_fit_is_nearly_as_good() -> None:
         fit = fit_window(run.window, known.PLAUSIBLE, method="least_squares", robust=True)
         variances += (fit.coefficients - run.coefficients) ** 2 / 40.0
     ratio = variances / np.diag(cramer_rao_bound(TRUTH))
-    # Huber's constant is chosen for 95 % efficiency; 40 draws are good for 22 %.
-    assert np.mean(ratio) < 1.4
+    assert np.mean(ratio) < ROBUST_VARIANCE
 
 
 # -- stop and errors -------------------------------------------------------------------------
@@ -343,7 +416,7 @@ def test_a_stop_returns_the_best_so_far_and_says_so() -> None:
     assert not fit.success
     assert "best so far" in fit.message
     assert fit.evaluations == 50
-    assert fit.nrmse < 0.5, "fifty evaluations must have led somewhere"
+    assert fit.nrmse < LED_SOMEWHERE, "fifty evaluations must have led somewhere"
 
 
 def test_a_stop_before_the_first_evaluation_returns_the_start() -> None:
@@ -381,7 +454,7 @@ def test_a_window_with_nan_is_refused(name: str) -> None:
 
 def test_the_operating_point_of_a_sine_is_its_peak_velocity() -> None:
     run = known.run(current=0.7)
-    assert run.window.operating_point == pytest.approx((run.top_speed, 0.7), rel=1e-6)
+    assert run.window.operating_point == pytest.approx((run.top_speed, 0.7), rel=ROUNDING)
 
 
 def test_a_part_of_a_window_keeps_its_samples_together() -> None:
