@@ -40,7 +40,49 @@ from mr_damper_ros.identification.pooled import PooledMisfit
 from mr_damper_ros.identification.window import Window
 
 AT_THE_NOISE = 1.06
-"""RMSE over the noise of any one window of a few hundred samples."""
+"""RMSE over the noise: two standard errors of 600 samples, which the worst of 24 windows has."""
+
+AT_THE_NOISE_OF_FEW = 1.15
+"""The same of 250 samples, which tell the noise to 4.5 %: three standard errors."""
+
+STANDARD_ERRORS = 4.0
+"""By which an estimate may miss the truth: one normal number in 16 000 does."""
+
+AT_THE_ESTIMATE = 0.15
+"""Relative: derivatives at the estimate, and not at the truth, change the errors by up to 8 %."""
+
+SAME_SET = 0.1
+"""Standard errors: a search ends where a step gains no more than this."""
+
+PREDICTED = 5e-4
+"""NRMSE: 16 parameters from 14 400 samples leave 1.3e-4 where the noise is 0.4 %."""
+
+ROUNDING = 1e-12
+"""Relative: sums in another order, of residuals that are a two hundredth of the force."""
+
+COMES_NEAR = 0.05
+"""Median NRMSE: a search that is cut short ends at the noise, 0.005, or not far from it."""
+
+BETTER = 1e-4
+"""Mean square over that of the start, whose errors are some 9000 times the noise."""
+
+NOT_MUCH_WORSE = 1.1
+"""Mean square over the truth's: laws that were not polished on the samples err by 5 % of it."""
+
+AT_THE_TRUTH = 0.12
+"""Of a mean square of 1: four of the standard errors of windows of 1500 and 900 samples."""
+
+BY_DIFFERENCES = 1e-8
+"""Relative to the largest derivative: steps of 1e-5 leave 1e-10 of curvature and of rounding."""
+
+LAWS = 1e-6
+"""Of the size of a coefficient: the error that the table of coefficients states."""
+
+BOTTOM = 1e-10
+"""Of bounds of size 1: five hundred generations shrink a population to rounding."""
+
+BOTTOM_COST = BOTTOM**2
+"""The cost so far from the bottom of a bowl."""
 
 CURRENTS = (0.0, 0.5, 1.0, 1.5)
 QUICK = EvolutionSettings(generations=150)
@@ -97,7 +139,9 @@ def test_all_sixteen_are_observable_at_four_currents(found: GlobalFit) -> None:
 def test_all_sixteen_are_recovered(found: GlobalFit) -> None:
     result = found.parameter_set
     errors = (result.values - known.PLAUSIBLE) / result.standard_errors
-    assert np.max(np.abs(errors)) < 4.0, dict(zip(PARAMETER_NAMES, errors.round(1), strict=True))
+    assert np.max(np.abs(errors)) < STANDARD_ERRORS, dict(
+        zip(PARAMETER_NAMES, errors.round(1), strict=True)
+    )
 
 
 def test_the_standard_errors_are_no_larger_than_they_must_be(found: GlobalFit) -> None:
@@ -116,7 +160,7 @@ def test_the_standard_errors_are_no_larger_than_they_must_be(found: GlobalFit) -
     sizes = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian / sizes
     bound = known.NOISE * np.sqrt(np.diag(np.linalg.inv(scaled.T @ scaled))) / sizes
-    np.testing.assert_allclose(found.parameter_set.standard_errors, bound, rtol=0.3)
+    np.testing.assert_allclose(found.parameter_set.standard_errors, bound, rtol=AT_THE_ESTIMATE)
 
 
 def test_every_window_is_fitted_down_to_the_noise(found: GlobalFit) -> None:
@@ -132,22 +176,22 @@ def test_the_figures_of_the_fit_are_those_of_its_windows(found: GlobalFit) -> No
             found.parameter_set.values, m.displacement, m.velocity, m.acceleration, window.current
         )
         nrmse.append(known.rms(predicted - window.force) / np.std(window.force))
-    np.testing.assert_allclose(found.nrmse, nrmse, rtol=1e-9)
+    np.testing.assert_allclose(found.nrmse, nrmse, rtol=ROUNDING)
     assert found.median_nrmse == found.parameter_set.nrmse == pytest.approx(np.median(nrmse))
 
 
 def test_the_set_is_valid_where_the_data_were(found: GlobalFit) -> None:
     assert found.parameter_set.current_range == (0.0, 1.5)
     low, high = found.parameter_set.peak_velocity_range
-    assert low == pytest.approx(2.0 * math.pi * 2.5e-3, rel=1e-2)
-    assert high == pytest.approx(2.0 * math.pi * 3.0 * 10e-3, rel=1e-2)
+    assert low == pytest.approx(2.0 * math.pi * 2.5e-3, rel=ROUNDING)
+    assert high == pytest.approx(2.0 * math.pi * 3.0 * 10e-3, rel=ROUNDING)
 
 
 @pytest.mark.parametrize("start", [THESIS_28_CELSIUS, THESIS_71_CELSIUS], ids=["28C", "71C"])
 def test_the_start_does_not_matter_where_all_is_observable(start: Array, found: GlobalFit) -> None:
     other = identify_global(grid(), start, EvolutionSettings()).parameter_set
     difference = (other.values - found.parameter_set.values) / found.parameter_set.standard_errors
-    assert np.max(np.abs(difference)) < 0.1
+    assert np.max(np.abs(difference)) < SAME_SET
 
 
 def test_a_condition_that_was_not_fitted_is_predicted(found: GlobalFit) -> None:
@@ -155,7 +199,7 @@ def test_a_condition_that_was_not_fitted_is_predicted(found: GlobalFit) -> None:
     predicted = force(
         found.parameter_set.values, run.displacement, run.velocity, run.acceleration, 0.75
     )
-    assert known.rms(predicted - run.clean) / np.std(run.clean) < 0.005
+    assert known.rms(predicted - run.clean) / np.std(run.clean) < PREDICTED
 
 
 # -- what the data do not hold ---------------------------------------------------------------
@@ -279,7 +323,7 @@ def test_standard_errors_are_those_of_the_named_parameters_alone() -> None:
     expected = np.sqrt(np.diag(np.linalg.inv(chosen.T @ chosen)))
     triangular = np.linalg.qr(jacobian, mode="r")
     found = standard_errors(triangular, names)
-    np.testing.assert_allclose([found[name] for name in names], expected, rtol=1e-9)
+    np.testing.assert_allclose([found[name] for name in names], expected, rtol=ROUNDING)
 
 
 # -- methods, seeds, progress, stop, errors --------------------------------------------------
@@ -292,21 +336,21 @@ SMALL = grid(CURRENTS, (5e-3,), (2.0,), 250)
 def test_every_method_reaches_the_noise(method: str) -> None:
     windows = grid((1.0,), (2.5e-3, 5e-3), (1.0,), 250)
     fit = identify_global(windows, LITERATURE, QUICK, method=method)
-    assert excess(windows, fit) < 1.15
+    assert excess(windows, fit) < AT_THE_NOISE_OF_FEW
     assert fit.success
 
 
 def test_differential_evolution_over_the_samples_comes_near() -> None:
     settings = EvolutionSettings(generations=60, population=6)
     fit = identify_global(SMALL, LITERATURE, settings, method="differential_evolution")
-    assert fit.median_nrmse < 0.2
+    assert fit.median_nrmse < COMES_NEAR
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_every_strategy_of_the_thesis_runs(strategy: str) -> None:
     settings = EvolutionSettings(strategy=strategy, generations=100)
     fit = identify_global(SMALL, LITERATURE, settings)
-    assert excess(SMALL, fit) < 1.5
+    assert excess(SMALL, fit) < AT_THE_NOISE_OF_FEW
 
 
 def test_the_same_seed_gives_the_same_set() -> None:
@@ -318,7 +362,7 @@ def test_the_same_seed_gives_the_same_set() -> None:
 def test_the_order_of_the_windows_hardly_matters(found: GlobalFit) -> None:
     other = identify_global(grid()[::-1], LITERATURE, EvolutionSettings()).parameter_set
     difference = (other.values - found.parameter_set.values) / found.parameter_set.standard_errors
-    assert np.max(np.abs(difference)) < 0.1
+    assert np.max(np.abs(difference)) < SAME_SET
 
 
 def test_progress_is_told_and_grows() -> None:
@@ -364,12 +408,13 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
     assert count == after, "it was asked again after it had said stop"
     assert not fit.success
     assert "best so far" in fit.message
-    assert mean_square(SMALL, fit.parameter_set.values) < 0.1 * mean_square(SMALL, LITERATURE)
+    assert mean_square(SMALL, fit.parameter_set.values) < BETTER * mean_square(SMALL, LITERATURE)
 
 
-def test_a_stop_never_returns_something_worse_than_the_start() -> None:
+def test_a_stop_returns_nothing_much_worse_than_the_truth_to_start_from() -> None:
     fit = identify_global(SMALL, known.PLAUSIBLE, QUICK, lambda progress: False)
-    assert mean_square(SMALL, fit.parameter_set.values) <= mean_square(SMALL, known.PLAUSIBLE) * 1.5
+    worst = NOT_MUCH_WORSE * mean_square(SMALL, known.PLAUSIBLE)
+    assert mean_square(SMALL, fit.parameter_set.values) < worst
 
 
 def test_no_windows_are_refused() -> None:
@@ -412,14 +457,16 @@ def test_every_window_counts_the_same() -> None:
 
 
 def test_at_the_truth_only_the_noise_is_left() -> None:
-    assert PooledMisfit(*unequal()).mean_square(known.PLAUSIBLE) == pytest.approx(1.0, abs=0.15)
+    assert PooledMisfit(*unequal()).mean_square(known.PLAUSIBLE) == pytest.approx(
+        1.0, abs=AT_THE_TRUTH
+    )
 
 
 def test_the_cost_of_a_population_is_that_of_its_members() -> None:
     pooled = PooledMisfit(*unequal())
     sets = np.stack((LITERATURE, known.PLAUSIBLE, THESIS_28_CELSIUS))
     expected = [pooled.mean_square(values) for values in sets]
-    np.testing.assert_allclose(pooled.population_cost(sets), expected, rtol=1e-12)
+    np.testing.assert_allclose(pooled.population_cost(sets), expected, rtol=ROUNDING)
 
 
 def test_the_derivatives_of_the_pooled_residual() -> None:
@@ -430,7 +477,8 @@ def test_the_derivatives_of_the_pooled_residual() -> None:
         change = pooled.residual(known.PLAUSIBLE + step) - pooled.residual(known.PLAUSIBLE - step)
         numeric = change / (2.0 * step[known.index(name)])
         analytic = jacobian[:, known.index(name)]
-        assert np.max(np.abs(numeric - analytic)) < 1e-5 * np.max(np.abs(analytic)), name
+        allowed = BY_DIFFERENCES * np.max(np.abs(analytic))
+        assert np.max(np.abs(numeric - analytic)) < allowed, name
 
 
 # -- laws ------------------------------------------------------------------------------------
@@ -452,7 +500,7 @@ def test_the_laws_are_found_from_exact_coefficients() -> None:
     )
     again = np.stack(operating_point_coefficients(parameters, speeds, currents), axis=-1)
     sizes = np.sqrt(np.mean(coefficients**2, axis=0))
-    np.testing.assert_allclose(again / sizes, coefficients / sizes, atol=0.01)
+    np.testing.assert_allclose(again / sizes, coefficients / sizes, rtol=0.0, atol=LAWS)
     assert evaluations > 0
 
 
@@ -495,8 +543,8 @@ def evolved(**settings: object) -> tuple[Array, float, int]:
 
 def test_evolution_finds_the_bottom_of_a_bowl() -> None:
     best, cost, _ = evolved()
-    np.testing.assert_allclose(best, [0.3, -0.7], atol=1e-3)
-    assert cost == pytest.approx(float(bowl(best[:, np.newaxis])[0]))
+    np.testing.assert_allclose(best, [0.3, -0.7], rtol=0.0, atol=BOTTOM)
+    assert cost == float(bowl(best[:, np.newaxis])[0])
 
 
 def test_another_seed_takes_another_way() -> None:
@@ -512,7 +560,7 @@ def test_the_start_joins_the_first_population() -> None:
         stage="bowl",
         start=np.array([0.3, -0.7]),
     )
-    assert cost < 1e-20
+    assert cost < BOTTOM_COST
 
 
 def test_costs_that_are_no_numbers_lose() -> None:
@@ -528,7 +576,7 @@ def test_costs_that_are_no_numbers_lose() -> None:
         stage="holed",
     )
     assert best[0] > 0.0
-    assert cost < 1e-4
+    assert cost < BOTTOM_COST
 
 
 def test_every_individual_is_an_evaluation() -> None:
@@ -578,10 +626,10 @@ def test_settings_out_of_range_are_refused(settings: dict[str, object], sentence
 # -- real recordings -------------------------------------------------------------------------
 
 PER_RECORD = 0.08
-"""Median NRMSE of fits to single records."""
+"""Median NRMSE of fits to single records: the law leaves 6 % of a real damper."""
 
 ONE_SET = 0.105
-"""Median NRMSE of one set for all twenty records."""
+"""Median NRMSE of one set for all twenty records: 9 %, as one law must do for all."""
 
 
 @cache
