@@ -106,6 +106,11 @@ class Window:
             motion, self.force[chosen], self.current[chosen], self.period, places[chosen], whole
         )
 
+    def held_within(self, low: float, high: float) -> Window:
+        """The same window, the peak velocity of its motion held; see :meth:`Motion.held_within`."""
+        whole = None if self.whole is None else self.whole.held_within(low, high)
+        return replace(self, motion=self.motion.held_within(low, high), whole=whole)
+
     def thinned(self, most: int) -> Window:
         """Every so many samples of the window, ``most`` or less than twice as many of them."""
         stride = max(self.sample_count // most, 1)

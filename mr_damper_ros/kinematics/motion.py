@@ -9,7 +9,7 @@ peak velocity of any motion is that of :mod:`mr_damper_ros.kinematics.peak_veloc
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,6 +50,17 @@ class Motion:
     acceleration: Array
     peak_velocity: Array
     sine: Sine | None
+
+    def held_within(self, low: float, high: float) -> Motion:
+        """The same motion, its peak velocity held within ``low`` and ``high`` [m/s].
+
+        How the coefficients of a law depend on the peak velocity is known where it was identified
+        and nowhere else: between the ends of that range.
+        """
+        v_m = self.peak_velocity
+        if v_m.size == 0 or (v_m.min() >= low and v_m.max() <= high):
+            return self
+        return replace(self, peak_velocity=np.clip(v_m, low, high))
 
     @property
     def amplitude(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -132,7 +132,8 @@ class ForcePredictor:
     def _reckon(
         self, motion: Motion, current: Array, parameters: ParameterSet, stream: ForceStream
     ) -> _Reckoned:
-        force = stream.follow(parameters.values, _held(motion, parameters), current)
+        held = motion.held_within(*parameters.peak_velocity_range)
+        force = stream.follow(parameters.values, held, current)
         doubt = self._doubt_of_range(motion, current, parameters)
         return _Reckoned(motion, current, force, bool(np.isfinite(force).all()), doubt)
 
@@ -260,18 +261,6 @@ class ForcePredictor:
             reason=reason,
             continuity=continuity,
         )
-
-
-def _held(motion: Motion, parameters: ParameterSet) -> Motion:
-    """The motion, its peak velocity held within the range that the parameters were identified in.
-
-    How the coefficients depend on the peak velocity is known there and nowhere else.
-    """
-    low, high = parameters.peak_velocity_range
-    v_m = motion.peak_velocity
-    if v_m.min() >= low and v_m.max() <= high:
-        return motion
-    return replace(motion, peak_velocity=np.clip(v_m, low, high))
 
 
 def _middle(values: Array) -> float:

@@ -66,9 +66,13 @@ def bag_windows(path: Path) -> BagWindows:
 
 
 def metrics(found: ParameterSet, windows: Sequence[Window]) -> Metrics:
-    """Error of a parameter set of any model on windows taken together."""
+    """Error of a parameter set of any model on windows taken together.
+
+    As the set is used in a prediction: with the peak velocity held within its range.
+    """
     measured = np.concatenate([window.force for window in windows])
-    predicted = [model_force(found.law, window, found.values) for window in windows]
+    held = [window.held_within(*found.peak_velocity_range) for window in windows]
+    predicted = [model_force(found.law, window, found.values) for window in held]
     residual = np.concatenate(predicted) - measured
     rmse = float(np.sqrt(np.mean(residual**2)))
     nrmse = rmse / float(np.std(measured))
