@@ -25,6 +25,36 @@ TIME = np.arange(40) * 0.01
 DISPLACEMENT_MM = 5.0 * np.sin(20.0 * TIME)
 FORCE = 900.0 * np.cos(20.0 * TIME) + 3.0
 
+WRITTEN_DISPLACEMENT = 1e-9
+"""[m]: six decimals of a millimetre are written."""
+
+WRITTEN_FORCE = 1e-6
+"""[N]: six decimals are written."""
+
+ROUNDING = 1e-13
+"""Relative: a unit and a factor are one or two products."""
+
+ROUNDING_OF_TIMES = 1e-12
+"""Relative: a period is a difference of times, of up to two thousand periods, over their number."""
+
+ROUNDING_OF_CURRENT = 1e-14
+"""[A]: milliamperes are one product."""
+
+ROUNDING_OF_KELVIN = 1e-11
+"""[degC]: a temperature is a difference from 273.15 K."""
+
+REACHED = (0.75, 1.05)
+"""Of the stroke that the name of a record states: the fastest strokes were a fifth shorter."""
+
+PEAK_FORCES = (100.0, 2000.0)
+"""[N]: any unit but the right one would be off by a factor of ten or more."""
+
+PEAK_FORCES_OF_RAW_RECORDS = (1000.0, 2000.0)
+"""[N]: both were made with a strong current."""
+
+STATED_PEAKS = 1e-3
+"""[N]: the peaks stand here with three decimals."""
+
 
 def rows(separator: str = " ", decimal: str = ".") -> list[str]:
     return [
@@ -47,10 +77,12 @@ def write(tmp_path: Path) -> Any:
 
 def assert_is_the_run(path: Path, columns: str = COLUMNS, **options: Any) -> None:
     read = read_record(path, columns, **{"current": 0.5, **options})
-    np.testing.assert_allclose(read.displacement, DISPLACEMENT_MM * 1e-3, atol=1e-9)
-    np.testing.assert_allclose(read.force, FORCE, atol=1e-6)
+    np.testing.assert_allclose(
+        read.displacement, DISPLACEMENT_MM * 1e-3, rtol=0.0, atol=WRITTEN_DISPLACEMENT
+    )
+    np.testing.assert_allclose(read.force, FORCE, rtol=0.0, atol=WRITTEN_FORCE)
     np.testing.assert_array_equal(read.current, np.full(40, 0.5))
-    assert read.period == pytest.approx(0.01, rel=1e-9)
+    assert read.period == pytest.approx(0.01, rel=ROUNDING_OF_TIMES, abs=0.0)
 
 
 def refused(call: Any) -> str:
@@ -104,9 +136,13 @@ def test_a_column_may_be_skipped(write: Any) -> None:
 def test_current_and_temperature_columns(write: Any) -> None:
     lines = [f"{row} {k * 10} {300 + k}" for k, row in enumerate(rows())]
     read = read_record(write(lines), COLUMNS + ",current:mA,temperature:K")
-    np.testing.assert_allclose(read.current, np.arange(40) * 0.01, atol=1e-12)
+    np.testing.assert_allclose(
+        read.current, np.arange(40) * 0.01, rtol=0.0, atol=ROUNDING_OF_CURRENT
+    )
     assert read.temperature is not None
-    np.testing.assert_allclose(read.temperature, 26.85 + np.arange(40), atol=1e-9)
+    np.testing.assert_allclose(
+        read.temperature, 26.85 + np.arange(40), rtol=0.0, atol=ROUNDING_OF_KELVIN
+    )
 
 
 def test_a_sample_counter_is_a_time(write: Any) -> None:
@@ -121,7 +157,7 @@ def test_a_period_stands_for_a_time_column(write: Any) -> None:
 def test_a_part_is_cut_out_by_seconds_from_the_first_sample(write: Any) -> None:
     path = write([f"{1000 + float(row[:8])}{row[8:]}" for row in rows()])
     part = read_record(path, COLUMNS, current=0.5, start=0.1, stop=0.2)
-    np.testing.assert_allclose(part.force, FORCE[10:21], atol=1e-6)
+    np.testing.assert_allclose(part.force, FORCE[10:21], rtol=0.0, atol=WRITTEN_FORCE)
     assert part.start_ns == DEFAULT_START_NS + 1_000_100_000_000
 
 
@@ -134,7 +170,7 @@ def test_rounded_times_are_taken_as_even_and_it_is_said(write: Any) -> None:
     # 1024 Hz, printed with four decimals.
     lines = [f"{k / 1024:.4f} {np.sin(k / 10)} {k}" for k in range(2049)]
     read = read_record(write(lines), COLUMNS, current=0.0)
-    assert read.period == pytest.approx(1.0 / 1024, rel=1e-7)
+    assert read.period == pytest.approx(1.0 / 1024, rel=ROUNDING_OF_TIMES, abs=0.0)
     assert "the times waver by" in read.details["note"]
 
 
@@ -158,7 +194,9 @@ def test_units_and_factors_multiply(
         if c.quantity == quantity
     )
     scale = UNITS[quantity][unit][0]
-    assert column.to_si(np.array([3.0]))[0] == pytest.approx(3.0 * factor * scale, rel=1e-12)
+    assert column.to_si(np.array([3.0]))[0] == pytest.approx(
+        3.0 * factor * scale, rel=ROUNDING, abs=0.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -166,7 +204,7 @@ def test_units_and_factors_multiply(
 )
 def test_temperatures(unit: str, value: float, celsius: float) -> None:
     column = parse_columns(f"displacement:m,force:N,temperature:{unit}")[2]
-    assert column.to_si(np.array([value]))[0] == pytest.approx(celsius, abs=1e-9)
+    assert column.to_si(np.array([value]))[0] == pytest.approx(celsius, abs=ROUNDING_OF_KELVIN)
 
 
 # ---- MAT files ----
@@ -359,7 +397,7 @@ def test_a_file_becomes_a_bag_and_its_ranges_are_shown(
     assert "40 samples, 10 ms apart (100 Hz), 0.4 s" in shown
     assert f"displacement  {DISPLACEMENT_MM.min():.6g} to {DISPLACEMENT_MM.max():.6g} mm" in shown
     (read,) = read_bag(bag)
-    np.testing.assert_allclose(read.force, FORCE, atol=1e-6)
+    np.testing.assert_allclose(read.force, FORCE, rtol=0.0, atol=WRITTEN_FORCE)
     assert read.details["provenance"] == "imported from run.txt"
 
 
@@ -436,8 +474,8 @@ def test_every_processed_record_reads_unchanged(laboratory: Path) -> None:
         amplitude = float(path.stem.partition("mm")[0]) * 1e-3
         read = read_record(path, "time:s,displacement:mm,velocity:mm/s,force:N", current=0.5)
         assert read.period == pytest.approx(1e-3 if path.stem.startswith("10mm") else 5e-3)
-        assert 0.75 < np.ptp(read.displacement) / (2.0 * amplitude) < 1.05
-        assert 100.0 < read.force.max() < 2000.0
+        assert REACHED[0] < np.ptp(read.displacement) / (2.0 * amplitude) < REACHED[1]
+        assert PEAK_FORCES[0] < read.force.max() < PEAK_FORCES[1]
 
 
 @pytest.mark.parametrize("name", ["ME25mm0x25Hz", "ME2mm5Hz"])
@@ -453,7 +491,7 @@ def test_raw_records_read_unchanged(laboratory: Path, name: str, columns: str) -
     whole = read_record(path, columns, current=0.5)
     assert whole.period == 0.005
     assert whole.sample_count == sum(1 for _ in path.open()) - 7
-    assert 1000.0 < whole.force.max() < 2000.0
+    assert PEAK_FORCES_OF_RAW_RECORDS[0] < whole.force.max() < PEAK_FORCES_OF_RAW_RECORDS[1]
     part = read_record(path, columns, current=0.0, start=2.0, stop=9.0)
     np.testing.assert_array_equal(part.force, whole.force[400:1801])
 
@@ -469,4 +507,4 @@ def test_the_earthquake_record_reads_unchanged(laboratory: Path) -> None:
         ).force.max()
         for k, current in enumerate((0.2, 0.6, 1.0))
     ]
-    assert peaks == pytest.approx([345.566, 907.709, 1211.784], abs=1e-3)
+    assert peaks == pytest.approx([345.566, 907.709, 1211.784], abs=STATED_PEAKS)
