@@ -73,8 +73,8 @@ def test_a_sine_is_recovered(
     t = np.arange(samples) * period
     fit = fit_sine(offset + amplitude * np.sin(2.0 * np.pi * frequency * t + phase), period)
     assert fit is not None
-    assert fit.amplitude == pytest.approx(amplitude, rel=EXACT)
-    assert fit.frequency == pytest.approx(frequency, rel=EXACT)
+    assert fit.amplitude == pytest.approx(amplitude, rel=EXACT, abs=0.0)
+    assert fit.frequency == pytest.approx(frequency, rel=EXACT, abs=0.0)
     assert fit.offset == pytest.approx(offset, abs=EXACT * amplitude)
     assert math.remainder(fit.phase - phase, 2.0 * math.pi) == pytest.approx(0.0, abs=EXACT)
     assert fit.residual_rms <= EXACT * amplitude
@@ -178,13 +178,15 @@ def test_a_sine_has_its_own_peak_velocity_and_centre() -> None:
     motion = window_motion(run.displacement + 0.02, PERIOD)
     np.testing.assert_allclose(motion.peak_velocity, run.top_speed, rtol=EXACT)
     assert relative(motion.displacement, run.displacement) < EXACT
-    assert motion.amplitude == pytest.approx(5e-3, rel=EXACT)
+    assert motion.amplitude == pytest.approx(5e-3, rel=EXACT, abs=0.0)
     assert motion.frequency == pytest.approx(1.0, rel=EXACT)
 
 
 def test_another_motion_is_counted_from_the_middle_of_its_span() -> None:
     motion = window_motion(triangle(4.0, 0.3) + 0.02, PERIOD)
-    assert motion.displacement.max() == pytest.approx(-motion.displacement.min(), rel=MIDDLE)
+    assert motion.displacement.max() == pytest.approx(
+        -motion.displacement.min(), rel=MIDDLE, abs=0.0
+    )
     assert motion.amplitude == pytest.approx(5e-3, rel=SAMPLED_PEAKS)
     assert math.isnan(motion.frequency)
 
