@@ -30,7 +30,7 @@ _COLD_HYSTERESIS = (0.0, -0.2, -0.4)
 POOR_START = 0.25
 """Where the start leaves more than this part of the force's variance, others are tried too."""
 
-_ROUGHLY, _FEW_STEPS = 1e-3, 40
+_ROUGHLY, _FEW_STEPS = 0.01, 20
 """Relative tolerance of the sum of squares, and steps, after which two starts are compared."""
 
 
