@@ -34,6 +34,39 @@ SAMPLES = 1000
 STILL = 1e-9
 """A drift rate [1/sqrt(s)] of nothing: the filter then only averages."""
 
+AS_AT_ONCE = 0.05
+"""Standard errors: the posterior of a nearly linear problem does not mind the order of samples."""
+
+SAME_ERRORS = 0.05
+"""Relative: half of the samples tell the noise, and with it all errors, to 1.6 %."""
+
+FORGOTTEN = 3.0
+"""Standard errors: a wide prior bends the law within its sigma points, which leaves a trace."""
+
+FOLLOWED = 1.02
+"""RMSE over that of the noise: 2 % of 1000 samples are a few standard errors in seven scales."""
+
+NEAR_THE_NOISE = 1.03
+"""RMSE over the noise that was ordered, which 1500 samples tell to 1.8 %."""
+
+MEAN_SQUARE = 0.35
+"""Of a mean square of 1: three standard errors of 40 runs, whose seven scores are correlated."""
+
+LESS_MOVED = 0.25
+"""Of the error of the plain filter: outliers keep the weight of errors of usual size."""
+
+BENT = 1e-5
+"""NRMSE: without noise only the law's bend within the sigma points is left, 1e-6 at this rate."""
+
+FOLLOWED_SCALE = 1e-3
+"""Relative: six standard errors of a report, 1.6e-4, as the filter lags behind a little too."""
+
+STANDARD_ERRORS = 4.0
+"""By which a scale may miss the truth: one normal number in 16 000 does."""
+
+ONCE = 0.1
+"""Relative: samples that counted for every window they are in would make the error 0.63 times."""
+
 WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
 
 
@@ -81,14 +114,13 @@ def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
 
 
 def test_without_drift_two_halves_give_what_the_fit_of_the_whole_gives() -> None:
-    # The posterior of a nearly linear problem does not mind in which order samples come.
     whole = known.run(samples=4000).window
     first, last = whole.part(slice(0, 2000)), whole.part(slice(2000, None))
     at_once = fit_window(whole, known.PLAUSIBLE, method="least_squares")
     in_turn = filtered(fitted(first), last)
     errors = np.sqrt(np.diag(at_once.covariance))
-    assert np.max(np.abs(in_turn.scales - at_once.scales) / errors) < 0.3
-    assert np.sqrt(np.diag(in_turn.covariance)) == pytest.approx(errors, rel=0.1)
+    assert np.max(np.abs(in_turn.scales - at_once.scales) / errors) < AS_AT_ONCE
+    assert np.sqrt(np.diag(in_turn.covariance)) == pytest.approx(errors, rel=SAME_ERRORS)
 
 
 def test_a_fast_walk_forgets_the_past() -> None:
@@ -96,15 +128,14 @@ def test_a_fast_walk_forgets_the_past() -> None:
     alone = fit_window(now, known.PLAUSIBLE, method="least_squares")
     followed = filtered(fitted(known.run(seed=1).window), now, rate=2e-2)
     errors = np.sqrt(np.diag(alone.covariance))
-    # A wide prior bends the law within its sigma points: that leaves a trace.
-    assert np.max(np.abs(followed.scales - alone.scales) / errors) < 3.0
+    assert np.max(np.abs(followed.scales - alone.scales) / errors) < FORGOTTEN
 
 
 def test_a_sudden_change_is_followed_within_the_window() -> None:
     leaking = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
     run = known.run(leaking, samples=SAMPLES, seed=3)
     followed = filtered(fitted(known.run(seed=1).window), run.window)
-    assert followed.rmse < 1.02 * run.noise_rms
+    assert followed.rmse < FOLLOWED * run.noise_rms
 
 
 def test_the_errors_are_as_large_as_it_says() -> None:
@@ -115,7 +146,7 @@ def test_the_errors_are_as_large_as_it_says() -> None:
         found = filtered(fitted(first.window), last.window)
         errors = np.sqrt(np.diag(found.coefficient_covariance))
         scores.append((found.coefficients - last.coefficients) / errors)
-    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.35)
+    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=MEAN_SQUARE)
 
 
 def test_outliers_hardly_move_a_robust_filter() -> None:
@@ -128,7 +159,7 @@ def test_outliers_hardly_move_a_robust_filter() -> None:
         known.rms(filtered(before, spoilt.window, rate=1e-2, robust=r).scales / clean.scales - 1.0)
         for r in (False, True)
     )
-    assert robust < 0.5 * plain
+    assert robust < LESS_MOVED * plain
 
 
 def test_a_force_without_noise_is_followed() -> None:
@@ -136,7 +167,7 @@ def test_a_force_without_noise_is_followed() -> None:
         fitted(known.run(seed=1).window), known.run(samples=SAMPLES, seed=None).window, rate=1e-2
     )
     assert np.isfinite(found.scales).all()
-    assert found.nrmse < 1e-2
+    assert found.nrmse < BENT
 
 
 def test_a_motion_that_is_no_sine_is_followed() -> None:
@@ -149,7 +180,7 @@ def test_a_motion_that_is_no_sine_is_followed() -> None:
     noise = np.random.default_rng(5).normal(0.0, known.NOISE, 3000)
     window = Window(m, truth + noise, mixed.current)
     state = fitted(window.part(slice(0, 1500)))
-    assert filtered(state, window.part(slice(1500, None))).rmse < 1.03 * known.NOISE
+    assert filtered(state, window.part(slice(1500, None))).rmse < NEAR_THE_NOISE * known.NOISE
 
 
 def test_a_fit_that_leaves_a_scale_open_starts_no_filter() -> None:
@@ -168,7 +199,21 @@ def test_the_first_window_is_fitted_and_the_next_ones_are_filtered() -> None:
     assert [report.accepted for report in reports] == [True] * 3
 
 
-def test_it_follows_the_drift_and_knows_its_error() -> None:
+@dataclasses.dataclass(frozen=True, eq=False)
+class Drifted:
+    """Windows of a drifting force after the first (n,): reports, and true scales [1]."""
+
+    reports: list[Report]
+    truth: np.ndarray
+
+    @property
+    def scales(self) -> np.ndarray:
+        return np.array([report.scale.value for report in self.reports])
+
+
+@pytest.fixture(scope="module")
+def drifted() -> Drifted:
+    """A damper that heats from 28 to 71 °C in forty windows."""
     tracked = WindowTracker(
         TrackerSettings(tracker=METHOD, method="least_squares", global_period=0),
         ParameterSet(LITERATURE),
@@ -182,10 +227,20 @@ def test_it_follows_the_drift_and_knows_its_error() -> None:
             known.raw_window(dataclasses.replace(run, force=clean + noise), number=number)
         )
         truth.append(float(clean @ run.clean) / float(run.clean @ run.clean))
-    reports = fed(tracked, *windows)
-    assert all(report.accepted for report in reports)
-    found = np.array([report.scale.value for report in reports[1:]])
-    np.testing.assert_allclose(found, truth[1:], rtol=0.01)
+    return Drifted(fed(tracked, *windows)[1:], np.array(truth[1:]))
+
+
+def test_every_window_of_a_drift_is_accepted(drifted: Drifted) -> None:
+    assert all(report.accepted for report in drifted.reports)
+
+
+def test_it_follows_the_drift(drifted: Drifted) -> None:
+    np.testing.assert_allclose(drifted.scales, drifted.truth, rtol=FOLLOWED_SCALE)
+
+
+def test_it_knows_the_error_of_the_drift(drifted: Drifted) -> None:
+    errors = np.array([report.scale.standard_error for report in drifted.reports])
+    assert np.max(np.abs(drifted.scales - drifted.truth) / errors) < STANDARD_ERRORS
 
 
 def test_overlapping_windows_use_every_sample_once() -> None:
@@ -206,7 +261,7 @@ def test_overlapping_windows_use_every_sample_once() -> None:
     results = [run_fit(t.window_task(cut(2000))) for t in (once, twice)]
     assert all(result.fit is not None for result in results)
     errors = [known.rms(t.parameters.standard_errors[[0, 3]]) for t in (once, twice)]
-    assert errors[0] == pytest.approx(errors[1], rel=0.35)
+    assert errors[0] == pytest.approx(errors[1], rel=ONCE)
 
 
 @pytest.mark.parametrize("spoil", ["noise", "clipped", "nan"])
