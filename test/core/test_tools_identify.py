@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import known
 import numpy as np
 import pytest
 
@@ -26,6 +27,7 @@ from mr_damper_ros.damper.sigmoid import (
     operating_point_coefficients,
 )
 from mr_damper_ros.identification.evolution import GlobalProgress
+from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.rig.bags import read_bag, write_bag
 from mr_damper_ros.rig.thesis import CONDITIONS, is_clean, parameters, synthesise
 from mr_damper_ros.tools import identify, validate
@@ -125,6 +127,19 @@ def test_validate_gives_the_errors_that_identify_gave(tmp_path: Path) -> None:
     validation = json.loads(report.read_text())
     assert list(validation) == ["bags"]
     assert validation["bags"][0]["metrics"] == pytest.approx(document["bags"][0]["metrics"])
+
+
+def test_validate_does_not_extrapolate_the_law(tmp_path: Path) -> None:
+    # The bag's peak velocity, 31 mm/s, lies below what the set was identified at.
+    file, report = tmp_path / "set.yaml", tmp_path / "validation.json"
+    found = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.05, 0.2))
+    file.write_text(found.to_yaml())
+    assert validate.main([str(file), str(ONE_RUN), "--json", str(report)]) == 0
+    (entry,) = json.loads(report.read_text())["bags"]
+    motion = window_motion(RUN.displacement, RUN.period)
+    lowest = dataclasses.replace(motion, peak_velocity=np.full(RUN.force.size, 0.05))
+    force = found.law.force(found.values, lowest, RUN.current, RUN.period)
+    assert entry["metrics"]["rmse"] == pytest.approx(known.rms(force - RUN.force))
 
 
 def test_validate_takes_a_set_of_any_model(tmp_path: Path) -> None:
