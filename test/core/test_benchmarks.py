@@ -46,6 +46,36 @@ KEYS = [
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)
 
+NOISE_OF_300 = 0.15
+"""Relative: 300 samples tell the noise to 4.1 %, of which a fit takes 1.2 %."""
+
+VARIANCE_OF_60 = 0.4
+"""Of a ratio of 1: two standard errors of a variance from 60 draws."""
+
+COVERAGE_OF_60 = 0.88
+"""Least share of 95 % intervals: 60 fits tell it to 2.8 %, as their coefficients are correlated."""
+
+END_OF_THE_DRIFT = 0.3
+"""[degC]: a cycle of this short drift heats by 0.7 K, and not evenly."""
+
+FOLLOWED = 0.01
+"""Relative error of the scale: the force falls by 0.4 % a second, and a window is 2 s long."""
+
+FITTED = 0.01
+"""NRMSE: the noise is 0.6 to 0.7 % of the force."""
+
+PREDICTED = (1.0, 3.0)
+"""NRMSE over that of fresh fits, which are the best there is; the force drifts in between."""
+
+SOON = 0.5
+"""Windows: four of the looks between two windows."""
+
+SAMPLED_PEAKS = 1e-5
+"""Relative: the peaks lie up to half a sample, pi/1000 of phase, from the samples next to them."""
+
+AT_THE_NOISE = 1.6
+"""Median NRMSE [%]: the noise is 2.0 % and 0.8 % of the forces."""
+
 
 # -- figures and the program -----------------------------------------------------------------
 
@@ -128,7 +158,7 @@ def test_medians_are_taken_of_works_that_ran_in_turn() -> None:
     calls: list[str] = []
     medians = interleaved_medians((lambda: calls.append("a"), lambda: calls.append("b")), (2, 6))
     assert "".join(calls) == "abbbabbb"
-    assert all(value >= 0.0 for value in medians)
+    assert len(medians) == 2
 
 
 # -- what is measured ------------------------------------------------------------------------
@@ -139,7 +169,7 @@ def test_the_reference_reaches_the_noise_from_a_near_start() -> None:
     window = steady_window(scaled(truth, 0.99), find(CONDITION), samples=300, seed=2)
     found, norm = window_refit.reference_fit(window, np.array(truth))
     assert found.shape == (16,)
-    assert norm / math.sqrt(300) == pytest.approx(5.53, rel=0.15)
+    assert norm / math.sqrt(300) == pytest.approx(known.NOISE, rel=NOISE_OF_300)
 
 
 def test_a_refit_is_compared_at_the_same_residual() -> None:
@@ -168,18 +198,25 @@ def test_repeated_searches_do_not_depend_on_the_number_of_workers() -> None:
     assert alone == shared
 
 
-def test_the_scatter_is_that_of_the_bound() -> None:
-    found = noise_limit.scatter(60, 500)
-    assert found.errors.shape == (60, 7)
-    assert np.mean(found.ratios) == pytest.approx(1.0, abs=0.4)
-    assert 0.88 < found.coverage < 1.0
+@pytest.fixture(scope="module")
+def scatter() -> noise_limit.Scatter:
+    return noise_limit.scatter(60, 500)
+
+
+def test_the_scatter_is_that_of_the_bound(scatter: noise_limit.Scatter) -> None:
+    assert scatter.errors.shape == (60, 7)
+    assert np.mean(scatter.ratios) == pytest.approx(1.0, abs=VARIANCE_OF_60)
+
+
+def test_most_intervals_and_not_all_hold_the_truth(scatter: noise_limit.Scatter) -> None:
+    assert COVERAGE_OF_60 < scatter.coverage < 1.0
 
 
 def test_the_thermal_model_reaches_71_degrees_in_the_time_given() -> None:
     run = drift.bag(60.0)
     assert run.temperature is not None
     assert run.temperature[0] == pytest.approx(28.0)
-    assert run.temperature[-1] == pytest.approx(71.0, abs=0.3)
+    assert run.temperature[-1] == pytest.approx(71.0, abs=END_OF_THE_DRIFT)
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
@@ -187,14 +224,14 @@ def test_a_drift_is_followed_and_compared_with_the_truth(tracker: str) -> None:
     settings = TrackerSettings(tracker=tracker, method="least_squares", global_period=0)
     found = drift.measure(drift.bag(60.0), settings)
     assert found.scale_errors.size > 40
-    assert found.scale_error_p95 < 0.02
+    assert found.scale_error_p95 < FOLLOWED
     assert found.predicted.shape == found.fitted.shape
-    assert np.all(found.fitted < 0.02)
-    assert 0.9 < found.nrmse_ratio < 3.0
+    assert np.all(found.fitted < FITTED)
+    assert PREDICTED[0] < found.nrmse_ratio < PREDICTED[1]
 
 
 def test_a_step_is_counted_in_windows_from_when_it_comes() -> None:
-    assert 0.0 < force_step.windows_until_right(0.5, FAST) < 2.0
+    assert 0.0 < force_step.windows_until_right(0.5, FAST) < SOON
 
 
 def test_a_step_that_is_never_followed_counts_as_infinite(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,7 +264,7 @@ def test_records_are_read_with_the_current_in_their_name(tmp_path: Path) -> None
     np.savetxt(folder / "5mm1Hz0x25A.txt", np.column_stack(columns))
     (window,) = recordings.processed_windows(tmp_path)
     assert set(window.current) == {0.25}
-    assert np.ptp(window.motion.displacement) == pytest.approx(0.01, rel=0.05)
+    assert np.ptp(window.motion.displacement) == pytest.approx(0.01, rel=SAMPLED_PEAKS)
     (folder / "unknown.txt").write_text("1 2 3 4\n")
     with pytest.raises(ValueError, match="does not end with a current"):
         recordings.processed_windows(tmp_path)
@@ -236,4 +273,4 @@ def test_records_are_read_with_the_current_in_their_name(tmp_path: Path) -> None
 def test_the_median_error_of_one_set_for_all_windows() -> None:
     windows = [known.run(current=i, samples=500).window for i in (0.3, 1.2)]
     quick = EvolutionSettings(generations=20, population=8)
-    assert utfsm_sixteen.median_nrmse_percent(windows, quick) < 3.0
+    assert utfsm_sixteen.median_nrmse_percent(windows, quick) < AT_THE_NOISE
