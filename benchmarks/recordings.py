@@ -12,7 +12,7 @@ from mr_damper_ros.rig.readers import read_record
 
 NONE = "MR_DAMPER_DATA is not set to a folder that holds utfsm."
 _COLUMNS = "time:s,displacement:mm,velocity:mm/s,force:N"
-_CURRENT = re.compile(r"Hz(\d+(?:x\d+)?)A$")
+_NAME = re.compile(r"(.+Hz)(\d+(?:x\d+)?)A$")
 
 
 def folder() -> Path | None:
@@ -22,13 +22,22 @@ def folder() -> Path | None:
     return path if place and path.is_dir() else None
 
 
-def processed_windows(utfsm: Path) -> list[Window]:
-    """The sinusoid records in ``processed``, whole, ramps included; the name tells the current."""
-    windows = []
+def processed_motions(utfsm: Path) -> dict[str, list[Window]]:
+    """The sinusoid records in ``processed``, whole, ramps included, by amplitude and frequency.
+
+    Both are in the name, and so is the current. Raises ValueError for a name that tells none.
+    """
+    motions: dict[str, list[Window]] = {}
     for path in sorted((utfsm / "processed").glob("*.txt")):
-        current = _CURRENT.search(path.stem)
-        if current is None:
+        told = _NAME.match(path.stem)
+        if told is None:
             raise ValueError(f"{path.name}: the name does not end with a current, such as 0x25A")
-        value = float(current[1].replace("x", "."))
-        windows.append(window_of(read_record(path, _COLUMNS, current=value)))
-    return windows
+        current = float(told[2].replace("x", "."))
+        window = window_of(read_record(path, _COLUMNS, current=current))
+        motions.setdefault(told[1], []).append(window)
+    return motions
+
+
+def processed_windows(utfsm: Path) -> list[Window]:
+    """All of them."""
+    return [window for windows in processed_motions(utfsm).values() for window in windows]

@@ -19,6 +19,7 @@ from benchmarks import (
     noise_limit,
     recordings,
     repeated_evolution,
+    utfsm_left_out,
     utfsm_sixteen,
     whole_damper,
     window_refit,
@@ -26,6 +27,7 @@ from benchmarks import (
 from benchmarks.dampers import clean_windows, steady_window
 from benchmarks.figure import Figure, table
 from benchmarks.timing import interleaved_medians
+from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES
 from mr_damper_ros.identification.evolution import EvolutionSettings
 from mr_damper_ros.rig.emulator import scaled
@@ -40,6 +42,7 @@ KEYS = [
     *("drift_scale_error_p95_percent", "drift_nrmse_ratio", "step_windows"),
     *("ukf_drift_scale_error_p95_percent", "ukf_step_windows"),
     *("utfsm_sixteen_nrmse", "utfsm_extended_nrmse"),
+    *("utfsm_left_out_sixteen_nrmse", "utfsm_left_out_extended_nrmse"),
     *("earthquake_online_fit", "earthquake_online_sixteen_fit"),
     *("earthquake_static_fit", "earthquake_static_mean", "earthquake_static_sixteen_fit"),
     "stream_nrmse_ratio",
@@ -256,12 +259,31 @@ def test_without_recordings_the_figure_says_so(monkeypatch: pytest.MonkeyPatch) 
     assert "MR_DAMPER_DATA is not set" in figure.note
 
 
+def write_record(folder: Path, name: str, run: known.Run) -> None:
+    """A text file as the recordings are, of a run of 1000 samples."""
+    folder.mkdir(exist_ok=True)
+    columns = (np.arange(1000) * 1e-3, 1e3 * run.displacement, 1e3 * run.velocity, run.force)
+    np.savetxt(folder / f"{name}.txt", np.column_stack(columns))
+
+
+def test_a_motion_is_predicted_by_the_set_of_the_others(tmp_path: Path) -> None:
+    # The same peak velocity: what is seen of one motion holds for the other.
+    for name, amplitude, frequency in (("5mm2Hz", 5e-3, 2.0), ("2x5mm4Hz", 2.5e-3, 4.0)):
+        for ampere, current in (("0x5", 0.5), ("1", 1.0)):
+            run = known.run(amplitude=amplitude, frequency=frequency, current=current, samples=1000)
+            write_record(tmp_path / "processed", f"{name}{ampere}A", run)
+    median, mean = utfsm_left_out.left_out_nrmse(tmp_path, LITERATURE)
+    alone = [
+        100.0 * known.NOISE / np.std(window.force)
+        for window in recordings.processed_windows(tmp_path)
+    ]
+    assert median == pytest.approx(np.median(alone), rel=NOISE_OF_300)
+    assert mean == pytest.approx(np.mean(alone), rel=NOISE_OF_300)
+
+
 def test_records_are_read_with_the_current_in_their_name(tmp_path: Path) -> None:
     folder = tmp_path / "processed"
-    folder.mkdir()
-    run = known.run(samples=1000)
-    columns = (np.arange(1000) * 1e-3, 1e3 * run.displacement, 1e3 * run.velocity, run.force)
-    np.savetxt(folder / "5mm1Hz0x25A.txt", np.column_stack(columns))
+    write_record(folder, "5mm1Hz0x25A", known.run(samples=1000))
     (window,) = recordings.processed_windows(tmp_path)
     assert set(window.current) == {0.25}
     assert np.ptp(window.motion.displacement) == pytest.approx(0.01, rel=SAMPLED_PEAKS)
