@@ -67,6 +67,8 @@ def with_prior(
     if math.isfinite(fastest):
         sine = _sine(fastest, window.operating_point[1])
         width = np.minimum(width, _width(ScaleMisfit(sine, running[:SIGMOID_COUNT])))
+    if not np.isfinite(width).all():
+        return fit  # A set without any force knows nothing.
     left = misfit.residual(fit.scales)
     length = max(correlation_length(left), 1)
     # A fit with seven scales leaves less of few independent samples than is there.
@@ -95,11 +97,16 @@ def with_prior(
 
 
 def _width(misfit: ScaleMisfit) -> Array:
-    """Standard deviation (7,) of the change of each scale between two windows, by its effect."""
+    """Standard deviation (7,) of the change of each scale between two windows, by its effect.
+
+    Infinite where there is no force to compare it with.
+    """
     jacobian = misfit.jacobian(misfit.start)
     effect = np.sqrt(np.mean(jacobian**2, axis=0))
     force = misfit.residual(misfit.start) + misfit.window.force
     strength = float(np.sqrt(np.mean(force**2)))
+    if strength == 0.0:
+        return np.full(effect.size, np.inf)
     return np.asarray(WANDER * strength / np.maximum(effect, 1e-12 * strength))
 
 

@@ -110,6 +110,16 @@ def test_a_sudden_change_is_followed_at_once() -> None:
     assert weighed.rmse < AS_WELL * alone.rmse
 
 
+@pytest.mark.parametrize("fastest", [0.1, np.inf])
+def test_a_running_set_without_force_does_not_spoil_the_fit(fastest: float) -> None:
+    nothing = RUNNING.copy()
+    nothing[0] = 0.0
+    window = steady()
+    alone = own(window)
+    weighed = with_prior(SIGMOID, alone, window, nothing, fastest=fastest)
+    assert weighed.rmse < AS_WELL * alone.rmse
+
+
 def test_other_models_are_left_alone() -> None:
     window = steady()
     alone = own(window)
