@@ -38,6 +38,17 @@ SCALE_PARAMETER_NAMES = ("f0", "a0", "k1c", "k1e", "k4", "k6", "k5")
 SHAPE_PARAMETER_NAMES = tuple(n for n in PARAMETER_NAMES if n not in SCALE_PARAMETER_NAMES)
 """The nine parameters that only several operating points can tell apart."""
 
+DEPENDENCES = {
+    "f_t": ("f0", "a1", "k2", "a2", "I0"),
+    "alpha": ("a0", "k0"),
+    "k_c": ("k1c", "a4"),
+    "k_e": ("k1e", "a4"),
+    "v_h": ("k4", "k3", "a3", "I1"),
+    "v_d": ("k6",),
+    "f_d": ("f0", "a1", "k2", "a2", "I0", "k5"),
+}
+"""The parameters that each coefficient depends on."""
+
 _INDEX = {name: position for position, name in enumerate(PARAMETER_NAMES)}
 
 _PAIRS = (
@@ -290,10 +301,11 @@ def coefficient_parameter_jacobian(
     v_m, i = np.broadcast_arrays(
         np.atleast_1d(np.asarray(peak_velocity, dtype=float)), np.asarray(current, dtype=float)
     )
-    jacobian = np.zeros((*v_m.shape, len(COEFFICIENT_NAMES), len(PARAMETER_NAMES)))
+    # What depends on one another lies together: most of the array is zero and never touched.
+    jacobian = np.zeros((len(COEFFICIENT_NAMES), len(PARAMETER_NAMES), *v_m.shape))
 
     def put(coefficient: int, parameter: str, derivative: Array) -> None:
-        jacobian[:, coefficient, _INDEX[parameter]] = derivative
+        jacobian[coefficient, _INDEX[parameter]] = derivative
 
     growth = _exp(p["a1"] * v_m)
     on, off = p["a2"] * (i + p["I0"]), p["a2"] * p["I0"]
@@ -328,9 +340,10 @@ def coefficient_parameter_jacobian(
     put(5, "k6", v_m)
 
     # f_d = k5 f_t
-    jacobian[:, 6, :] = p["k5"] * jacobian[:, 0, :]
+    for parameter in DEPENDENCES["f_t"]:
+        put(6, parameter, p["k5"] * jacobian[0, _INDEX[parameter]])
     put(6, "k5", scale * yield_gain)
-    return jacobian
+    return np.moveaxis(jacobian, -1, 0)
 
 
 def parameter_jacobian(

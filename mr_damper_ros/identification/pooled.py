@@ -24,6 +24,9 @@ from mr_damper_ros.damper.extension import (
     is_extended,
 )
 from mr_damper_ros.damper.sigmoid import (
+    COEFFICIENT_NAMES,
+    DEPENDENCES,
+    PARAMETER_NAMES,
     Array,
     Coefficients,
     coefficient_jacobian,
@@ -33,6 +36,14 @@ from mr_damper_ros.damper.sigmoid import (
 )
 from mr_damper_ros.identification.window import Window
 from mr_damper_ros.kinematics.motion import Motion
+
+_DEPENDENCES = tuple(
+    (COEFFICIENT_NAMES.index(coefficient), PARAMETER_NAMES.index(parameter))
+    for coefficient, parameters in DEPENDENCES.items()
+    for parameter in parameters
+)
+
+_ALL = slice(None)
 
 
 class PooledMisfit:
@@ -94,36 +105,43 @@ class PooledMisfit:
         if not is_extended(parameters):
             return self._own.forces(parameters)
         sixteen = parameters[..., :SIGMOID_COUNT]
-        plain = self._own.forces(sixteen)
-        past = self._histories.along(sixteen)
+        own = self._own.along(sixteen)
+        past = self._past(own, self._histories.along(sixteen))
         if parameters.ndim == 1:
-            return self._extended(plain, past, extension_of(parameters))
+            return self._extended(own, past, extension_of(parameters))
         sets = [
-            self._extended(
-                [force[k] for force in plain],
-                [ForceAndDamping(force[k], damping[k]) for force, damping in past],
-                extension_of(values),
-            )
+            self._extended(_of_set(own, k), _of_set(past, k), extension_of(values))
             for k, values in enumerate(parameters)
         ]
         return [np.stack(forces) for forces in zip(*sets, strict=True)]
 
     @cached_property
     def _histories(self) -> _Motions:
+        """Of the windows that are not their own history."""
         histories = (window.history for window in self.windows)
-        return _Motions([(h.motion, h.current, h.periodic) for h in histories])
+        return _Motions([(h.motion, h.current, h.periodic) for h in histories if not h.is_window])
+
+    def _past(
+        self, own: list[ForceAndDamping], histories: list[ForceAndDamping]
+    ) -> list[ForceAndDamping]:
+        """Of each window what belongs to its history, which may be the window itself."""
+        rest = iter(histories)
+        return [
+            values if window.history.is_window else next(rest)
+            for window, values in zip(self.windows, own, strict=True)
+        ]
 
     @cached_property
     def _unsettled(self) -> list[np.ndarray]:
         return [window.history.unsettled(self._slowest_lag) for window in self.windows]
 
     def _extended(
-        self, plain: list[Array], past: list[ForceAndDamping], extension: Extension
+        self, own: list[ForceAndDamping], past: list[ForceAndDamping], extension: Extension
     ) -> list[Array]:
         forces = []
         for place, window in enumerate(self.windows):
             displacement, unsettled = window.motion.displacement, self._unsettled[place]
-            force = window.history.force(plain[place], past[place], displacement, extension)
+            force = window.history.force(own[place].force, past[place], displacement, extension)
             force[unsettled] = window.force[unsettled]
             forces.append(force)
         return forces
@@ -131,13 +149,13 @@ class PooledMisfit:
     def _extended_jacobian(self, parameters: Array) -> Array:
         """All nineteen columns."""
         sixteen, extension = parameters[:SIGMOID_COUNT], extension_of(parameters)
-        plain = self._own.jacobians(sixteen, None, np.ones(len(self.windows)))
-        past = self._histories.along(sixteen)
-        by_sixteen = self._histories.jacobians_along(sixteen)
+        past = self._past(self._own.along(sixteen), self._histories.along(sixteen))
+        own_by_sixteen = self._own.jacobians_along(sixteen)
+        by_sixteen = self._past(own_by_sixteen, self._histories.jacobians_along(sixteen))
         blocks = []
         for place, window in enumerate(self.windows):
             of_sixteen, of_compliance = window.history.jacobian(
-                plain[place], past[place], by_sixteen[place], extension
+                own_by_sixteen[place].force, past[place], by_sixteen[place], extension
             )
             displacement = window.motion.displacement
             block = np.column_stack(
@@ -183,14 +201,13 @@ class _Motions:
         return [force_and_damping(*motion) for motion in self._each(parameters)]
 
     def jacobians(
-        self, parameters: Array, columns: Sequence[int] | None, weights: Sequence[float] | Array
+        self, parameters: Array, columns: Sequence[int] | None, weights: Sequence[float]
     ) -> list[Array]:
         """Derivatives (n, p) of each motion's force by all or some parameters, times a weight."""
         inner = self._inner_jacobian(parameters)
-        if columns is not None:
-            inner = inner[..., columns]
+        chosen = _ALL if columns is None else np.array(columns)
         return [
-            _chain(coefficient_jacobian(*motion), weight * inner[place])
+            _chain(coefficient_jacobian(*motion), inner[place], weight, chosen)
             for motion, place, weight in zip(
                 self._each(parameters), self._places, weights, strict=True
             )
@@ -210,9 +227,18 @@ class _Motions:
         return coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
 
 
-def _chain(outer: Array, inner: Array) -> Array:
-    """Derivatives (n, p) by parameters from those (n, 7) by coefficients and (n or 1, 7, p)."""
+def _of_set(motions: list[ForceAndDamping], number: int) -> list[ForceAndDamping]:
+    """One of the sets of parameters (s, ...) that the values of all motions are given for."""
+    return [ForceAndDamping(force[number], damping[number]) for force, damping in motions]
+
+
+def _chain(
+    outer: Array, inner: Array, weight: float = 1.0, columns: slice | np.ndarray = _ALL
+) -> Array:
+    """Derivatives (n, p) by parameters from those (n, 7) by coefficients and (n or 1, 7, 16)."""
     if inner.shape[0] == 1:
-        return np.asarray(outer @ inner[0])
-    # Row by row: as a batched product of vectors and matrices.
-    return np.asarray((outer[:, np.newaxis, :] @ inner)[:, 0, :])
+        return np.asarray(outer @ (weight * inner[0][:, columns]))
+    result = np.zeros((inner.shape[2], inner.shape[0])).T
+    for coefficient, parameter in _DEPENDENCES:
+        result[:, parameter] += outer[:, coefficient] * inner[:, coefficient, parameter]
+    return np.asarray(weight * result[:, columns])

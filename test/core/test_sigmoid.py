@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.damper.sigmoid import (
     COEFFICIENT_NAMES,
+    DEPENDENCES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
     SHAPE_PARAMETER_NAMES,
@@ -330,6 +331,15 @@ def test_derivatives_of_the_coefficients_by_the_parameters() -> None:
 
     analytic = coefficient_parameter_jacobian(known.PLAUSIBLE, v_m, i)
     assert_columns_agree(analytic, numeric_derivatives(at, known.PLAUSIBLE), PARAMETER_NAMES)
+
+
+def test_each_coefficient_depends_on_what_is_said_and_on_nothing_else() -> None:
+    jacobian = coefficient_parameter_jacobian(known.PLAUSIBLE, np.array([0.05, 0.2]), 0.5)
+    depends = {
+        coefficient: {PARAMETER_NAMES[place] for place in np.flatnonzero(np.any(rows, axis=0))}
+        for coefficient, rows in zip(COEFFICIENT_NAMES, np.moveaxis(jacobian, 1, 0), strict=True)
+    }
+    assert depends == {name: set(parameters) for name, parameters in DEPENDENCES.items()}
 
 
 # -- what the thesis publishes ---------------------------------------------------------------
