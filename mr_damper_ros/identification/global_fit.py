@@ -190,6 +190,7 @@ def identify_global(
         message = search.shortcoming or message
     except StopRequestedError:
         message = STOPPED
+        search.best = min((search.best, start), key=search.pooled.mean_square)
     return _result(search, method, message)
 
 

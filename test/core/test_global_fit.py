@@ -66,9 +66,6 @@ COMES_NEAR = 0.05
 BETTER = 1e-4
 """Mean square over that of the start, whose errors are some 9000 times the noise."""
 
-NOT_MUCH_WORSE = 1.1
-"""Mean square over the truth's: laws that were not polished on the samples err by 5 % of it."""
-
 AT_THE_TRUTH = 0.12
 """Of a mean square of 1: four of the standard errors of windows of 1500 and 900 samples."""
 
@@ -411,10 +408,9 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
     assert mean_square(SMALL, fit.parameter_set.values) < BETTER * mean_square(SMALL, LITERATURE)
 
 
-def test_a_stop_returns_nothing_much_worse_than_the_truth_to_start_from() -> None:
+def test_a_stop_returns_nothing_worse_than_the_truth_to_start_from() -> None:
     fit = identify_global(SMALL, known.PLAUSIBLE, QUICK, lambda progress: False)
-    worst = NOT_MUCH_WORSE * mean_square(SMALL, known.PLAUSIBLE)
-    assert mean_square(SMALL, fit.parameter_set.values) < worst
+    assert mean_square(SMALL, fit.parameter_set.values) <= mean_square(SMALL, known.PLAUSIBLE)
 
 
 def test_no_windows_are_refused() -> None:

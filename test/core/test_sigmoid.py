@@ -334,7 +334,7 @@ def test_derivatives_of_the_coefficients_by_the_parameters() -> None:
 
 
 def test_each_coefficient_depends_on_what_is_said_and_on_nothing_else() -> None:
-    jacobian = coefficient_parameter_jacobian(known.PLAUSIBLE, np.array([0.05, 0.2]), 0.5)
+    jacobian = coefficient_parameter_jacobian(known.PLAUSIBLE, np.array([0.05, 0.2]), 0.9)
     depends = {
         coefficient: {PARAMETER_NAMES[place] for place in np.flatnonzero(np.any(rows, axis=0))}
         for coefficient, rows in zip(COEFFICIENT_NAMES, np.moveaxis(jacobian, 1, 0), strict=True)
