@@ -92,6 +92,10 @@ def comparison(name: str, caption: str, values: Sequence[Compared]) -> Table:
     return Table(name, caption, columns, rows)
 
 
+_SMALL = 1e-3
+"""Smaller numbers are shown with a power of ten."""
+
+
 def shown(value: Cell) -> str:
     """A cell as text: four significant digits, and all of those before the point."""
     if value is None:
@@ -104,7 +108,7 @@ def shown(value: Cell) -> str:
         return "–"
     if value == 0.0:
         return "0"
-    if not 1e-3 <= abs(value) < 1e5:
+    if not _SMALL <= abs(value) < 1e5:
         mantissa, exponent = f"{value:.2e}".split("e")
         power = str(int(exponent)).translate(_SUPERSCRIPTS)
         return f"{mantissa}·10{power}".replace("-", "−")
@@ -115,8 +119,14 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def with_error(value: float, error: float) -> str:
-    """A value with its standard error."""
-    return f"{to_error(value, error)} ± {to_error(error, error)}"
+    """A value with its standard error, both as multiples of one power of ten if they are small."""
+    size = max(abs(value), error)
+    if size >= _SMALL:
+        return f"{to_error(value, error)} ± {to_error(error, error)}"
+    exponent = math.floor(math.log10(size))
+    value, error = value * 10.0**-exponent, error * 10.0**-exponent
+    power = str(exponent).translate(_SUPERSCRIPTS)
+    return f"({to_error(value, error)} ± {to_error(error, error)})·10{power}"
 
 
 def to_error(value: float, error: float) -> str:
