@@ -20,13 +20,13 @@ ROUNDING = 1e-9
 """[N]: the same sums in another order, of forces of a few kilonewtons."""
 
 SETTLED = 1e-3
-"""[N], 100 ms after a change: fourteen time constants leave a millionth of the step of force."""
+"""[N], 100 ms after a change: fifteen time constants leave a millionth of the step of force."""
 
 RETRACED = 1e-6
-"""[N]: the half second that is retraced is seventy time constants, which leave rounding only."""
+"""[N]: the half second that is retraced is 280 time constants, which leave rounding only."""
 
 FIRST_SAMPLE = 0.2
-"""Part of a step that the lag may let through at once; tau is up to 15 ms, a sample 1 ms."""
+"""Part of a step that the lag may let through at once: tau is 2.4 ms, a sample 1 ms, so 0.19."""
 
 INTEGRATION = 2e-3
 """RMSE of the integration at steps of 1 ms, relative to the spread of the force."""
