@@ -20,7 +20,7 @@ from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_PARAMETER_NAMES,
 from mr_damper_ros.identification.laws import shape_bounds
 from mr_damper_ros.identification.observability import SURE
 from mr_damper_ros.identification.pooled import PooledMisfit
-from mr_damper_ros.identification.uncertainty import correlation_length
+from mr_damper_ros.identification.uncertainty import correlation_length, triangular_factor
 
 GAIN_RANGE = 100.0
 """Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
@@ -125,7 +125,7 @@ def noise_level(misfit: PooledMisfit, parameters: Array) -> float:
 
 def determination(jacobian: Array, names: Sequence[str], spans: Array) -> Determination:
     """What a Jacobian (n, p) of a residual of unit variance determines."""
-    triangular = np.asarray(np.linalg.qr(jacobian * spans, mode="r"))
+    triangular = triangular_factor(jacobian) * spans
     _, values, rows = np.linalg.svd(triangular, full_matrices=True)
     singular = np.zeros(len(names))
     singular[: values.size] = values

@@ -33,6 +33,9 @@ POOR_START = 0.25
 _ROUGHLY, _FEW_STEPS = 0.01, 20
 """Relative tolerance of the sum of squares, and steps, after which two starts are compared."""
 
+_HOPELESS = 1000.0
+"""A start that leaves so many times the sum of squares of the other is not worth these steps."""
+
 
 @dataclass(frozen=True, eq=False)
 class WindowFit:
@@ -144,8 +147,8 @@ def _compete(
     try:
         for candidate in _cold_starts(misfit):
             other.try_out(candidate)
-        for each in (search, other):
-            if math.isfinite(each.best_cost):
+        if search.best_cost < _HOPELESS * other.best_cost < math.inf:
+            for each in (search, other):
                 each.least_squares(tolerance=_ROUGHLY, most_steps=_FEW_STEPS)
     finally:
         search.take_over(other)

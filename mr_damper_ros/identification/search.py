@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.identification.uncertainty import triangular_factor
 
 _SIMPLEX_TOLERANCE = 1.0
 """Nelder-Mead stops where the simplex is this many standard errors wide: in the valley of the
@@ -178,8 +179,7 @@ def _standard_error_axes(jacobian: Array, noise: float) -> Array:
     """
     lengths = np.linalg.norm(jacobian, axis=0)
     safe = np.where(lengths > 0.0, lengths, 1.0)[:, np.newaxis]
-    # The triangular factor has the singular values of the whole Jacobian, and is small.
-    triangular = np.asarray(np.linalg.qr(jacobian / safe.T, mode="r"))
+    triangular = triangular_factor(jacobian) / safe.T
     _, singular, vt = np.linalg.svd(triangular, full_matrices=False)
     step = noise / np.maximum(singular, 1e-4 * max(float(singular.max()), 1e-300))
     return np.asarray(vt.T * step / safe)
