@@ -11,10 +11,14 @@ from mr_damper_ros.identification.uncertainty import (
     correlation_length,
     least_squares_covariance,
     normal_inverse,
+    triangular_factor,
 )
 from mr_damper_ros.identification.window import scale_parameter_errors
 
 N = 2000
+
+ROUNDING = 1e-9
+"""Relative, of singular values whose sizes span four decades."""
 
 
 def design(seed: int = 0) -> Array:
@@ -159,3 +163,13 @@ def test_without_a_yield_force_k5_is_unknown() -> None:
     errors = scale_parameter_errors(np.zeros(7), np.eye(7))
     assert np.isnan(errors[6])
     assert np.isfinite(errors[:6]).all()
+
+
+@pytest.mark.parametrize("rows", [3, 4096, 4097, 20_000])
+def test_the_triangular_factor_has_the_singular_values_of_the_matrix(rows: int) -> None:
+    matrix = np.random.default_rng(5).normal(size=(rows, 6)) * np.logspace(0.0, 4.0, 6)
+    factor = triangular_factor(matrix)
+    assert factor.shape == (min(rows, 6), 6)
+    expected = np.linalg.svd(matrix, compute_uv=False)
+    np.testing.assert_allclose(np.linalg.svd(factor, compute_uv=False), expected, rtol=ROUNDING)
+    np.testing.assert_allclose(np.tril(factor, -1), 0.0)
