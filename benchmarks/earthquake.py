@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import recordings
-from mr_damper_ros.damper.extension import without_extension
 from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import LITERATURE
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.identification.evolution import EvolutionSettings
 from mr_damper_ros.identification.global_fit import identify_global
@@ -19,6 +17,7 @@ from mr_damper_ros.rig.readers import read_record
 from mr_damper_ros.rig.recording import Recording
 from mr_damper_ros.streaming.blocks import SampleBlock
 from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.streaming.start import start_set
 from mr_damper_ros.streaming.tracker import TrackerSettings, WindowTracker, run_fit, run_global
 from mr_damper_ros.streaming.windows import WindowAssembler
 
@@ -59,8 +58,8 @@ def records(utfsm: Path) -> list[Recording]:
 @cache
 def sinusoid_set(utfsm: Path, model: str) -> ParameterSet:
     """The set of ``model`` (sigmoid or sigmoid_lag) for all processed sinusoid records."""
-    start = LITERATURE if model == "sigmoid" else without_extension(LITERATURE)
     windows = recordings.processed_windows(utfsm)
+    start = start_set(model).values
     return identify_global(windows, start, EvolutionSettings()).parameter_set
 
 

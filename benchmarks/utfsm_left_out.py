@@ -8,13 +8,11 @@ import numpy as np
 
 from benchmarks import recordings
 from benchmarks.figure import Figure
-from mr_damper_ros.damper.extension import EXTENDED_MODEL, without_extension
-from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.damper.extension import EXTENDED_MODEL
 from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.identification.evolution import EvolutionSettings
 from mr_damper_ros.identification.global_fit import identify_global
-
-STARTS = {"sigmoid": LITERATURE, EXTENDED_MODEL: without_extension(LITERATURE)}
+from mr_damper_ros.streaming.start import start_set
 
 
 def left_out_nrmse(utfsm: Path, start: Array) -> list[float]:
@@ -45,7 +43,7 @@ def figures() -> list[Figure]:
     return [
         Figure(
             f"utfsm_left_out_{name}_nrmse",
-            None if place is None else left_out_nrmse(place, STARTS[model]),
+            None if place is None else left_out_nrmse(place, start_set(model).values),
             shared + law,
             None,
             recordings.NONE if place is None else "",

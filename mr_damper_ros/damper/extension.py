@@ -150,13 +150,11 @@ class FirstOrderLag:
         tau = np.clip(0.5 * (before + time_constant), _SHORTEST * period, _LONGEST * period)
         ratio = period / tau
         self._periodic, self._state = periodic, state
-        self._ratio = ratio
+        self._tau, self._ratio = tau, ratio
         self._decay = np.exp(-ratio)
         # Weights of the earlier and the later end of the line between two samples.
         mean = -np.expm1(-ratio) / ratio
         self._before, self._now = mean - self._decay, 1.0 - mean
-        self._mean_slope = (mean - self._decay) / tau
-        self._decay_slope = self._decay * ratio / tau
 
     def __call__(self, values: Array) -> Array:
         """The lagged signal, shape (n,), of one of shape (n,)."""
@@ -175,10 +173,12 @@ class FirstOrderLag:
 
         ``values`` (n,) is the signal, ``lagged`` (n,) what :meth:`__call__` made of it.
         """
+        mean_slope = self._before / self._tau
+        decay_slope = self._decay * self._ratio / self._tau
         by_time_constant = (
-            self._decay_slope * _one_earlier(lagged)
-            + (self._mean_slope - self._decay_slope) * _one_earlier(values)
-            - self._mean_slope * values
+            decay_slope * _one_earlier(lagged)
+            + (mean_slope - decay_slope) * _one_earlier(values)
+            - mean_slope * values
         )
         driven = (
             self._before[:, np.newaxis] * _one_earlier(of_values)

@@ -212,7 +212,7 @@ class ScaleMisfit:
         self._base = _one_if_steady(np.stack(np.broadcast_arrays(*base)))
         self._velocity = motion.velocity
         self._branch = np.sign(motion.acceleration)
-        self._late = _Late(window, self._start) if is_extended(self._start) else None
+        self._late = _Late(self, self._start) if is_extended(self._start) else None
 
     @property
     def _unit(self) -> Array:
@@ -240,9 +240,7 @@ class ScaleMisfit:
 
     def residual(self, scales: Array) -> Array:
         """Model minus measurement [N], shape (n,)."""
-        predicted = force_from_coefficients(self.coefficients(scales), self._velocity, self._branch)
-        if self._late is not None:
-            predicted = self._late.force(predicted, scales)
+        predicted = self.plain_force(scales) if self._late is None else self._late.force(scales)
         return np.asarray(predicted - self.window.force)
 
     def sum_of_squares(self, scales: Array) -> float:
@@ -252,9 +250,17 @@ class ScaleMisfit:
 
     def jacobian(self, scales: Array) -> Array:
         """Derivatives of the residual with respect to the scales, shape (n, 7)."""
+        return self.plain_jacobian(scales) if self._late is None else self._late.jacobian(scales)
+
+    def plain_force(self, scales: Array) -> Array:
+        """Sigmoid force [N], shape (n,), whatever the law adds to it."""
+        return force_from_coefficients(self.coefficients(scales), self._velocity, self._branch)
+
+    def plain_jacobian(self, scales: Array) -> Array:
+        """Derivatives of :meth:`plain_force` with respect to the scales, shape (n, 7)."""
         derivatives = coefficient_jacobian(self.coefficients(scales), self._velocity, self._branch)
         derivatives *= self._base.T
-        return derivatives if self._late is None else self._late.jacobian(derivatives, scales)
+        return derivatives
 
     def along(self, scales: Array) -> ForceAndDamping:
         """Sigmoid force and damping of the window, each of shape (n,)."""
@@ -279,24 +285,29 @@ class ScaleMisfit:
 class _Late:
     """The extension of the law over a window: what it makes of the force and its derivatives."""
 
-    def __init__(self, window: Window, parameters: Array) -> None:
-        self._window, self._history = window, window.history
+    def __init__(self, own: ScaleMisfit, parameters: Array) -> None:
+        self._own, self._window, self._history = own, own.window, own.window.history
         self._extension = extension_of(parameters)
-        motion, current = self._history.motion, self._history.current
-        past = Window(motion, np.zeros(current.size), current)
-        self._past = ScaleMisfit(past, parameters[:SIGMOID_COUNT])
-        damping = self._past.along(self._past.start).damping
+        self._past = own
+        if not self._history.is_window:
+            motion, current = self._history.motion, self._history.current
+            past = Window(motion, np.zeros(current.size), current)
+            self._past = ScaleMisfit(past, parameters[:SIGMOID_COUNT])
+        damping = self._past.along(own.start).damping
         slowest = float(np.max(self._extension.time_constant(damping)))
         self._unsettled = self._history.unsettled(slowest)
 
-    def force(self, plain: Array, scales: Array) -> Array:
+    def force(self, scales: Array) -> Array:
         past, displacement = self._past.along(scales), self._window.motion.displacement
+        plain = past.force if self._past is self._own else self._own.plain_force(scales)
         force = self._history.force(plain, past, displacement, self._extension)
         force[..., self._unsettled] = self._window.force[self._unsettled]
         return force
 
-    def jacobian(self, plain: Array, scales: Array) -> Array:
+    def jacobian(self, scales: Array) -> Array:
         past, by_scales = self._past.along(scales), self._past.jacobian_along(scales)
+        own = self._past is self._own
+        plain = by_scales.force if own else self._own.plain_jacobian(scales)
         derivatives, _ = self._history.jacobian(plain, past, by_scales, self._extension)
         derivatives[self._unsettled] = 0.0
         return derivatives

@@ -58,7 +58,7 @@ class Motion:
         and nowhere else: between the ends of that range.
         """
         v_m = self.peak_velocity
-        if v_m.size == 0 or (v_m.min() >= low and v_m.max() <= high):
+        if v_m.min() >= low and v_m.max() <= high:
             return self
         return replace(self, peak_velocity=np.clip(v_m, low, high))
 
