@@ -27,7 +27,7 @@ setup(
     maintainer_email="maintainers@example.com",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], f"{NAME}.rig": ["*.csv"]},
+    package_data={NAME: ["py.typed"], f"{NAME}.thesis": ["*.csv"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -38,7 +38,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     entry_points={
-        "console_scripts": [f"{name} = {NAME}.start:{name}" for name in NODES]
+        "console_scripts": [f"{name} = {NAME}.entry_points:{name}" for name in NODES]
         + [f"{name} = {NAME}.tools.{name}:main" for name in TOOLS]
         + [f"demo = {NAME}.nodes.demo:main"],
     },

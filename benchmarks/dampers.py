@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import Sine
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.rig.thesis import (
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.thesis.published_runs import (
     CONDITIONS,
     DISPLACEMENT_NOISE,
     PHASE,
@@ -27,11 +27,12 @@ def window_of(recording: Recording) -> Window:
 def steady_window(parameters: Array, condition: Condition, *, samples: int, seed: int) -> Window:
     """Steady run of a damper of known parameters (16,) in a condition, at 1 kHz.
 
-    The force has the noise of the thesis, the displacement that of :mod:`mr_damper_ros.rig.thesis`.
+    The force has the noise of the thesis, the displacement that of
+    :mod:`mr_damper_ros.thesis.published_runs`.
     """
     rig = EmulatedRig(
         ConstantDamper(parameters),
-        Sine(condition.amplitude, condition.frequency, phase=PHASE),
+        SineMotion(condition.amplitude, condition.frequency, phase=PHASE),
         condition.current,
         settings=RigSettings(displacement_noise=DISPLACEMENT_NOISE, seed=seed),
     )

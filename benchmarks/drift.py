@@ -9,12 +9,13 @@ from scipy.optimize import brentq
 
 from benchmarks import following
 from benchmarks.figure import Figure
-from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.damper.sigmoid import Array, force
-from mr_damper_ros.identification.fit import fit_window
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.law import force
 from mr_damper_ros.rig.emulator import TemperatureDependentDamper, ThermalModel
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.streaming.tracker import TRACKERS, TrackerSettings
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.tracker import TRACKERS, TrackerSettings
 
 DURATION = 600.0
 COLD, HOT = 28.0, 71.0

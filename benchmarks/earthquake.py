@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import recordings
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.identification.global_fit import identify_global
-from mr_damper_ros.rig.readers import read_record
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.streaming.blocks import SampleBlock
-from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.streaming.start import start_set
-from mr_damper_ros.streaming.tracker import TrackerSettings, WindowTracker, run_fit, run_global
-from mr_damper_ros.streaming.windows import WindowAssembler
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker, run_fit, run_global
+from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 CURRENTS = (0.2, 0.6, 1.0)
 """[A], of the columns of force in earthquake.mat."""

@@ -8,16 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import Array, force
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.rig.emulator import Damper, EmulatedRig, ForceStep, RigSettings, ThermalModel
-from mr_damper_ros.rig.excitation import Sine
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.streaming.blocks import SampleBlock
-from mr_damper_ros.streaming.tracker import Report, TrackerSettings, WindowTracker, run_fit
-from mr_damper_ros.streaming.windows import WindowAssembler
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.tracker import Report, TrackerSettings, WindowTracker, run_fit
+from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 WINDOW, HOP, LOOKS = 2.0, 1.0, 3
 """Defaults of the identifier node: [s], [s], looks between two windows."""
@@ -36,9 +37,9 @@ class Step:
     parameters: Array
 
 
-def excitation() -> Sine:
+def excitation() -> SineMotion:
     """The motion of all these recordings."""
-    return Sine(AMPLITUDE, FREQUENCY)
+    return SineMotion(AMPLITUDE, FREQUENCY)
 
 
 def recording(

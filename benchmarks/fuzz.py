@@ -25,18 +25,18 @@ import numpy as np
 from scipy.io import savemat
 
 from benchmarks.figure import Figure
-from mr_damper_ros.damper.parameters import ParameterError, ParameterSet
-from mr_damper_ros.damper.published import THESIS_28_CELSIUS
-from mr_damper_ros.damper.sigmoid import force
-from mr_damper_ros.rig.bags import BagError, read_bag, write_bag
-from mr_damper_ros.rig.readers import RecordError, read_record
-from mr_damper_ros.rig.recording import Recording, RecordingError
-from mr_damper_ros.rig.units import ColumnError
-from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockError, SampleBlock
-from mr_damper_ros.streaming.memory import TrackerMemory, from_text, to_text
-from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.streaming.state import StateDirectory, StateError
-from mr_damper_ros.streaming.windows import WindowAssembler
+from mr_damper_ros.io.bags import BagError, read_bag, write_bag
+from mr_damper_ros.io.records import RecordError, read_record
+from mr_damper_ros.io.units import ColumnError
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
+from mr_damper_ros.signals.recording import Recording, RecordingError
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
+from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
+from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 TIME_LIMIT = 10.0
 """Seconds after which a case counts as hanging."""

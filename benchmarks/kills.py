@@ -20,9 +20,9 @@ from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, Predicte
 
 from benchmarks.figure import Figure
 from benchmarks.three_nodes import NODES, Heard, ThreeNodes
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.streaming.memory import TrackerMemory, from_text
-from mr_damper_ros.streaming.state import StateError
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.tracking.state_directory import StateError
+from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text
 
 _BUILD = Path("build")
 """The state is kept here: a folder for temporary files may be one that forgets nothing quickly."""

@@ -11,18 +11,19 @@ from scipy.signal import savgol_coeffs
 from benchmarks import recordings
 from benchmarks.earthquake import records
 from benchmarks.figure import Figure
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import Array, force
 from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
-from mr_damper_ros.rig import thesis
-from mr_damper_ros.rig.excitation import SampledMotion, Sine
-from mr_damper_ros.streaming.blocks import SampleBlock
-from mr_damper_ros.streaming.motion_follower import MotionFollower
-from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.thesis import published_runs as thesis
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
 PERIOD = 1e-3
 NOISE = thesis.DISPLACEMENT_NOISE
@@ -88,7 +89,7 @@ class Case:
     measured: Array
 
     @classmethod
-    def of(cls, excitation: Sine | SampledMotion, duration: float) -> Case:
+    def of(cls, excitation: SineMotion | SampledMotion, duration: float) -> Case:
         """``duration`` [s] of a motion, with the noise of the thesis' runs."""
         time: Array = np.arange(round(duration / PERIOD), dtype=float) * PERIOD
         u, v, a = excitation.at(time)
@@ -157,7 +158,7 @@ def stream_nrmse_ratio(runs: int | None = None) -> float:
             )
             made[part], valid[part] = prediction.force, prediction.valid
         time: Array = np.arange(run.force.size, dtype=float) * run.period
-        sine = Sine(condition.amplitude, condition.frequency, phase=thesis.PHASE)
+        sine = SineMotion(condition.amplitude, condition.frequency, phase=thesis.PHASE)
         exact = force(values, *sine.at(time), condition.current)
         errors.append(
             [np.mean((f - run.force)[valid] ** 2) / np.var(run.force) for f in (made, exact)]
@@ -168,7 +169,7 @@ def stream_nrmse_ratio(runs: int | None = None) -> float:
 
 def cases() -> dict[str, Case]:
     """Sines at 0.5, 1 and 3 Hz, and where there are recordings the earthquake's motion."""
-    found = {f"{f:g} Hz": Case.of(Sine(5e-3, f, phase=1.0), 12.0) for f in (0.5, 1.0, 3.0)}
+    found = {f"{f:g} Hz": Case.of(SineMotion(5e-3, f, phase=1.0), 12.0) for f in (0.5, 1.0, 3.0)}
     place = recordings.folder()
     if place is not None:
         record = records(place)[0]

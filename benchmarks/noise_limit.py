@@ -8,16 +8,16 @@ import numpy as np
 
 from benchmarks.dampers import steady_window
 from benchmarks.figure import Figure
-from mr_damper_ros.damper.sigmoid import (
-    Array,
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models.sigmoid.law import (
     Coefficients,
     coefficient_jacobian,
     operating_point_coefficients,
 )
-from mr_damper_ros.identification.fit import fit_window
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.rig.excitation import Sine
-from mr_damper_ros.rig.thesis import PHASE, Condition, find, parameters
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.thesis.published_runs import PHASE, Condition, find, parameters
 
 CONDITION = "5.0mm_1Hz_1.5A"
 REALISATIONS = 500
@@ -47,7 +47,7 @@ class Scatter:
 
 def cramer_rao_bound(condition: Condition, truth: Array, samples: int) -> Array:
     """Least variance (7,) of unbiased coefficients from samples of the exact motion at 1 kHz."""
-    motion = Sine(condition.amplitude, condition.frequency, phase=PHASE).at(
+    motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(
         np.arange(samples, dtype=np.float64) * 1e-3
     )
     jacobian = coefficient_jacobian(Coefficients(*truth), motion.velocity, motion.acceleration)

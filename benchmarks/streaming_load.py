@@ -20,13 +20,14 @@ from mr_damper_msgs.msg import FitReport, MtsSamples, PredictedForce, SupplyCurr
 from benchmarks import relay
 from benchmarks.figure import Figure
 from benchmarks.processes import PATIENCE, Domain, Observer, Process, start_node
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import THESIS_28_CELSIUS
-from mr_damper_ros.damper.sigmoid import Array, force
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.law import force
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import current_message, samples_message
-from mr_damper_ros.nodes.running import make_executor
-from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.nodes.spinning import make_executor
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 
 DURATION = 600.0
 LATENCY_DURATION = 120.0

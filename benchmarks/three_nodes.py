@@ -11,7 +11,7 @@ from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, Predicte
 
 from benchmarks.processes import Domain, Observer, Process, start_node
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.streaming.state import StateDirectory
+from mr_damper_ros.tracking.state_directory import StateDirectory
 
 NODES = ("bridge", "identifier", "model")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from benchmarks import recordings
 from benchmarks.figure import Figure
 from benchmarks.utfsm_sixteen import median_nrmse_percent
-from mr_damper_ros.damper.extension import without_extension
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.extension import without_extension
 
 
 def figures() -> list[Figure]:

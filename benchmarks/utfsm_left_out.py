@@ -8,11 +8,11 @@ import numpy as np
 
 from benchmarks import recordings
 from benchmarks.figure import Figure
-from mr_damper_ros.damper.extension import EXTENDED_MODEL
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.identification.global_fit import identify_global
-from mr_damper_ros.streaming.start import start_set
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
+from mr_damper_ros.signals.arrays import Array
 
 
 def left_out_nrmse(utfsm: Path, start: Array) -> list[float]:

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from benchmarks import recordings
 from benchmarks.figure import Figure
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.identification.global_fit import identify_global
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
 
 
 def median_nrmse_percent(

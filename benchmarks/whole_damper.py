@@ -13,14 +13,15 @@ from scipy.optimize import differential_evolution
 from benchmarks.dampers import clean_windows
 from benchmarks.figure import Figure
 from benchmarks.timing import cpu_seconds
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, Array
-from mr_damper_ros.identification.evolution import EvolutionSettings, generator_keyword
-from mr_damper_ros.identification.fit import fit_window
-from mr_damper_ros.identification.global_fit import identify_global
-from mr_damper_ros.identification.laws import shape_bounds
-from mr_damper_ros.identification.pooled import PooledMisfit
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, generator_keyword
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.coefficient_laws import shape_bounds
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
 
 GENERATIONS = 500
 GAIN_RANGE = 100.0

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.signals.arrays import Array
 
 _ORDER = 4
 _STRETCH = 64

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
 from mr_damper_ros.kinematics.sine import Sine, fit_sine
+from mr_damper_ros.signals.arrays import Array
 
 SINE_TOLERANCE = 2e-3
 """A window is a sine where the fit leaves less than this fraction of the amplitude [1] ...

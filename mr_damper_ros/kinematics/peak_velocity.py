@@ -28,8 +28,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
+from mr_damper_ros.signals.arrays import Array
 
 HALF_CYCLES = 8
 """The angular frequency is that of so many whole half-cycles before the present one."""

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.polynomial import polynomial
 
-from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.signals.arrays import Array
 
 
 class SavitzkyGolay:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.signals.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
         weights = np.linalg.lstsq(columns, u, rcond=None)[0]
         return weights, columns @ weights - u
 
-    from scipy.optimize import least_squares  # here: see mr_damper_ros.start
+    from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
 
     scale = float(np.std(u))
     fit = least_squares(

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.motion import SINE_TOLERANCE, displacement_noise
+from mr_damper_ros.signals.arrays import Array
 
 _CYCLES = 1.5
 """Length of the fit in cycles: longer averages more, shorter forgets a change sooner."""

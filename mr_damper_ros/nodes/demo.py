@@ -20,13 +20,14 @@ from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, Predicte
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, force
+from mr_damper_ros.io.bags import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
-from mr_damper_ros.rig.bags import read_bag
-from mr_damper_ros.rig.recording import Recording
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool
 from mr_damper_ros.tools.figures import loop_figures
 

@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.quality import overridable
-from mr_damper_ros.streaming.blocks import BlockError, BlockSequence, SampleBlock
+from mr_damper_ros.signals.blocks import BlockError, BlockSequence, SampleBlock
 
 SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"

@@ -9,8 +9,8 @@ from builtin_interfaces.msg import Time
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from std_msgs.msg import Header
 
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.streaming.blocks import BlockError, SampleBlock
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import BlockError, SampleBlock
 
 _SECOND = 1_000_000_000
 

@@ -7,11 +7,11 @@ from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
-from mr_damper_ros.damper.parameters import ParameterError, ParameterSet, known_model
-from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, known_model
+from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
 from mr_damper_ros.nodes.messages import header, set_stamp, to_field, to_nanoseconds, to_stamp
-from mr_damper_ros.streaming.predictor import Prediction
-from mr_damper_ros.streaming.tracker import Report
+from mr_damper_ros.tracking.predictor import Prediction
+from mr_damper_ros.tracking.tracker import Report
 
 
 def parameters_message(parameters: ParameterSet, frame_id: str) -> DamperParameters:

@@ -14,19 +14,19 @@ from typing import Protocol
 
 import numpy as np
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import (
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
-    Array,
     force_from_coefficients,
     operating_point_coefficients,
     peak_velocity,
 )
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
-from mr_damper_ros.rig.excitation import Excitation, Sine
-from mr_damper_ros.rig.recording import DEFAULT_START_NS, Recording
-from mr_damper_ros.streaming.blocks import NANOSECONDS
+from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
 
 THESIS_FORCE_NOISE = 5.53
 """Standard deviation [N] of the force error after the fit in the thesis (section 4.6)."""
@@ -248,7 +248,7 @@ class RigSettings:
 
 def _is_sine(excitation: Excitation) -> bool:
     """Whether the peak velocity is known at every sample, and need not be waited for."""
-    return isinstance(excitation, Sine) and excitation.triangularity == 0.0
+    return isinstance(excitation, SineMotion) and excitation.triangularity == 0.0
 
 
 class EmulatedRig:

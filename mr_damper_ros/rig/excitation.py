@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.signals.arrays import Array
 
 
 class ExcitationError(ValueError):
@@ -41,7 +41,7 @@ def _require_positive(**values: float) -> None:
 
 
 @dataclass(frozen=True)
-class Sine:
+class SineMotion:
     """offset + A sin(2 pi f t + phase), or, with ``triangularity`` above 0, a rounded triangle.
 
     ``amplitude`` [m], ``frequency`` [Hz], ``phase`` [rad], ``offset`` [m]. ``triangularity`` lies
@@ -99,7 +99,7 @@ class SampledMotion:
 
     def __init__(self, displacement: Array, period: float) -> None:
         """Samples [m] of shape (n,), n >= 4, ``period`` [s] apart; raises ExcitationError."""
-        from scipy.interpolate import CubicSpline  # here: see mr_damper_ros.start
+        from scipy.interpolate import CubicSpline  # here: see mr_damper_ros.entry_points
 
         _require_positive(period=period)
         samples = np.array(displacement, dtype=np.float64)

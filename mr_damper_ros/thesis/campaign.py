@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.identification.parallel import Processes, Tell
+from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 
 _CODE = ("damper", "damper/models", "kinematics", "identification", "rig", "thesis")
 
@@ -84,7 +84,7 @@ class Campaign:
                 if count == len(tasks) or count % max(len(missing) // 10, 1) == 0:
                     self.say(f"{name}: {count} of {len(tasks)}")
 
-            with Processes(self.settings.workers) as processes:
+            with ProcessPool(self.settings.workers) as processes:
                 chosen = [tasks[place] for place in missing]
                 processes.map(partial(_call, function), chosen, done=keep)
         return [known[key] for key in keys]

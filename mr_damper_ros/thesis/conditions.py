@@ -9,12 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
-from mr_damper_ros.identification.fit import fit_window
-from mr_damper_ros.rig.thesis import CONDITIONS, METHODS, Condition, find, parameters
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.errata import METHOD_TITLES, find_errata
+from mr_damper_ros.thesis.published_runs import (
+    CONDITIONS,
+    PUBLISHED_METHODS,
+    Condition,
+    find,
+    parameters,
+)
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text, to_error, with_error
 from mr_damper_ros.thesis.runs import coefficients, loop, title, window
 from mr_damper_ros.thesis.style import DASHES, INK, legend_above, panels
@@ -42,7 +49,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
     own = loop(fit.parameters, condition).force
 
     published = {}
-    for method in METHODS:
+    for method in PUBLISHED_METHODS:
         values = parameters(condition, method)
         theirs = loop(values, condition).force
         published[method] = {
@@ -83,9 +90,9 @@ def compute(campaign: Campaign) -> dict[str, Any]:
 def headline(data: dict[str, Any]) -> str:
     """The result in a sentence."""
     sound = [
-        run["published"][METHODS[0]]["difference"]
+        run["published"][PUBLISHED_METHODS[0]]["difference"]
         for name, run in data["runs"].items()
-        if not _mark(data, name, METHODS[0])
+        if not _mark(data, name, PUBLISHED_METHODS[0])
     ]
     return (
         f"in {len(sound)} sound conditions our loop is within {100 * max(sound):.2f} % of the "
@@ -125,16 +132,16 @@ def _mark(data: dict[str, Any], name: str, method: str) -> str:
 def _overview(data: dict[str, Any]) -> Table:
     rows = []
     for name, run in data["runs"].items():
-        nelder, evolved = (run["published"][method] for method in METHODS)
+        nelder, evolved = (run["published"][method] for method in PUBLISHED_METHODS)
         rows.append(
             (
-                title(name) + _mark(data, name, METHODS[0]),
+                title(name) + _mark(data, name, PUBLISHED_METHODS[0]),
                 run["maximum"],
                 nelder["maximum"],
                 run["minimum"],
                 nelder["minimum"],
                 100.0 * nelder["difference"],
-                f"{100.0 * evolved['difference']:.2f}{_mark(data, name, METHODS[1])}",
+                f"{100.0 * evolved['difference']:.2f}{_mark(data, name, PUBLISHED_METHODS[1])}",
                 run["rmse"],
                 100.0 * run["nrmse"],
             )
@@ -161,12 +168,12 @@ def _overview(data: dict[str, Any]) -> Table:
 def _coefficients(data: dict[str, Any]) -> Table:
     rows: list[tuple[str, ...]] = []
     for condition in CONDITIONS:
-        if _mark(data, condition.name, METHODS[0]):
+        if _mark(data, condition.name, PUBLISHED_METHODS[0]):
             continue
         run = data["runs"][condition.name]
         ours, errors = (_SCALES * np.array(run[key]) for key in ("coefficients", "errors"))
         rows.append((title(condition.name), "ours", *map(with_error, ours, errors)))
-        for method in METHODS:
+        for method in PUBLISHED_METHODS:
             theirs = _SCALES * published_coefficients(condition, method)
             mark = _mark(data, condition.name, method)
             label = METHOD_TITLES[method] + mark
@@ -196,7 +203,7 @@ def _published(data: dict[str, Any]) -> Table:
             *(f"{x:.8g}" for x in parameters(condition, method)),
         )
         for condition in CONDITIONS
-        for method in METHODS
+        for method in PUBLISHED_METHODS
     ]
     return Table(
         "published_parameters",
@@ -220,7 +227,7 @@ def _loops(data: dict[str, Any], current: float, against: str) -> Picture:
                 c for c in conditions if (c.amplitude, c.frequency) == (amplitude, frequency)
             ]
             a.set_title(f"{1e3 * amplitude:.1f} mm, {frequency:g} Hz")
-            if not matches or f"{matches[0].name} {METHODS[0]}" in data["errata"]:
+            if not matches or f"{matches[0].name} {PUBLISHED_METHODS[0]}" in data["errata"]:
                 a.text(
                     0.5,
                     0.5,
@@ -233,7 +240,7 @@ def _loops(data: dict[str, Any], current: float, against: str) -> Picture:
                 a.spines["bottom"].set_visible(False)
                 continue
             condition = matches[0]
-            for number, method in enumerate(METHODS):
+            for number, method in enumerate(PUBLISHED_METHODS):
                 if f"{condition.name} {method}" in data["errata"]:
                     continue
                 turn = loop(parameters(condition, method), condition)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.signals.arrays import Array
 
 STRATEGIES = ("rand/1", "best/1", "rand-to-best/2", "rand/2")
 """Mutation schemes by the names of the thesis' table 3."""

@@ -17,11 +17,19 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array, operating_point_coefficients
-from mr_damper_ros.rig.thesis import CONDITIONS, METHODS, ROW_ERRATA, Condition, find, parameters
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
+from mr_damper_ros.thesis.published_runs import (
+    CONDITIONS,
+    PUBLISHED_METHODS,
+    ROW_ERRATA,
+    Condition,
+    find,
+    parameters,
+)
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import loop, title
 from mr_damper_ros.thesis.style import DASHES, INK, panels
@@ -74,13 +82,17 @@ def features(values: Array, condition: Condition) -> Features:
 
 def disagreement(condition: Condition) -> float:
     """Norm of the difference of the two methods' loops over that of the first [1]."""
-    one, two = (loop(parameters(condition, method), condition).force for method in METHODS)
+    one, two = (
+        loop(parameters(condition, method), condition).force for method in PUBLISHED_METHODS
+    )
     return float(np.linalg.norm(two - one) / np.linalg.norm(one))
 
 
 def find_errata() -> dict[Row, list[str]]:
     """Rows in error, each with the criteria that it fails."""
-    rows: list[Row] = [(condition, method) for condition in CONDITIONS for method in METHODS]
+    rows: list[Row] = [
+        (condition, method) for condition in CONDITIONS for method in PUBLISHED_METHODS
+    ]
     seen = {row: features(parameters(*row), row[0]) for row in rows}
     spans = {
         current: float(np.median([seen[r].half_span for r in rows if r[0].current == current]))
@@ -107,7 +119,7 @@ def find_errata() -> dict[Row, list[str]]:
         if distance > np.log(_FAMILY):
             reasons.append("out of family")
     for condition in CONDITIONS:
-        pair = [(condition, method) for method in METHODS]
+        pair = [(condition, method) for method in PUBLISHED_METHODS]
         if disagreement(condition) > _AGREE and not any(found[row] for row in pair):
             usual = np.median(
                 [
@@ -241,7 +253,7 @@ def compute(campaign: Campaign) -> dict[str, Any]:
     rows = []
     found = find_errata()
     for condition in CONDITIONS:
-        for method in METHODS:
+        for method in PUBLISHED_METHODS:
             if (condition, method) not in found and (condition, method) not in ROW_ERRATA:
                 continue
             one = features(parameters(condition, method), condition)
@@ -264,7 +276,7 @@ def headline(data: dict[str, Any]) -> str:
     """The result in a sentence."""
     wrong = sum(bool(row["criteria"]) for row in data["rows"])
     return (
-        f"{wrong} of {len(CONDITIONS) * len(METHODS)} rows are in error, and "
+        f"{wrong} of {len(CONDITIONS) * len(PUBLISHED_METHODS)} rows are in error, and "
         f"{len(data['statements'])} statements do not agree with the thesis' own numbers."
     )
 
@@ -331,7 +343,7 @@ def _figure() -> Picture:
     figure, axes = panels(1, len(names), 7.4, 2.3)
     for place, name in enumerate(names):
         condition = find(name)
-        for number, method in enumerate(METHODS):
+        for number, method in enumerate(PUBLISHED_METHODS):
             turn = loop(parameters(condition, method), condition)
             axes[0, place].plot(
                 turn.velocity,

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
-from mr_damper_ros.identification.fit import fit_window
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.rig.thesis import DISPLACEMENT_NOISE
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.nelder_mead import fminsearch
+from mr_damper_ros.thesis.published_runs import DISPLACEMENT_NOISE
 from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison
 from mr_damper_ros.thesis.runs import recording, window
 from mr_damper_ros.thesis.style import DASHES, GREY, INK, panels

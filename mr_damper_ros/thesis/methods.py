@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
-from mr_damper_ros.rig.thesis import METHODS, find, parameters
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.de import evolve
 from mr_damper_ros.thesis.errata import METHOD_TITLES
 from mr_damper_ros.thesis.nelder_mead import fminsearch
+from mr_damper_ros.thesis.published_runs import PUBLISHED_METHODS, find, parameters
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import cycle, loop
 from mr_damper_ros.thesis.style import DASHES, INK, MARKS, legend_above, panels
@@ -58,7 +59,7 @@ def identify(name: str, noise_seed: int, seed: list[int], generations: int) -> d
         "floor": _percent(float(misfit.costs(published)), misfit.power),
         "published": {
             method: _percent(float(misfit.costs(parameters(find(name), method))), misfit.power)
-            for method in METHODS
+            for method in PUBLISHED_METHODS
         },
     }
 
@@ -117,7 +118,7 @@ def show(data: dict[str, Any]) -> list[Block]:
             float(LITERATURE[k]),
             float(parameters(named)[k]),
             first["nelder_mead"]["parameters"][k],
-            float(parameters(named, METHODS[1])[k]),
+            float(parameters(named, PUBLISHED_METHODS[1])[k]),
             evolved[k],
             float(facts.METHODS_APART[k]),
             abs(first["nelder_mead"]["parameters"][k] - evolved[k]),
@@ -197,7 +198,7 @@ def _literature_figure(data: dict[str, Any]) -> Picture:
     sets: tuple[tuple[str, Array, str], ...] = (
         ("NM, thesis", parameters(named), "0.85"),
         ("NM, ours", np.array(part["nelder_mead"]["parameters"]), "0.6"),
-        ("DE, thesis", parameters(named, METHODS[1]), "0.35"),
+        ("DE, thesis", parameters(named, PUBLISHED_METHODS[1]), "0.35"),
         ("DE, ours", np.array(part["differential_evolution"]["parameters"]), "0.0"),
     )
     x = np.arange(len(PARAMETER_NAMES))
@@ -224,7 +225,7 @@ def _evolution_figure(data: dict[str, Any]) -> Picture:
         for number, (label, values) in enumerate(
             (
                 ("NM, thesis", [parameters(find(n))[k] for n in CONDITIONS]),
-                ("DE, thesis", [parameters(find(n), METHODS[1])[k] for n in CONDITIONS]),
+                ("DE, thesis", [parameters(find(n), PUBLISHED_METHODS[1])[k] for n in CONDITIONS]),
                 ("NM, ours", [data[n]["nelder_mead"]["parameters"][k] for n in CONDITIONS]),
                 (
                     "DE, ours",
@@ -260,7 +261,7 @@ def _loops_figure(data: dict[str, Any]) -> Picture:
     for a, title in zip(axes[0], ("published sets", "our sets"), strict=True):
         for name in CONDITIONS[1:]:
             condition = find(name)
-            for number, method in enumerate(METHODS):
+            for number, method in enumerate(PUBLISHED_METHODS):
                 theirs = parameters(condition, method)
                 ours = np.array(data[name][method]["parameters"])
                 turn = loop(theirs if title == "published sets" else ours, condition)

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.identification.model_fit import fit_model, model_force
-from mr_damper_ros.identification.window import Window
-from mr_damper_ros.rig.readers import read_record
+from mr_damper_ros.estimation.model_fit import fit_model, model_force
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.dependency import sound_conditions

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.signals.arrays import Array
 
 
 def fminsearch(

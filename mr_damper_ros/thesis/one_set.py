@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.damper.extension import EXTENDED_MODEL, EXTENDED_NAMES, without_extension
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.identification.global_fit import identify_global
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, EXTENDED_NAMES, without_extension
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.thesis import model_table
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.dependency import sound_conditions

@@ -16,15 +16,16 @@ from typing import Any
 import numpy as np
 from scipy.optimize import basinhopping, dual_annealing, least_squares
 
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, Array
-from mr_damper_ros.identification.fit import fit_window
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.rig.thesis import find, parameters
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.de import STRATEGIES, evolve
 from mr_damper_ros.thesis.nelder_mead import fminsearch
+from mr_damper_ros.thesis.published_runs import find, parameters
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import CycleMisfit, cycle, loop, window
 from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels
@@ -46,7 +47,7 @@ class BudgetSpentError(Exception):
     """No further evaluation is allowed."""
 
 
-class Meter:
+class EvaluationMeter:
     """Counts evaluations of a misfit and keeps the best set and when it was found."""
 
     def __init__(self, misfit: CycleMisfit, budget: int) -> None:
@@ -81,18 +82,18 @@ class Meter:
             self.trace.append((self.used, cost))
 
 
-Method = Callable[[Meter, np.random.Generator], None]
+Method = Callable[[EvaluationMeter, np.random.Generator], None]
 
 
 def _random(rng: np.random.Generator) -> Array:
     return np.asarray(_LOW + _SPAN * rng.random(_LOW.size))
 
 
-def _simplex_16(meter: Meter, rng: np.random.Generator) -> None:
+def _simplex_16(meter: EvaluationMeter, rng: np.random.Generator) -> None:
     fminsearch(lambda p: math.sqrt(meter.cost(p)), _random(rng), meter.budget)
 
 
-def _least_squares_16(meter: Meter, rng: np.random.Generator) -> None:
+def _least_squares_16(meter: EvaluationMeter, rng: np.random.Generator) -> None:
     misfit, root = meter.misfit, np.sqrt(meter.misfit.weight)
 
     def residual(p: Array) -> Array:
@@ -125,7 +126,7 @@ def _phases(misfit: CycleMisfit) -> Window:
 def _package_fit(method: str) -> Method:
     """The package's own window fit; starts that are poor compete with some read off the data."""
 
-    def search(meter: Meter, rng: np.random.Generator) -> None:
+    def search(meter: EvaluationMeter, rng: np.random.Generator) -> None:
         fit = fit_window(_phases(meter.misfit), _random(rng), method=method)
         # Its scales have no bounds, and its Jacobians have seven columns.
         cost = float(meter.misfit.costs(fit.parameters))
@@ -135,7 +136,7 @@ def _package_fit(method: str) -> Method:
 
 
 def _evolution(strategy: str) -> Method:
-    def search(meter: Meter, rng: np.random.Generator) -> None:
+    def search(meter: EvaluationMeter, rng: np.random.Generator) -> None:
         generations = meter.budget // POPULATION
         evolve(
             meter.costs,
@@ -150,7 +151,7 @@ def _evolution(strategy: str) -> Method:
     return search
 
 
-def _cma_es(meter: Meter, rng: np.random.Generator) -> None:
+def _cma_es(meter: EvaluationMeter, rng: np.random.Generator) -> None:
     import cma
 
     while True:
@@ -168,7 +169,7 @@ def _cma_es(meter: Meter, rng: np.random.Generator) -> None:
             search.tell(sets, np.log(costs).tolist())
 
 
-def _dual_annealing(meter: Meter, rng: np.random.Generator) -> None:
+def _dual_annealing(meter: EvaluationMeter, rng: np.random.Generator) -> None:
     start = rng.random(_LOW.size)
     dual_annealing(
         lambda x: math.log(meter.cost(_LOW + _SPAN * x)),
@@ -180,7 +181,7 @@ def _dual_annealing(meter: Meter, rng: np.random.Generator) -> None:
     )
 
 
-def _basin_hopping(meter: Meter, rng: np.random.Generator) -> None:
+def _basin_hopping(meter: EvaluationMeter, rng: np.random.Generator) -> None:
     basinhopping(
         lambda x: math.log(meter.cost(_LOW + _SPAN * x)),
         rng.random(_LOW.size),
@@ -217,7 +218,7 @@ def run(method: str, noise_seed: int, seed: list[int], budget: int) -> dict[str,
     """Task: one search from a random start, with new starts until the budget is spent."""
     misfit = cycle(CONDITION, noise_seed)
     floor = float(misfit.costs(_truth()))
-    meter = Meter(misfit, budget)
+    meter = EvaluationMeter(misfit, budget)
     rng = np.random.default_rng(seed)
     search = METHODS[method][1]
     began = time.process_time()

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import (
+from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
-    Array,
     force_from_coefficients,
     operating_point_coefficients,
 )
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.de import evolve

@@ -7,17 +7,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import (
-    Array,
+from mr_damper_ros.models.sigmoid.law import (
     coefficient_jacobian,
     coefficient_parameter_jacobian,
     force,
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.identification.window import Window
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.rig.thesis import Condition, find, synthesise
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.thesis.published_runs import Condition, find, synthesise
 
 LOOP_POINTS = 240
 

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mr_damper_ros.rig.thesis import PROVENANCE
 from mr_damper_ros.thesis import (
     conditions,
     dependency,
     errata,
     force_error,
+    identifiability,
     methods,
     model_table,
-    observability,
     one_set,
     optimisers,
     repeated,
     sensitivity,
 )
 from mr_damper_ros.thesis.campaign import Campaign
+from mr_damper_ros.thesis.published_runs import PROVENANCE
 from mr_damper_ros.thesis.report import Block, Chapter, write_report
 from mr_damper_ros.thesis.style import styled
 
@@ -89,9 +89,9 @@ SECTIONS = (
     Section(
         "observability",
         "What the thesis could not show: why the parameters scatter",
-        observability.compute,
-        observability.show,
-        observability.headline,
+        identifiability.compute,
+        identifiability.show,
+        identifiability.headline,
     ),
     Section(
         "models",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
+from mr_damper_ros.signals.arrays import Array
 
 _WIDTH, _HEIGHT = 6.4, 4.4
 _MEASURED = "0.62"

@@ -10,27 +10,27 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.identification.determination import (
+from mr_damper_ros.estimation.determination import (
     Determination,
     determination,
     noise_level,
     parameter_spans,
 )
-from mr_damper_ros.identification.evolution import GlobalProgress
-from mr_damper_ros.identification.global_fit import (
+from mr_damper_ros.estimation.differential_evolution import GlobalProgress
+from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
+from mr_damper_ros.estimation.global_fit import (
     GlobalFit,
     parameter_ranges,
     thinned_for_search,
 )
-from mr_damper_ros.identification.multi_start import MultiStart
-from mr_damper_ros.identification.next_run import ExtraRun, RigRange, extra_runs
-from mr_damper_ros.identification.parallel import Processes, Tell
-from mr_damper_ros.identification.pooled import PooledMisfit
-from mr_damper_ros.identification.profile import Profile, ProfileLikelihood
-from mr_damper_ros.identification.search import StopRequestedError
-from mr_damper_ros.identification.temperature import TemperatureMap
-from mr_damper_ros.identification.window import Window, longest_lag
+from mr_damper_ros.estimation.local_search import StopRequestedError
+from mr_damper_ros.estimation.multi_start import MultiStart
+from mr_damper_ros.estimation.profile_likelihood import Profile, ProfileLikelihood
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.scale_misfit import Window, longest_lag
+from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.tools.progress import ProgressLine
+from mr_damper_ros.tracking.fluid_temperature import TemperatureMap
 
 _POLL = 0.2
 """Seconds between two looks at whether a profile is to be given up."""
@@ -118,7 +118,7 @@ def profiles(
     fit: GlobalFit,
     windows: Sequence[Window],
     names: Sequence[str],
-    processes: Processes,
+    processes: ProcessPool,
     progress: ProgressLine,
 ) -> Findings:
     """Profile likelihoods of the named parameters; those not begun when stopped are left out.

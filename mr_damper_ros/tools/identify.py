@@ -12,26 +12,27 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mr_damper_ros.damper.extension import EXTENDED_MODEL, without_extension
-from mr_damper_ros.damper.parameters import DEFAULT_MODEL, ParameterSet
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import COEFFICIENT_NAMES, Array
-from mr_damper_ros.identification.evolution import STRATEGIES, EvolutionSettings
-from mr_damper_ros.identification.global_fit import METHODS, GlobalFit
-from mr_damper_ros.identification.multi_start import (
-    RecordError,
+from mr_damper_ros.estimation.differential_evolution import STRATEGIES, EvolutionSettings
+from mr_damper_ros.estimation.experiment_design import RigRange
+from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS, GlobalFit
+from mr_damper_ros.estimation.multi_start import (
     SearchRecord,
+    SearchRecordError,
     identify_from_seeds,
 )
-from mr_damper_ros.identification.next_run import RigRange
-from mr_damper_ros.identification.parallel import Processes, Tell
-from mr_damper_ros.identification.window import Window
-from mr_damper_ros.streaming.state import read_parameter_file
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, without_extension
+from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tools import findings
+from mr_damper_ros.tools.bag_windows import BagWindows, bag_windows, metrics
 from mr_damper_ros.tools.console import run_tool, write_text
 from mr_damper_ros.tools.progress import ProgressLine
-from mr_damper_ros.tools.temperature import temperature_maps
-from mr_damper_ros.tools.windows import BagWindows, bag_windows, metrics
+from mr_damper_ros.tools.temperature_map import temperature_maps
+from mr_damper_ros.tracking.state_directory import read_parameter_file
 
 _DEFAULTS = EvolutionSettings()
 
@@ -58,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--method",
-        choices=METHODS,
+        choices=GLOBAL_METHODS,
         default="global",
         help="global: laws by differential evolution, then least squares on the samples (default); "
         "nelder_mead, least_squares: local search on the samples; differential_evolution: over "
@@ -136,7 +137,7 @@ def _identify(options: argparse.Namespace) -> int:
     settings = EvolutionSettings(
         strategy=options.strategy, generations=options.generations, seed=options.seed
     )
-    with Processes(options.workers) as processes:
+    with ProcessPool(options.workers) as processes:
         bags = [bag for bag in processes.map(_read, options.bags) if bag is not None]
         windows = [window for bag in bags for window in bag.windows]
         record = SearchRecord(windows, start, settings, options.method)
@@ -182,7 +183,9 @@ def _take(record: SearchRecord, path: Path) -> None:
     try:
         record.take(json.loads(path.read_text(encoding="utf-8")))
     except ValueError as error:
-        detail = error if isinstance(error, RecordError) else "it is not the record of a search"
+        detail = (
+            error if isinstance(error, SearchRecordError) else "it is not the record of a search"
+        )
         raise ValueError(f"cannot resume from {path}: {detail}") from error
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.rig.bags import write_bag
-from mr_damper_ros.rig.readers import read_record
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.rig.units import UNITS
+from mr_damper_ros.io.bags import write_bag
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.io.units import UNITS
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool
 
 _EPILOG = f"""\

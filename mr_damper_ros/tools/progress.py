@@ -6,7 +6,7 @@ import signal
 import sys
 from types import FrameType, TracebackType
 
-from mr_damper_ros.identification.evolution import GlobalProgress
+from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 
 
 class ProgressLine:

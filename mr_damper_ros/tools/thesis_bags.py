@@ -7,8 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mr_damper_ros.rig.bags import BagError, write_bag
-from mr_damper_ros.rig.thesis import (
+from mr_damper_ros.io.bags import BagError, write_bag
+from mr_damper_ros.thesis.published_runs import (
     CONDITIONS,
     ERRATA,
     Condition,

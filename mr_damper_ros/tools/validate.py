@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from mr_damper_ros.streaming.state import read_parameter_file
+from mr_damper_ros.tools.bag_windows import bag_windows, metrics
 from mr_damper_ros.tools.console import run_tool, write_text
-from mr_damper_ros.tools.windows import bag_windows, metrics
+from mr_damper_ros.tracking.state_directory import read_parameter_file
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.damper.sigmoid import (
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SHAPE_PARAMETER_NAMES,
-    Array,
     force,
     operating_point_coefficients,
 )
-from mr_damper_ros.identification.window import Window
-from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.streaming.tracker import Report, WindowTracker, run_fit
-from mr_damper_ros.streaming.windows import RawWindow, WindowAssembler
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.tracker import Report, WindowTracker, run_fit
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 NOISE = 5.53
 """Standard deviation of the force noise of the thesis [N]."""

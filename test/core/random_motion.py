@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.rig.excitation import Kinematics
+from mr_damper_ros.signals.arrays import Array
 
 TONES = 200
 

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from mr_damper_ros.identification.parallel import Tell
+from mr_damper_ros.processes.process_pool import Tell
 
 
 def sum_of_seed(seed: int, tell: Tell) -> float:

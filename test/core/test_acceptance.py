@@ -8,9 +8,9 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.identification.acceptance import AcceptanceSettings, Evidence, Gatekeeper
-from mr_damper_ros.identification.screening import Screening, fault_of_samples
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Evidence, Gatekeeper
+from mr_damper_ros.tracking.screening import Screening, fault_of_samples
 
 SPREAD = 500.0
 """Standard deviation of the force [N] that the evidence below is about."""

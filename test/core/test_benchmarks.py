@@ -27,12 +27,12 @@ from benchmarks import (
 from benchmarks.dampers import clean_windows, steady_window
 from benchmarks.figure import Figure, table
 from benchmarks.timing import interleaved_medians
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES
-from mr_damper_ros.identification.evolution import EvolutionSettings
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import scaled
-from mr_damper_ros.rig.thesis import find, parameters
-from mr_damper_ros.streaming.tracker import TRACKERS, TrackerSettings
+from mr_damper_ros.thesis.published_runs import find, parameters
+from mr_damper_ros.tracking.tracker import TRACKERS, TrackerSettings
 
 CONDITION = "5.0mm_1Hz_1.5A"
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mr_damper_ros.streaming.blocks import NANOSECONDS, BlockError, BlockSequence, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, BlockSequence, SampleBlock
 
 PERIOD = 1e-3
 T0 = 1_700_000_000 * NANOSECONDS

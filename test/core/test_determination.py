@@ -12,22 +12,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES, Array
-from mr_damper_ros.identification.determination import (
+from mr_damper_ros.estimation.determination import (
     Determination,
     determination,
     noise_level,
     parameter_spans,
     plausible_ranges,
 )
-from mr_damper_ros.identification.next_run import ExtraRun, RigRange, extra_runs
-from mr_damper_ros.identification.observability import (
+from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
+from mr_damper_ros.estimation.observability import (
     determined_parameters,
     operating_points_within,
     varied_parameters,
 )
-from mr_damper_ros.identification.pooled import PooledMisfit
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
 
 TOP_VELOCITY = 2.0 * math.pi * 3.0 * 10e-3
 TOP_CURRENT = 1.5

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.damper.extension import EXTENDED_NAMES
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import SCALE_INDICES, operating_point_coefficients
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.identification.fit import METHODS, fit_window
-from mr_damper_ros.identification.global_fit import GlobalFit, identify_global
-from mr_damper_ros.identification.pooled import PooledMisfit
-from mr_damper_ros.identification.window import ScaleMisfit, Window
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
+from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, fit_window
 from mr_damper_ros.kinematics.motion import window_motion
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.extension import EXTENDED_NAMES
+from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, operating_point_coefficients
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
 
 LAW = MODELS["sigmoid_lag"]
 TRUTH = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0])
@@ -113,7 +113,7 @@ def test_the_scales_of_a_window_are_found_where_the_extension_is_known(frequency
     here = window(frequency)
     start = TRUTH.copy()
     start[SCALE_INDICES] *= 1.3
-    for method in METHODS:
+    for method in WINDOW_METHODS:
         fit = fit_window(here, start, method=method)
         truth = ScaleMisfit(here, TRUTH)
         assert fit.rmse**2 * here.sample_count <= truth.sum_of_squares(truth.start)

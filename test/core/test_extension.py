@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.damper.extension import (
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.sigmoid.extension import (
     EXTENDED_NAMES,
     Extension,
     FirstOrderLag,
@@ -17,7 +18,6 @@ from mr_damper_ros.damper.extension import (
     lagged,
     name_of_law,
 )
-from mr_damper_ros.damper.models import MODELS
 
 PERIOD = 1e-3
 COUNT = 400

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks import fuzz
-from mr_damper_ros.streaming import predictor
+from mr_damper_ros.tracking import predictor
 
 CASES = {"blocks": 60, "text": 300, "yaml": 300, "state": 300, "mat": 12, "bag": 30}
 
@@ -22,6 +22,6 @@ def test_the_kinds_do_not_disturb_one_another() -> None:
 
 
 def test_a_wrong_force_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(predictor.HeldCurrent, "at", lambda self, start, period, n: [1.0] * n)
+    monkeypatch.setattr(predictor.ZeroOrderHold, "at", lambda self, start, period, n: [1.0] * n)
     _, faults = fuzz.campaign(40, seed=1, kinds=("blocks",))
     assert faults

@@ -12,32 +12,32 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.damper.sigmoid import (
-    PARAMETER_NAMES,
-    SCALE_PARAMETER_NAMES,
-    SHAPE_PARAMETER_NAMES,
-    Array,
-    force,
-    operating_point_coefficients,
-    parameter_jacobian,
-)
-from mr_damper_ros.identification.evolution import (
+from mr_damper_ros.estimation.differential_evolution import (
     STRATEGIES,
     EvolutionSettings,
     GlobalProgress,
     ProgressClock,
     evolve,
 )
-from mr_damper_ros.identification.global_fit import GlobalFit, identify_global, neutral_shape
-from mr_damper_ros.identification.laws import CoefficientTable, fit_laws
-from mr_damper_ros.identification.observability import (
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global, neutral_shape
+from mr_damper_ros.estimation.observability import (
     determined_parameters,
     standard_errors,
     varied_parameters,
 )
-from mr_damper_ros.identification.pooled import PooledMisfit
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.coefficient_laws import CoefficientTable, fit_laws
+from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+    SHAPE_PARAMETER_NAMES,
+    force,
+    operating_point_coefficients,
+    parameter_jacobian,
+)
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
 
 AT_THE_NOISE = 1.06
 """RMSE over the noise: two standard errors of 600 samples, which the worst of 24 windows has."""

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 from scipy.signal import savgol_filter, sawtooth
 
-from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.kinematics.motion import displacement_noise, window_motion
 from mr_damper_ros.kinematics.sine import fit_sine
-from mr_damper_ros.rig.excitation import Sine
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
 
 EXACT = 1e-10
 """Relative, of a phase in rad: rounding of an offset of a thousand amplitudes, in half a cycle."""
@@ -222,7 +222,7 @@ def test_a_displacement_without_noise_has_none() -> None:
     assert displacement_noise(triangle(3.0, 0.2)) < NO_NOISE
 
 
-ROUNDED_TRIANGLE = Sine(5e-3, 3.0, triangularity=0.95)
+ROUNDED_TRIANGLE = SineMotion(5e-3, 3.0, triangularity=0.95)
 RANDOM = BandLimitedRandom(rms=3e-3, low=0.2, high=4.0, seed=4)
 
 MOTIONS = {"triangle": ROUNDED_TRIANGLE, "random": RANDOM}

@@ -11,10 +11,10 @@ import pytest
 @pytest.mark.parametrize(
     "modules",
     [
-        "mr_damper_ros.streaming.predictor",
-        "mr_damper_ros.streaming.tracker, mr_damper_ros.streaming.memory",
-        "mr_damper_ros.nodes.pipeline, mr_damper_ros.nodes.worker",
-        "mr_damper_ros.rig.bags, mr_damper_ros.rig.readers, mr_damper_ros.rig.emulator",
+        "mr_damper_ros.tracking.predictor",
+        "mr_damper_ros.tracking.tracker, mr_damper_ros.tracking.tracker_memory",
+        "mr_damper_ros.processes.pipeline, mr_damper_ros.processes.worker",
+        "mr_damper_ros.io.bags, mr_damper_ros.io.records, mr_damper_ros.rig.emulator",
     ],
 )
 def test_a_node_starts_without_scipy(modules: str) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from mr_damper_ros.rig import mat
+from mr_damper_ros.io import mat
 
 MATRIX = np.arange(12.0).reshape(4, 3)
 UNREADABLE = "is not a MAT file that can be read: save it again, or export it as CSV"

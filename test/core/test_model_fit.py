@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.identification.model_fit import (
+from mr_damper_ros.estimation.model_fit import (
     ModelMisfit,
     fit_model,
     model_force,
     unsettled_samples,
 )
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
 
 LEAD_IN = 1000
 NOISE = 5.0

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from known import EXAMPLES, PLAUSIBLE, fixed, run
 from scipy.integrate import solve_ivp
 
-from mr_damper_ros.damper.extension import lagged
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.sigmoid import force, operating_point_coefficients
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.sigmoid.extension import lagged
+from mr_damper_ros.models.sigmoid.law import force, operating_point_coefficients
 
 PERIOD = 1e-3
 

@@ -7,11 +7,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.streaming.motion_follower import MotionFollower
-from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.kinematics.motion_follower import MotionFollower
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
 PERIOD = 1e-3
 STEADY = known.run(current=1.0, samples=4000, seed=None).displacement

@@ -12,17 +12,17 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.identification.evolution import EvolutionSettings, GlobalProgress
-from mr_damper_ros.identification.global_fit import GlobalFit, identify_global
-from mr_damper_ros.identification.multi_start import (
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, GlobalProgress
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
+from mr_damper_ros.estimation.multi_start import (
     MultiStart,
-    RecordError,
     SearchRecord,
+    SearchRecordError,
     identify_from_seeds,
 )
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
 
 FEW = EvolutionSettings(generations=20, population=6, seed=3)
 CURRENTS = (0.0, 0.5, 1.0, 1.5)
@@ -203,7 +203,7 @@ OTHER = {
 
 @pytest.mark.parametrize("name", OTHER)
 def test_a_record_of_another_search_is_refused(name: str) -> None:
-    with pytest.raises(RecordError, match="it is of another search"):
+    with pytest.raises(SearchRecordError, match="it is of another search"):
         empty().take(OTHER[name].document())
 
 
@@ -213,7 +213,7 @@ def test_a_record_of_another_search_is_refused(name: str) -> None:
     ids=str,
 )
 def test_what_is_no_record_is_refused(document: object) -> None:
-    with pytest.raises(RecordError, match="begin a new one"):
+    with pytest.raises(SearchRecordError, match="begin a new one"):
         empty().take(document)
 
 

@@ -12,19 +12,27 @@ from typing import Any
 import pytest
 import yaml
 
-from mr_damper_ros.nodes.parameters import Option, Table, build, describe, group, option, options
+from mr_damper_ros.nodes.parameter_table import (
+    Option,
+    ParameterTable,
+    build,
+    describe,
+    group,
+    option,
+    options,
+)
 
 CONFIG = Path(__file__).parents[2] / "config"
 NODES = ("bridge", "identifier", "model", "replay")
 
 
 @dataclass(frozen=True)
-class Inner(Table):
+class Inner(ParameterTable):
     gain: float = option(2.0, "Gain.", minimum=0.0, maximum=10.0)
 
 
 @dataclass(frozen=True)
-class Example(Table):
+class Example(ParameterTable):
     mode: str = option("slow", "Mode.", choices=("slow", "fast"))
     count: int = option(3, "Count.", minimum=1)
     active: bool = option(True, "Active.", read_only=True)
@@ -96,7 +104,7 @@ def flat(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 def table_of(node: str) -> list[Option]:
     pytest.importorskip("rclpy", reason="the nodes need ROS")
-    module = import_module(f"mr_damper_ros.nodes.{node}")
+    module = import_module(f"mr_damper_ros.nodes.{node}_node")
     return list(options(getattr(module, f"{node.capitalize()}Parameters")))
 
 

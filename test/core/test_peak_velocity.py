@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.damper.sigmoid import Array
 from mr_damper_ros.kinematics.motion import window_motion
+from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.kinematics.peak_velocity import (
     HALF_CYCLES,
     MEMORY,
@@ -18,9 +18,9 @@ from mr_damper_ros.kinematics.peak_velocity import (
     StreamPeakVelocity,
     peak_velocity_of_window,
 )
-from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.streaming.motion_follower import MotionFollower
-from mr_damper_ros.streaming.windows import WindowAssembler
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 PERIOD = 1e-3
 TIME = np.arange(6000) * PERIOD

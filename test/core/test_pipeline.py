@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import THESIS_28_CELSIUS
-from mr_damper_ros.damper.sigmoid import force
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.nodes.pipeline import (
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.processes.pipeline import (
     Budget,
     Event,
     Pipeline,
@@ -23,9 +23,9 @@ from mr_damper_ros.nodes.pipeline import (
     SearchProgress,
     WindowEnded,
 )
-from mr_damper_ros.nodes.worker import Done, Failed, Outcome, Progress
-from mr_damper_ros.streaming.tracker import EARLY_METHOD, TrackerSettings, WindowTracker
-from mr_damper_ros.streaming.windows import RawWindow
+from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress
+from mr_damper_ros.tracking.tracker import EARLY_METHOD, TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.window_assembler import RawWindow
 
 PERIOD = 1.0 / 512.0
 COUNT = 1024

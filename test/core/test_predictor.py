@@ -11,16 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.sigmoid import (
-    Array,
-    force_from_coefficients,
-    operating_point_coefficients,
-)
-from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.streaming.centre import MotionCentre
-from mr_damper_ros.streaming.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.kinematics.motion_centre import MotionCentre
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.sigmoid.law import force_from_coefficients, operating_point_coefficients
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
 PERIOD = 1e-3
 SAMPLES = 6000

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mr_damper_ros.streaming.running_error import RunningError
+from mr_damper_ros.tracking.running_error import RunningError
 
 ROUNDING = 1e-9
 """Relative: sums over blocks for sums over all samples."""

@@ -11,14 +11,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.damper.sigmoid import (
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     DEPENDENCES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
     SHAPE_PARAMETER_NAMES,
-    Array,
     Coefficients,
     coefficient_jacobian,
     coefficient_parameter_jacobian,
@@ -30,8 +29,9 @@ from mr_damper_ros.damper.sigmoid import (
     secant_damping,
     secant_damping_jacobian,
 )
-from mr_damper_ros.rig import thesis
-from mr_damper_ros.rig.thesis import Condition
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.thesis import published_runs as thesis
+from mr_damper_ros.thesis.published_runs import Condition
 
 ROUNDING = 1e-9
 """Relative: the routine and the law round differently, no more."""
@@ -39,7 +39,7 @@ ROUNDING = 1e-9
 PUBLISHED_PEAK = 0.02
 """The sets of the temperature tables have two decimals: their peaks are right within this."""
 
-ROWS = [(c, m) for c in thesis.CONDITIONS for m in thesis.METHODS]
+ROWS = [(c, m) for c in thesis.CONDITIONS for m in thesis.PUBLISHED_METHODS]
 ROW_IDS = [f"{c.name}-{m}" for c, m in ROWS]
 
 
@@ -368,7 +368,7 @@ def test_the_start_of_the_searches_is_the_published_one() -> None:
 
 def difference_of_methods(condition: Condition) -> float:
     """Relative norm of the difference of the two methods' loops."""
-    simplex, evolution = (loop(condition, method) for method in thesis.METHODS)
+    simplex, evolution = (loop(condition, method) for method in thesis.PUBLISHED_METHODS)
     return float(np.linalg.norm(simplex - evolution) / np.linalg.norm(simplex))
 
 
@@ -404,7 +404,7 @@ def test_their_parameters_do_not_agree(differences: dict[Condition, float]) -> N
     # Sets are not unique, loops are: that is why the identification has two levels.
     far = 0
     for condition in differences:
-        a, b = (thesis.parameters(condition, method) for method in thesis.METHODS)
+        a, b = (thesis.parameters(condition, method) for method in thesis.PUBLISHED_METHODS)
         far += bool(np.max(np.abs(a - b) / np.maximum(np.abs(a), 1e-3)) > 0.5)
     assert far > len(differences) / 2
 
@@ -415,7 +415,7 @@ def test_the_loops_of_the_errata_disagree(condition: Condition) -> None:
 
 
 @pytest.mark.parametrize("frequency", [1, 3, 5])
-@pytest.mark.parametrize("method", thesis.METHODS)
+@pytest.mark.parametrize("method", thesis.PUBLISHED_METHODS)
 def test_the_tables_for_5_mm_and_1_ampere_repeat_those_for_0_ampere(
     frequency: int, method: str
 ) -> None:
@@ -446,14 +446,14 @@ def test_in_that_row_k3_takes_the_sign_back() -> None:
 
 def test_one_differential_evolution_row_is_corrupt() -> None:
     condition = thesis.find("2.5mm_5Hz_0.0A")
-    good, corrupt = (loop(condition, method) for method in thesis.METHODS)
+    good, corrupt = (loop(condition, method) for method in thesis.PUBLISHED_METHODS)
     assert (round(good.max()), round(good.min())) == (134, -170)
     assert (round(corrupt.max()), round(corrupt.min())) == (544, -727)
 
 
 def test_one_differential_evolution_row_is_a_mirror_image() -> None:
     condition = thesis.find("7.5mm_5Hz_1.0A")
-    good, mirrored = (loop(condition, method) for method in thesis.METHODS)
+    good, mirrored = (loop(condition, method) for method in thesis.PUBLISHED_METHODS)
     correlation = float(np.corrcoef(good, mirrored)[0, 1])
     assert correlation < -0.9, "the sign of the force is lost"
 

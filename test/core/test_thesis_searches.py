@@ -13,12 +13,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.rig.thesis import find, parameters
-from mr_damper_ros.thesis import facts, observability, one_set, optimisers, repeated, sensitivity
+from mr_damper_ros.thesis import facts, identifiability, one_set, optimisers, repeated, sensitivity
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.de import STRATEGIES, evolve
+from mr_damper_ros.thesis.published_runs import find, parameters
 from mr_damper_ros.thesis.report import (
     Chapter,
     Compared,
@@ -313,8 +313,8 @@ def test_seven_unknowns_succeed_where_the_thesis_way_does_not():
 
 
 def test_one_run_determines_seven_directions():
-    truth = parameters(find(observability.CONDITION))
-    jacobian = observability.scaled_jacobian(observability.CONDITION, 0, truth)
+    truth = parameters(find(identifiability.CONDITION))
+    jacobian = identifiability.scaled_jacobian(identifiability.CONDITION, 0, truth)
     singular = np.linalg.svd(jacobian, compute_uv=False)
     assert singular[6] > COUNTS
     assert singular[7] < FLAT * singular[0]
@@ -323,7 +323,7 @@ def test_one_run_determines_seven_directions():
 @pytest.fixture(scope="module")
 def good():
     """Equally good sets (k, 16) from eight random starts."""
-    fits = observability.descents(0, [[k] for k in range(8)])
+    fits = identifiability.descents(0, [[k] for k in range(8)])
     floor = min(fit["rmse"] for fit in fits)
     sets = [fit["parameters"] for fit in fits if fit["rmse"] < EQUALLY_GOOD * floor]
     assert len(sets) >= 4
@@ -336,13 +336,13 @@ def test_equally_good_sets_differ(good):
 
 
 def test_equally_good_sets_have_one_loop(good):
-    residuals = cycle(observability.CONDITION, 0).residual(good)
+    residuals = cycle(identifiability.CONDITION, 0).residual(good)
     assert np.max(np.ptp(residuals, axis=0)) < SAME_RESIDUAL
 
 
 @pytest.mark.parametrize("law", one_set.LAWS)
 def test_one_set_for_one_run_leaves_the_noise(law):
-    fit = one_set.resynthesised([observability.CONDITION], 0, 4, law, generations=20)
+    fit = one_set.resynthesised([identifiability.CONDITION], 0, 4, law, generations=20)
     assert fit["rmse"][0] == pytest.approx(THESIS_FORCE_NOISE, rel=NOISE_OF_A_QUARTER)
 
 

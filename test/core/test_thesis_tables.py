@@ -10,9 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from known import fixed
 
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, force
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.rig.thesis import CONDITIONS, METHODS, ROW_ERRATA, find, parameters
 from mr_damper_ros.thesis import (
     conditions,
     dependency,
@@ -24,6 +23,13 @@ from mr_damper_ros.thesis import (
 )
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.conditions import identified
+from mr_damper_ros.thesis.published_runs import (
+    CONDITIONS,
+    PUBLISHED_METHODS,
+    ROW_ERRATA,
+    find,
+    parameters,
+)
 from mr_damper_ros.thesis.runs import CycleMisfit, cycle, window
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
@@ -283,23 +289,27 @@ def test_identified_loops_are_the_published_ones(campaign):
 
 def test_the_methods_are_as_far_apart_as_tables_15_and_16_say():
     condition = find("2.5mm_1Hz_0.0A")
-    apart = np.abs(parameters(condition, METHODS[1]) - parameters(condition, METHODS[0]))
+    apart = np.abs(
+        parameters(condition, PUBLISHED_METHODS[1]) - parameters(condition, PUBLISHED_METHODS[0])
+    )
     allowed = np.array([ROUNDED.get(name, HUNDREDTH) for name in PARAMETER_NAMES])
     assert np.all(np.abs(apart - facts.METHODS_APART) <= allowed)
 
 
 def test_published_coefficients_agree():
     condition = find("5.0mm_1Hz_0.5A")
-    nelder, evolved = (conditions.published_coefficients(condition, m) for m in METHODS)
+    nelder, evolved = (conditions.published_coefficients(condition, m) for m in PUBLISHED_METHODS)
     np.testing.assert_allclose(evolved, nelder, rtol=SAME_COEFFICIENTS)
     assert nelder[0] > 0.0
 
 
 def test_published_coefficients_agree_where_the_parameters_do_not():
     wide = find("2.5mm_3Hz_1.0A")
-    sets = [parameters(wide, method) for method in METHODS]
+    sets = [parameters(wide, method) for method in PUBLISHED_METHODS]
     assert np.max(np.abs(sets[1] / sets[0] - 1.0)) > FAR_APART
-    values = [conditions.published_coefficients(wide, method)[[0, 1, 4]] for method in METHODS]
+    values = [
+        conditions.published_coefficients(wide, method)[[0, 1, 4]] for method in PUBLISHED_METHODS
+    ]
     np.testing.assert_allclose(values[1], values[0], rtol=SAME_COEFFICIENTS_OF_WIDE_SETS)
 
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.streaming.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.streaming.predictor import ForcePredictor, Prediction, PredictorSettings
-from mr_damper_ros.streaming.windows import RawWindow, WindowAssembler
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 SIZE = 10
 BLOCK_NS = round(SIZE * known.PERIOD * NANOSECONDS)

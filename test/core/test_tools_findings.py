@@ -12,9 +12,9 @@ from typing import Any
 import known
 import pytest
 
-from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.damper.sigmoid import SHAPE_PARAMETER_NAMES
-from mr_damper_ros.rig.bags import write_bag
+from mr_damper_ros.io.bags import write_bag
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.law import SHAPE_PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import (
     ConstantDamper,
     EmulatedRig,
@@ -22,7 +22,7 @@ from mr_damper_ros.rig.emulator import (
     TemperatureDependentDamper,
     ThermalModel,
 )
-from mr_damper_ros.rig.excitation import Sine
+from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.tools import identify
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -53,7 +53,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     for seed, current in enumerate((0.0, 0.5, 1.0, 1.5)):
         rig = EmulatedRig(
             ConstantDamper(known.PLAUSIBLE),
-            Sine(5e-3, 2.0),
+            SineMotion(5e-3, 2.0),
             current,
             settings=RigSettings(sample_rate=500.0, seed=seed),
         )
@@ -199,7 +199,7 @@ def test_a_bag_with_a_thermometer_gives_the_map(
 ) -> None:
     rig = EmulatedRig(
         TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
-        Sine(5e-3, 1.0),
+        SineMotion(5e-3, 1.0),
         1.5,
         thermal=ThermalModel(capacity=25.0, conductance=0.0),
     )

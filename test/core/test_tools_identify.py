@@ -16,20 +16,20 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.extension import without_extension
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import LITERATURE
-from mr_damper_ros.damper.sigmoid import (
+from mr_damper_ros.estimation.differential_evolution import GlobalProgress
+from mr_damper_ros.io.bags import read_bag, write_bag
+from mr_damper_ros.kinematics.motion import window_motion
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.extension import without_extension
+from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
     SHAPE_PARAMETER_NAMES,
     operating_point_coefficients,
 )
-from mr_damper_ros.identification.evolution import GlobalProgress
-from mr_damper_ros.kinematics.motion import window_motion
-from mr_damper_ros.rig.bags import read_bag, write_bag
-from mr_damper_ros.rig.thesis import CONDITIONS, is_clean, parameters, synthesise
+from mr_damper_ros.thesis.published_runs import CONDITIONS, is_clean, parameters, synthesise
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.progress import ProgressLine
 

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from mr_damper_ros.rig.bags import read_bag
-from mr_damper_ros.rig.readers import read_record
-from mr_damper_ros.rig.recording import DEFAULT_START_NS
-from mr_damper_ros.rig.units import UNITS, ColumnError, parse_columns
+from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.io.units import UNITS, ColumnError, parse_columns
+from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tools import import_record
 from mr_damper_ros.tools.console import run_tool, write_text
 

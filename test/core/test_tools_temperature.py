@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from mr_damper_ros.damper.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.rig.bags import write_bag
+from mr_damper_ros.io.bags import write_bag
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
-from mr_damper_ros.rig.excitation import Sine
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.tools.temperature import temperature_maps
-from mr_damper_ros.tools.windows import bag_windows
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tools.bag_windows import bag_windows
+from mr_damper_ros.tools.temperature_map import temperature_maps
 
 COLD, HOT = 28.0, 71.0
 FALL = 0.7561
@@ -33,7 +33,7 @@ def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
     """Fifty seconds in which the damper heats from 28 °C to nearly 71 °C."""
     rig = EmulatedRig(
         TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
-        Sine(5e-3, 1.0),
+        SineMotion(5e-3, 1.0),
         current,
         thermal=ThermalModel(capacity=25.0, conductance=0.0),
     )

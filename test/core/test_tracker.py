@@ -9,12 +9,12 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.damper.sigmoid import SCALE_INDICES, force
-from mr_damper_ros.identification.acceptance import AcceptanceSettings
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.streaming.tracker import (
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, force
+from mr_damper_ros.tracking.acceptance import AcceptanceSettings
+from mr_damper_ros.tracking.tracker import (
     GlobalResult,
     Report,
     TrackerSettings,
@@ -23,7 +23,7 @@ from mr_damper_ros.streaming.tracker import (
     run_fit,
     run_global,
 )
-from mr_damper_ros.streaming.windows import RawWindow
+from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SAMPLES = 1000
 WINDOWS = 30

@@ -9,14 +9,13 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.parameters import ParameterError, ParameterSet
-from mr_damper_ros.damper.sigmoid import Array
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.streaming.memory import from_text, to_text
-from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.streaming.start import start_set
-from mr_damper_ros.streaming.tracker import (
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.tracker import (
     EARLY_METHOD,
     Report,
     TrackerSettings,
@@ -24,7 +23,8 @@ from mr_damper_ros.streaming.tracker import (
     run_fit,
     run_global,
 )
-from mr_damper_ros.streaming.windows import RawWindow
+from mr_damper_ros.tracking.tracker_memory import from_text, to_text
+from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SCALE_TOLERANCE = 0.01
 """Of the force scale: a tenth of the change that is to be seen."""

@@ -10,13 +10,13 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.identification.temperature import TemperatureHistory
-from mr_damper_ros.streaming.memory import from_text, to_text
-from mr_damper_ros.streaming.state import StateError
-from mr_damper_ros.streaming.tracker import Report, TrackerSettings, WindowTracker, run_fit
-from mr_damper_ros.streaming.windows import RawWindow
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
+from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory
+from mr_damper_ros.tracking.state_directory import StateError
+from mr_damper_ros.tracking.tracker import Report, TrackerSettings, WindowTracker, run_fit
+from mr_damper_ros.tracking.tracker_memory import from_text, to_text
+from mr_damper_ros.tracking.window_assembler import RawWindow
 
 COLD, HOT = 28.0, 71.0
 SAMPLES = 1000

@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.damper.sigmoid import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES, Array
-from mr_damper_ros.identification.evolution import EvolutionSettings
-from mr_damper_ros.identification.global_fit import GlobalFit, identify_global, neutral_shape
-from mr_damper_ros.identification.window import Window
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global, neutral_shape
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
 
 QUICK = EvolutionSettings(generations=40, population=8)
 POINTS = tuple(product((2.5e-3, 5e-3, 10e-3), (1.0, 3.0), (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)))

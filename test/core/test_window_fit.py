@@ -11,22 +11,22 @@ import numpy as np
 import pytest
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.damper.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.damper.sigmoid import (
+from mr_damper_ros.estimation.local_search import LocalSearch
+from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit, fit_window
+from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     SCALE_INDICES,
-    Array,
     Coefficients,
     coefficient_jacobian,
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.identification.fit import METHODS, WindowFit, fit_window
-from mr_damper_ros.identification.search import LocalSearch
-from mr_damper_ros.identification.window import ScaleMisfit, Window
-from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
-from mr_damper_ros.rig import thesis
-from mr_damper_ros.rig.thesis import Condition
+from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.thesis import published_runs as thesis
+from mr_damper_ros.thesis.published_runs import Condition
 
 AT_THE_NOISE = 1.0001
 """RMSE of a fit over that of the truth: the minimum lies no higher, and the search ends in it."""
@@ -125,7 +125,7 @@ def cases() -> dict[Condition, Case]:
             seed=seed,
             samples=known.THESIS_SAMPLES,
         )
-        fits = {m: fit_window(run.window, LITERATURE, method=m) for m in METHODS}
+        fits = {m: fit_window(run.window, LITERATURE, method=m) for m in WINDOW_METHODS}
         result[condition] = Case(run, fits)
     return result
 
@@ -148,7 +148,7 @@ def test_a_thesis_condition_is_fitted_down_to_the_noise(
 def test_both_methods_find_the_same_minimum(
     cases: dict[Condition, Case], condition: Condition
 ) -> None:
-    simplex, gauss = (cases[condition].fits[m] for m in METHODS)
+    simplex, gauss = (cases[condition].fits[m] for m in WINDOW_METHODS)
     np.testing.assert_allclose(
         (simplex.coefficients - gauss.coefficients) / standard_errors(gauss),
         0.0,
@@ -259,7 +259,7 @@ STARTS = {
 }
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", WINDOW_METHODS)
 @pytest.mark.parametrize("start", STARTS.values(), ids=STARTS.keys())
 def test_the_minimum_does_not_depend_on_the_start(start: Array, method: str) -> None:
     run = known.run(current=1.0, seed=3)
@@ -302,7 +302,7 @@ def test_the_parameters_have_the_coefficients_of_the_fit() -> None:
     )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", WINDOW_METHODS)
 @pytest.mark.parametrize("start", [known.PLAUSIBLE, LITERATURE], ids=["from the truth", "cold"])
 def test_a_force_without_noise_is_fitted_exactly_and_without_a_warning(
     start: Array, method: str
@@ -314,7 +314,7 @@ def test_a_force_without_noise_is_fitted_exactly_and_without_a_warning(
     np.testing.assert_allclose(fit.coefficients, run.coefficients, rtol=NOISELESS)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", WINDOW_METHODS)
 def test_a_warm_start_needs_few_evaluations(method: str) -> None:
     before = fit_window(known.run(current=1.0, seed=1).window, LITERATURE).parameters
     window = known.run(current=1.0, seed=2).window

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from mr_damper_ros.nodes.worker import Done, Failed, Outcome, Progress, Worker
+from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress, Worker
 
 TASKS = """
 import os, pathlib, signal, sys, time
@@ -331,7 +331,7 @@ def test_the_worker_dies_with_a_killed_parent(tasks: Any, task: str) -> None:
     # A long sum holds the interpreter lock, so that no thread of the worker can react.
     script = (
         "import time, worker_tasks\n"
-        "from mr_damper_ros.nodes.worker import Worker\n"
+        "from mr_damper_ros.processes.worker import Worker\n"
         "worker = Worker('worker_tasks')\n"
         f"worker.submit(worker_tasks.call, {task})\n"
         "deadline = time.monotonic() + 1.0\n"

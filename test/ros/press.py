@@ -13,8 +13,8 @@ from support import Listener
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import current_message, samples_message
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.streaming.blocks import SampleBlock
+from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.recording import Recording
 
 BLOCK = 100
 

@@ -16,9 +16,9 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from sensor_msgs.msg import JointState, Temperature
 from support import Listener, assert_one_sentence
 
+from mr_damper_ros.io.bags import read_bag
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
-from mr_damper_ros.rig.bags import read_bag
 
 COLUMNS = "time:s,displacement:mm,force:kN"
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"

@@ -25,15 +25,15 @@ from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.damper.published import LITERATURE
+from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.identifier import IdentifierParameters
-from mr_damper_ros.nodes.parameters import options
+from mr_damper_ros.nodes.identifier_node import IdentifierParameters
+from mr_damper_ros.nodes.parameter_table import options
 from mr_damper_ros.nodes.results import parameter_set
-from mr_damper_ros.rig.bags import read_bag
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.streaming.state import StateDirectory
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.state_directory import StateDirectory
 
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"

@@ -14,9 +14,9 @@ from mr_damper_msgs.msg import DamperParameters, PredictedForce
 from support import PATIENCE, Listener
 
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.bridge import BridgeParameters
-from mr_damper_ros.nodes.parameters import options
-from mr_damper_ros.nodes.replay import ReplayParameters
+from mr_damper_ros.nodes.bridge_node import BridgeParameters
+from mr_damper_ros.nodes.parameter_table import options
+from mr_damper_ros.nodes.replay_node import ReplayParameters
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "launch" / "identify.launch.py"

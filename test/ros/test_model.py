@@ -17,20 +17,20 @@ from press import BAD_BLOCKS, BLOCK, Press, block_message
 from rclpy.duration import Duration
 from support import Listener, assert_one_sentence
 
-from mr_damper_ros.damper.models import MODELS
-from mr_damper_ros.damper.models import Model as ForceModel
-from mr_damper_ros.damper.parameters import ParameterSet
-from mr_damper_ros.identification.acceptance import NO_BETTER
+from mr_damper_ros.io.bags import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models import Model as ForceModel
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
-from mr_damper_ros.nodes.model import ModelParameters
-from mr_damper_ros.nodes.parameters import options
+from mr_damper_ros.nodes.model_node import ModelParameters
+from mr_damper_ros.nodes.parameter_table import options
 from mr_damper_ros.nodes.results import parameter_set, parameters_message
-from mr_damper_ros.rig.bags import read_bag
-from mr_damper_ros.rig.recording import Recording
-from mr_damper_ros.rig.thesis import CONDITIONS, parameters
-from mr_damper_ros.streaming.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.thesis.published_runs import CONDITIONS, parameters
+from mr_damper_ros.tracking.acceptance import NO_BETTER
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"

@@ -10,8 +10,8 @@ from press import block_message
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from support import Listener
 
+from mr_damper_ros.io.bags import read_bag
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.rig.bags import read_bag
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 

@@ -29,10 +29,10 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
+from mr_damper_ros.io.bags import write_bag
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
-from mr_damper_ros.rig import thesis
-from mr_damper_ros.rig.bags import write_bag
+from mr_damper_ros.thesis import published_runs as thesis
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 SAMPLES = "/mts/samples"

@@ -1,0 +1,1 @@
+"""Fits of windows and of many runs, with errors, observability and the design of experiments."""

@@ -1,0 +1,182 @@
+"""How far samples determine parameters: rank, condition, and the combinations they leave open.
+
+Everything is counted in *spans*: of a shape parameter the range in which it is plausible, of a
+scale its own size. In these units the singular values of the Jacobian are the inverse standard
+errors of uncorrelated combinations of the parameters. A combination is determined where its
+standard error is below a quarter of a span, the bar of :mod:`observability`; the rank counts
+those. See Belsley, Kuh and Welsch, "Regression Diagnostics", 1980, chapter 3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.estimation.covariance import correlation_length, triangular_factor
+from mr_damper_ros.estimation.observability import SURE
+from mr_damper_ros.models.sigmoid.coefficient_laws import shape_bounds
+from mr_damper_ros.models.sigmoid.extension import EXTENDED_NAMES, is_extended
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.signals.arrays import Array
+
+GAIN_RANGE = 100.0
+"""Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
+
+_SMALLEST_SHARE = 0.1
+"""The span of a scale near zero is what would change the force by this part, not itself."""
+
+_NEGLIGIBLE = 0.05
+"""Left out of the words: what moves by less than this part of the largest move, and changes the
+force by less than this part of the largest change."""
+
+_MOST_WORDS = 5
+
+_ROUNDING = 1e-10
+"""A move that the samples notice less than this, of what they may notice, is one they do not."""
+
+_PREFER_SHAPE = 1e2
+"""Where a scale trades with a shape parameter, it is the shape that is said to be open; not where
+the shape's part is less than a hundredth, or one direction would be told several times."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A direction in which parameters may move together while the force hardly changes.
+
+    ``weights``: how far each moves, by name, in spans; the largest is 1, the first is that of the
+    parameter which leads. ``standard_error``: of the move, in spans; infinite where the samples do
+    not notice it at all.
+    """
+
+    weights: Mapping[str, float]
+    standard_error: float
+
+    @property
+    def words(self) -> str:
+        """The names with the largest weights, as in ``0.38 I1 + k4``."""
+        terms: list[str] = []
+        for name, weight in list(self.weights.items())[:_MOST_WORDS]:
+            size = "" if f"{abs(weight):.2g}" == "1" else f"{abs(weight):.2g} "
+            sign = "- " if weight < 0.0 else "+ "
+            terms.append(f"{sign if terms else ''}{size}{name}")
+        return " ".join(terms) + (" ..." if len(self.weights) > _MOST_WORDS else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Determination:
+    """What samples determine: ``singular_values`` (p,) in 1/spans, largest first.
+
+    ``rank``: combinations that are determined; ``condition``: the largest over the smallest
+    singular value, infinite where the smallest is zero up to rounding; ``open``: the p - rank
+    combinations that are not determined, each led by another parameter.
+    """
+
+    names: tuple[str, ...]
+    singular_values: Array
+    rank: int
+    condition: float
+    open: tuple[Combination, ...]
+
+
+def names_of(parameters: Array) -> tuple[str, ...]:
+    """Names of parameters (16,) of the sigmoid law or (19,) of the extended one."""
+    return EXTENDED_NAMES if is_extended(parameters) else PARAMETER_NAMES
+
+
+def plausible_ranges(top_velocity: float, top_current: float) -> dict[str, tuple[float, float]]:
+    """Plausible ranges of the nine shape parameters where data reach so far [m/s, A]."""
+    gains = dict.fromkeys(("k2", "k3"), (-GAIN_RANGE, GAIN_RANGE))
+    return {**shape_bounds(top_velocity, top_current), **gains}
+
+
+def parameter_spans(
+    jacobian: Array, parameters: Array, ranges: Mapping[str, tuple[float, float]]
+) -> Array:
+    """Span (p,) of each parameter, in its own unit; see the head of this module.
+
+    ``jacobian`` (n, p) is that of the residual at ``parameters`` (p,), ``ranges`` are those of the
+    shape parameters.
+    """
+    lengths = np.linalg.norm(jacobian, axis=0)
+    # The force is proportional to f0, the first of the parameters.
+    force = abs(float(parameters[0])) * lengths[0]
+    spans = np.maximum(
+        np.abs(parameters), _SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
+    )
+    for place, name in enumerate(names_of(parameters)):
+        if name in ranges:
+            spans[place] = ranges[name][1] - ranges[name][0]
+    return np.asarray(np.where(spans > 0.0, spans, 1.0))
+
+
+def noise_level(misfit: PooledMisfit, parameters: Array) -> float:
+    """Standard deviation [1] of the residual that its Jacobian may be divided by.
+
+    Correlated samples count once together, so what a law leaves of the force is not taken for
+    noise that averages out.
+    """
+    residual = misfit.residual(parameters)
+    variance = float(np.mean(residual**2)) * max(correlation_length(residual), 1)
+    return math.sqrt(max(variance, 1e-300))
+
+
+def determination(jacobian: Array, names: Sequence[str], spans: Array) -> Determination:
+    """What a Jacobian (n, p) of a residual of unit variance determines."""
+    triangular = triangular_factor(jacobian) * spans
+    _, values, rows = np.linalg.svd(triangular, full_matrices=True)
+    singular = np.zeros(len(names))
+    singular[: values.size] = values
+    loose = singular * SURE <= 1.0
+    return Determination(
+        names=tuple(names),
+        singular_values=singular,
+        rank=int(np.sum(~loose)),
+        condition=_condition(singular),
+        open=_combinations(rows[loose], triangular, names),
+    )
+
+
+def _condition(singular: Array) -> float:
+    largest, smallest = float(singular[0]), float(singular[-1])
+    return largest / smallest if smallest > _ROUNDING * largest else math.inf
+
+
+def _combinations(
+    directions: Array, triangular: Array, names: Sequence[str]
+) -> tuple[Combination, ...]:
+    """A basis of the span of the rows (d, p) in which each row is led by another parameter.
+
+    Gauss-Jordan elimination, complete pivoting: singular vectors mix what has nothing to do with
+    each other.
+    """
+    basis = np.array(directions)
+    preference = np.array([1.0 if n in SCALE_PARAMETER_NAMES else _PREFER_SHAPE for n in names])
+    leads: list[int] = []
+    for step in range(len(basis)):
+        sizes = np.abs(basis[step:]) * preference
+        sizes[:, leads] = 0.0
+        row, lead = divmod(int(np.argmax(sizes)), len(names))
+        basis[[step, step + row]] = basis[[step + row, step]]
+        basis[step] /= basis[step, lead]
+        others = np.arange(len(basis)) != step
+        basis[others] -= np.outer(basis[others, lead], basis[step])
+        leads.append(lead)
+    largest = float(np.linalg.norm(triangular, 2))
+    lengths = np.linalg.norm(triangular, axis=0)
+    combinations = []
+    for lead, move in sorted(zip(leads, basis, strict=True), key=lambda led: led[0]):
+        move = move / np.max(np.abs(move))
+        order = [lead, *(place for place in np.argsort(-np.abs(move)) if place != lead)]
+        change = np.abs(move) * lengths
+        told = (np.abs(move) >= _NEGLIGIBLE) | (
+            change > max(_NEGLIGIBLE * change.max(), _ROUNDING * largest)
+        )
+        weights = {names[k]: float(move[k]) for k in order if told[k]}
+        noticed = float(np.linalg.norm(triangular @ move))
+        error = 1.0 / noticed if noticed > _ROUNDING * largest else math.inf
+        combinations.append(Combination(weights, error))
+    return tuple(combinations)

@@ -1,0 +1,179 @@
+"""Differential evolution (Storn and Price, 1997): SciPy's, with progress, seed and early stop."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+
+STRATEGIES = ("rand1bin", "best1bin", "currenttobest1bin", "rand2bin")
+"""SciPy's names of the schemes of the thesis' table 3: rand/1, best/1, x + F (x_best - x + x_1 -
+x_2), which the thesis calls rand-to-best/2, and rand/2; all with binomial crossover."""
+
+_WORST = 1e150  # SciPy squares it
+_REPORT_PERIOD = 0.2
+
+
+@dataclass(frozen=True)
+class EvolutionSettings:
+    """Settings of differential evolution; the defaults are the thesis' (2.7.2 and 4.6).
+
+    ``strategy``: one of ``STRATEGIES``; ``mutation``: F; ``recombination``: CR; ``generations``:
+    at most so many; ``population``: individuals per unknown; ``seed``: of the random numbers.
+
+    Raises ValueError, in one sentence, for values out of range.
+    """
+
+    strategy: str = "rand1bin"
+    mutation: float = 0.8
+    recombination: float = 0.8
+    generations: int = 500
+    population: int = 15
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.strategy not in STRATEGIES:
+            raise ValueError(
+                f"strategy '{self.strategy}' is unknown: use one of {', '.join(STRATEGIES)}"
+            )
+        if not 0.0 < self.mutation < 2.0:
+            raise ValueError(f"mutation is {self.mutation}: it must lie between 0 and 2")
+        if not 0.0 <= self.recombination <= 1.0:
+            raise ValueError(f"recombination is {self.recombination}: it must lie in 0 to 1")
+        if self.generations < 1:
+            raise ValueError(f"generations is {self.generations}: at least 1 is needed")
+        if self.population < 5:
+            raise ValueError(f"population is {self.population}: at least 5 per unknown are needed")
+        if self.seed < 0:
+            raise ValueError(f"seed is {self.seed}: it must not be negative")
+
+
+@dataclass(frozen=True)
+class GlobalProgress:
+    """How far a long search is: ``best_cost`` is that of the present ``stage`` [1].
+
+    ``time_left`` [s] is an estimate for all that remains.
+    """
+
+    stage: str
+    generation: int
+    generations: int
+    best_cost: float
+    time_left: float
+
+
+Report = Callable[[GlobalProgress], bool]
+"""Told of progress; returning False stops the search with the best so far."""
+
+
+class ProgressClock:
+    """Counts generations over the stages of a search and estimates the time left."""
+
+    def __init__(self, generations: int, report: Report | None) -> None:
+        self._total = generations
+        self._done = 0
+        self._report = report
+        self._last_report = time.monotonic()
+        # Generations of one stage take the same time, those of another may not.
+        self._stage = ""
+        self._stage_began = self._last_report
+        self._stage_done = 0
+        self.stopped = False
+
+    def tick(self, stage: str, best_cost: float) -> None:
+        """One generation more."""
+        if stage != self._stage:
+            self._stage, self._stage_began, self._stage_done = stage, time.monotonic(), 0
+        self._done += 1
+        self._stage_done += 1
+        self._tell(stage, best_cost)
+
+    def _tell(self, stage: str, best_cost: float) -> None:
+        if self._report is None or self.stopped:
+            return
+        self._last_report = time.monotonic()
+        pace = (self._last_report - self._stage_began) / max(self._stage_done, 1)
+        left = max(self._total - self._done, 0) * pace
+        progress = GlobalProgress(stage, self._done, self._total, best_cost, left)
+        self.stopped = not self._report(progress)
+
+    def poll(self, stage: str, best_cost: float) -> bool:
+        """Report between generations, a few times a second; returns whether to stop."""
+        now = time.monotonic()
+        if now - self._last_report >= _REPORT_PERIOD:
+            self._tell(stage, best_cost)
+        return self.stopped
+
+    def skip(self, generations: int) -> None:
+        """A stage ended so many generations early."""
+        self._done += generations
+
+
+def evolve(
+    cost: Callable[[Array], Array],
+    bounds: Sequence[tuple[float, float]],
+    settings: EvolutionSettings,
+    clock: ProgressClock,
+    *,
+    stage: str,
+    start: Array | None = None,
+) -> tuple[Array, float, int]:
+    """Minimise ``cost``, which takes individuals of shape (p, s) and returns (s,).
+
+    Returns the best individual (p,), its cost and the number of evaluations. ``start`` joins the
+    first population. Costs that are not numbers lose against every other.
+    """
+    best_cost = math.inf
+    generations = evaluations = 0
+
+    def safe_cost(individuals: Array) -> Array:
+        nonlocal best_cost, evaluations
+        # SciPy counts a whole population as one evaluation.
+        evaluations += individuals.shape[1]
+        costs = np.nan_to_num(cost(individuals), nan=_WORST, posinf=_WORST)
+        best_cost = min(best_cost, float(costs.min()))
+        return costs
+
+    def follow(best: Array, convergence: float) -> bool:
+        nonlocal generations
+        generations += 1
+        clock.tick(stage, best_cost)
+        return clock.stopped
+
+    from scipy.optimize import differential_evolution  # here: see mr_damper_ros.entry_points
+
+    low, high = (np.array(side, dtype=float) for side in zip(*bounds, strict=True))
+    # SciPy refuses a start that rounding, when it scales the bounds, puts outside of them.
+    margin = 1e-9 * (high - low)
+    result = differential_evolution(
+        safe_cost,
+        list(zip(low, high, strict=True)),
+        strategy=settings.strategy,
+        mutation=settings.mutation,
+        recombination=settings.recombination,
+        maxiter=settings.generations,
+        popsize=settings.population,
+        tol=1e-8,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        init="latinhypercube",
+        x0=None if start is None else np.clip(start, low + margin, high - margin),
+        callback=follow,
+        **{generator_keyword(): np.random.default_rng(settings.seed)},
+    )
+    clock.skip(settings.generations - generations)
+    return np.asarray(result.x), float(result.fun), evaluations
+
+
+def generator_keyword() -> str:
+    """SciPy's name of the argument for the random numbers: it was renamed in 1.15."""
+    from scipy.optimize import differential_evolution  # here: see mr_damper_ros.entry_points
+
+    return "rng" if "rng" in inspect.signature(differential_evolution).parameters else "seed"

@@ -1,0 +1,250 @@
+"""Which run of the rig would determine what is still open: optimal design of experiments.
+
+A run at peak velocity v and current i adds the Fisher information of its samples, which the
+Jacobian of the law gives before the run is made. Of all runs within the rig's range, the one is
+advised after which the determinant of the information is largest (D-optimality), prior ranges
+counted as information: the greatest expected gain of knowledge (Lindley). The law is not linear,
+so the gain is averaged over sets that fit the present data equally and differ in what these leave
+open. See Chaloner and Verdinelli, "Bayesian experimental design: a review", Statistical Science
+10, 1995. One run after another is added until nothing is open.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.estimation.covariance import triangular_factor
+from mr_damper_ros.estimation.determination import (
+    noise_level,
+    parameter_spans,
+    plausible_ranges,
+)
+from mr_damper_ros.estimation.observability import (
+    determined_parameters,
+    operating_points_within,
+    varied_parameters,
+)
+from mr_damper_ros.models.sigmoid.adaptation import adapted
+from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT
+from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+    SHAPE_PARAMETER_NAMES,
+)
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
+
+_SETS = 16
+"""So many sets stand for what is open."""
+
+_MOST_RUNS = 4
+"""No more runs are advised at once: four currents are what the laws need."""
+
+_SPEEDS = np.geomspace(0.1, 1.0, 6)
+_CURRENTS = np.linspace(0.0, 1.0, 9)
+"""Candidates, as parts of the largest peak velocity and current."""
+
+_PHASES = 64
+"""Samples of a candidate's cycle."""
+
+_MAJORITY = 0.5
+"""A run is said to determine what it determines for more than this part of the sets."""
+
+
+@dataclass(frozen=True)
+class RigRange:
+    """What the rig may do: so much ``peak_velocity`` [m/s] and ``current`` [A], and less.
+
+    Runs are advised at its ``amplitude`` [m]. Raises ValueError for values that no rig has.
+    """
+
+    amplitude: float
+    peak_velocity: float
+    current: float
+
+    def __post_init__(self) -> None:
+        for name in ("amplitude", "peak_velocity"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"the rig's largest {name.replace('_', ' ')} is {getattr(self, name)}: "
+                    "it must be positive"
+                )
+        if not 0.0 <= self.current < math.inf:
+            raise ValueError(f"the rig's largest current is {self.current}: give it in ampere")
+
+    @classmethod
+    def of_windows(cls, windows: Sequence[Window]) -> RigRange:
+        """No more than what was done already."""
+        speeds, currents = operating_points_within(windows)
+        return cls(
+            amplitude=max(window.motion.amplitude for window in windows),
+            peak_velocity=max(speeds),
+            current=max(map(abs, currents)),
+        )
+
+
+@dataclass(frozen=True)
+class ExtraRun:
+    """A run that should be made: ``amplitude`` [m], ``frequency`` [Hz], ``current`` [A].
+
+    ``determines``: the parameters that it would determine, after those advised before it.
+    ``worst_error``: the largest standard error that would then be left, in spans (see
+    :mod:`determination`), 1 where nothing but the plausible range is known.
+    """
+
+    amplitude: float
+    frequency: float
+    current: float
+    determines: tuple[str, ...]
+    worst_error: float
+
+    @property
+    def sentence(self) -> str:
+        """The advice in words."""
+        gain = f"it would determine {', '.join(self.determines)}"
+        if not self.determines:
+            gain = "it would determine nothing alone, but the next run needs it"
+        return (
+            f"run {1e3 * self.amplitude:.3g} mm at {self.frequency:.3g} Hz "
+            f"with {self.current:.3g} A: {gain}"
+        )
+
+
+def extra_runs(
+    misfit: PooledMisfit,
+    noise: float,
+    parameters: Array,
+    observable: np.ndarray,
+    rig: RigRange,
+) -> tuple[ExtraRun, ...]:
+    """Runs to make, one after the other; none where all is known or nothing would help.
+
+    ``misfit`` is that of the windows at hand, ``noise`` [N] what a run as long as these would
+    leave of the force; ``parameters`` (p,) are the present set, of which ``observable`` (p,) are
+    determined.
+    """
+    names = SHAPE_PARAMETER_NAMES
+    known = {name for name, seen in zip(PARAMETER_NAMES, observable, strict=False) if seen}
+    if set(names) <= known:
+        return ()
+    speeds, currents = operating_points_within(misfit.windows)
+    ranges = plausible_ranges(max(max(speeds), rig.peak_velocity), max(rig.current, *currents))
+    sizes = {name: high - low for name, (low, high) in ranges.items()}
+    candidates = _candidates(rig)
+    share = misfit.sample_count / len(misfit.windows)
+    cycles = PooledMisfit([_cycle(c) for c in candidates], [noise] * len(candidates))
+    level = noise_level(misfit, parameters)
+    spans = parameter_spans(misfit.jacobian(parameters), parameters, ranges)[:SIGMOID_COUNT]
+    present: list[Array] = []
+    added: list[Array] = []
+    for values in _plausible_sets(misfit.windows, parameters, known, rig):
+        jacobian = misfit.jacobian(values)[:, :SIGMOID_COUNT] / level
+        present.append(triangular_factor(jacobian))
+        of_cycles = cycles.jacobian(values)[:, :SIGMOID_COUNT] / level * math.sqrt(share / _PHASES)
+        added.append(of_cycles.reshape(len(candidates), _PHASES, SIGMOID_COUNT))
+    gains = [np.einsum("cnp,cnq->cpq", a * spans, a * spans) for a in added]
+    advised: list[ExtraRun] = []
+    while len(advised) < _MOST_RUNS and not set(names) <= known:
+        information = [np.eye(SIGMOID_COUNT) + _gram(r * spans) for r in present]
+        after = np.array([m + g for m, g in zip(information, gains, strict=True)])
+        best = int(np.argmax(np.mean(np.linalg.slogdet(after)[1], axis=0)))
+        chosen = candidates[best]
+        speeds, currents = [*speeds, chosen.peak_velocity], [*currents, chosen.current]
+        varied = varied_parameters(speeds, currents)
+        present = [
+            triangular_factor(np.vstack((r, a[best]))) for r, a in zip(present, added, strict=True)
+        ]
+        votes = [determined_parameters(r, varied, sizes) for r in present]
+        determined = {n for n in names if np.mean([n in vote for vote in votes]) > _MAJORITY}
+        variances = np.diagonal(np.linalg.inv(after[:, best]), axis1=-2, axis2=-1)
+        advised.append(
+            ExtraRun(
+                chosen.amplitude,
+                chosen.frequency,
+                chosen.current,
+                tuple(name for name in names if name in determined - known),
+                float(np.mean(np.sqrt(variances.max(axis=-1)))),
+            )
+        )
+        known |= determined
+    return _without_idle_end(advised)
+
+
+def _without_idle_end(runs: Sequence[ExtraRun]) -> tuple[ExtraRun, ...]:
+    """Runs after which nothing more is determined need not be made."""
+    useful = [place for place, run in enumerate(runs) if run.determines]
+    return tuple(runs[: useful[-1] + 1]) if useful else ()
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    amplitude: float
+    frequency: float
+    current: float
+
+    @property
+    def peak_velocity(self) -> float:
+        return 2.0 * math.pi * self.frequency * self.amplitude
+
+
+def _candidates(rig: RigRange) -> list[_Candidate]:
+    """Runs that the rig can make, in round numbers."""
+    amplitude = _round(rig.amplitude)
+    top = rig.peak_velocity / (2.0 * math.pi * amplitude)
+    frequencies = [_round(top * part) for part in _SPEEDS]
+    currents = [_round(rig.current * part) for part in _CURRENTS]
+    return [_Candidate(amplitude, f, i) for f in frequencies for i in dict.fromkeys(currents)]
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def _cycle(candidate: _Candidate) -> Window:
+    """One cycle of a candidate; the force plays no part in what it would tell."""
+    period = 1.0 / (candidate.frequency * _PHASES)
+    # Half a sample off the reversals, where the sign of the acceleration is a matter of rounding.
+    phase = 2.0 * math.pi * (np.arange(_PHASES) + 0.5) / _PHASES
+    displacement = candidate.amplitude * np.sin(phase)
+    return Window.from_samples(displacement, np.zeros(_PHASES), candidate.current, period)
+
+
+def _gram(matrix: Array) -> Array:
+    return np.asarray(matrix.T @ matrix)
+
+
+def _plausible_sets(
+    windows: Sequence[Window], parameters: Array, known: set[str], rig: RigRange
+) -> list[Array]:
+    """Sets that agree with the windows and differ in the shape parameters that are not known.
+
+    These are drawn so that the coefficients change by a few times over the rig's range; what is
+    linear in the laws then follows from the coefficients that the windows have.
+    """
+    points = np.array([window.operating_point for window in windows])
+    solved = frozenset((*SCALE_PARAMETER_NAMES, *({"k2", "k3"} & known)))
+    speed, current = max(rig.peak_velocity, points[:, 0].max()), max(rig.current, 1e-12)
+    rng = np.random.default_rng(0)
+    sets = []
+    for _ in range(_SETS):
+        drawn = {
+            "a1": rng.uniform(-1.5, 1.5) / speed,
+            "k0": rng.uniform(0.0, 10.0) / speed,
+            "a4": rng.uniform(-1.5, 1.5) / speed,
+            "k2": math.exp(rng.uniform(0.0, 3.0)),
+            "k3": rng.uniform(-1.0, 1.0),
+        }
+        for slope, shift in (("a2", "I0"), ("a3", "I1")):
+            drawn[slope] = math.exp(rng.uniform(0.5, 2.5)) / current
+            drawn[shift] = rng.uniform(-0.5, 0.5) * current
+        values = np.array(parameters)
+        for name, value in drawn.items():
+            if name not in known:
+                values[PARAMETER_NAMES.index(name)] = value
+        sets.append(adapted(windows, parameters, values, solved))
+    return sets

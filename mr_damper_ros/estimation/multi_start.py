@@ -1,0 +1,247 @@
+"""Global identification from several seeds: the best of them, how far they agree, and a record.
+
+Each seed is a search of its own (:mod:`global_fit`), so the searches can be done in any number of
+processes. A record keeps what they found: finished searches are not done again, and what was found
+by one that was stopped is a start of the same search when it is done again. So the cost after a
+resumption is never above that before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mr_damper_ros.estimation.differential_evolution import (
+    EvolutionSettings,
+    GlobalProgress,
+    Report,
+)
+from mr_damper_ros.estimation.global_fit import (
+    STOPPED,
+    Candidate,
+    GlobalFit,
+    identify_global,
+)
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.signals.arrays import Array
+
+_AS_GOOD = 1.01
+"""Searches that end with a cost up to this times the best have found as good a set."""
+
+_VERSION = 1
+
+
+class SearchRecordError(ValueError):
+    """A record that does not belong to this search; the message says what to change."""
+
+
+@dataclass(frozen=True, eq=False)
+class MultiStart:
+    """The searches by their seeds, and the best of them."""
+
+    fits: Mapping[int, GlobalFit]
+
+    @property
+    def best(self) -> GlobalFit:
+        """The one with the lowest cost."""
+        return min(self.fits.values(), key=lambda fit: fit.cost)
+
+    @property
+    def as_good(self) -> tuple[int, ...]:
+        """Seeds whose cost is within 1 % of the best."""
+        least = self.best.cost
+        return tuple(seed for seed, fit in self.fits.items() if fit.cost <= _AS_GOOD * least)
+
+    @property
+    def spread(self) -> Array:
+        """Span (p,) of each parameter over the searches that are as good, in standard errors.
+
+        0 where a parameter was held; NaN where there is only one such search.
+        """
+        sets = np.array([self.fits[seed].parameter_set.values for seed in self.as_good])
+        if len(sets) < 2:
+            return np.full(sets.shape[1], math.nan)
+        errors = self.best.parameter_set.standard_errors
+        return np.asarray(np.where(np.isfinite(errors), np.ptp(sets, axis=0) / errors, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """One search, as a task."""
+
+    windows: tuple[Window, ...]
+    start: Array
+    settings: EvolutionSettings
+    method: str
+    known: Array | None
+
+
+def _run(search: _Search, tell: Tell) -> GlobalFit:
+    return identify_global(
+        search.windows,
+        search.start,
+        search.settings,
+        tell,
+        method=search.method,
+        known=search.known,
+    )
+
+
+class SearchRecord:
+    """What the searches from several seeds have found so far, in a form that JSON can hold.
+
+    It belongs to these windows, start (p,), settings (but for the seed) and method.
+    """
+
+    def __init__(
+        self, windows: Sequence[Window], start: Array, settings: EvolutionSettings, method: str
+    ) -> None:
+        self._digest = _digest(windows, start, settings, method)
+        self.fits: dict[int, GlobalFit] = {}
+
+    def is_finished(self, seed: int) -> bool:
+        """Whether the search from this seed went to its end."""
+        return seed in self.fits and self.fits[seed].message != STOPPED
+
+    def document(self) -> dict[str, Any]:
+        """Everything, for JSON."""
+        found = {str(seed): _to_document(fit) for seed, fit in self.fits.items()}
+        return {"version": _VERSION, "search": self._digest, "found": found}
+
+    def take(self, document: Any) -> None:
+        """Go on from what :meth:`document` gave; raises SearchRecordError where that is no use."""
+        try:
+            if document["version"] != _VERSION:
+                raise SearchRecordError("it was written by another version: begin a new one")
+            if document["search"] != self._digest:
+                raise SearchRecordError(
+                    "it is of another search (other bags, start, model, method or settings): "
+                    "begin a new one, or search as then"
+                )
+            fits = {int(seed): _from_document(fit) for seed, fit in document["found"].items()}
+        except (KeyError, TypeError, AttributeError, ParameterError) as error:
+            raise SearchRecordError("it is not the record of a search: begin a new one") from error
+        self.fits.update(fits)
+
+
+def identify_from_seeds(
+    windows: Sequence[Window],
+    start: Array,
+    settings: EvolutionSettings,
+    count: int = 1,
+    report: Report | None = None,
+    *,
+    method: str = "global",
+    processes: ProcessPool | None = None,
+    record: SearchRecord | None = None,
+    keep: Callable[[SearchRecord], None] | None = None,
+) -> MultiStart:
+    """Searches from ``count`` seeds, that of the settings and those that follow it.
+
+    See :func:`identify_global` for the other arguments. The result does not depend on the number
+    of ``processes``. ``record`` holds what was found before, and takes in what is found; ``keep``
+    is called each time it has. Where ``report`` stops the search, the best so far is returned.
+
+    Raises ValueError for a count below 1 and what :func:`identify_global` raises.
+    """
+    if count < 1:
+        raise ValueError(f"starts is {count}: at least 1 is needed")
+    record = record or SearchRecord(windows, start, settings, method)
+    seeds = [settings.seed + place for place in range(count)]
+    missing = [seed for seed in seeds if not record.is_finished(seed)]
+    tasks = []
+    for seed in missing:
+        before = record.fits.get(seed)
+        known = None if before is None else before.parameter_set.values
+        seeded = replace(settings, seed=seed)
+        tasks.append(_Search(tuple(windows), np.asarray(start, float), seeded, method, known))
+
+    def done(place: int, fit: GlobalFit) -> None:
+        before = record.fits.get(missing[place])
+        if before is not None and before.cost < fit.cost:
+            fit = replace(before, success=fit.success, message=fit.message)
+        record.fits[missing[place]] = fit
+        if keep is not None:
+            keep(record)
+
+    follow = _Follower(report, len(tasks))
+    (processes or ProcessPool()).map(_run, tasks, follow if report else None, done)
+    return MultiStart({seed: record.fits[seed] for seed in seeds if seed in record.fits})
+
+
+class _Follower:
+    """Makes one progress of those of several searches."""
+
+    def __init__(self, report: Report | None, count: int) -> None:
+        self._report = report
+        self._count = count
+        self._began = time.monotonic()
+        self._parts: dict[int, float] = {}
+
+    def __call__(self, place: int, progress: GlobalProgress) -> bool:
+        assert self._report is not None
+        if self._count > 1:
+            self._parts[place] = progress.generation / max(progress.generations, 1)
+            done = sum(self._parts.values()) / self._count
+            gone = time.monotonic() - self._began
+            progress = replace(
+                progress,
+                stage=f"search {place + 1} of {self._count}, {progress.stage}",
+                time_left=gone * (1.0 - done) / done if done > 0.0 else progress.time_left,
+            )
+        return self._report(progress)
+
+
+def _digest(
+    windows: Sequence[Window], start: Array, settings: EvolutionSettings, method: str
+) -> str:
+    digest = hashlib.sha256(repr((replace(settings, seed=0), method)).encode())
+    for array in (start, *(a for w in windows for a in _arrays(w))):
+        digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
+    return digest.hexdigest()
+
+
+def _arrays(window: Window) -> tuple[Array, ...]:
+    return window.motion.displacement, window.force, window.current
+
+
+def _to_document(fit: GlobalFit) -> dict[str, Any]:
+    return {
+        "set": fit.parameter_set.to_yaml(),
+        "covariance": fit.covariance.tolist(),
+        "nrmse": fit.nrmse.tolist(),
+        "evaluations": fit.evaluations,
+        "success": fit.success,
+        "message": fit.message,
+        "noise": fit.noise.tolist(),
+        "cost": fit.cost,
+        "candidates": [
+            {"origin": c.origin, "parameters": c.parameters.tolist(), "cost": c.cost}
+            for c in fit.candidates
+        ],
+    }
+
+
+def _from_document(document: dict[str, Any]) -> GlobalFit:
+    return GlobalFit(
+        parameter_set=ParameterSet.from_yaml(document["set"]),
+        covariance=np.array(document["covariance"]),
+        nrmse=np.array(document["nrmse"]),
+        evaluations=int(document["evaluations"]),
+        success=bool(document["success"]),
+        message=str(document["message"]),
+        noise=np.array(document["noise"]),
+        cost=float(document["cost"]),
+        candidates=tuple(
+            Candidate(c["origin"], np.array(c["parameters"]), float(c["cost"]))
+            for c in document["candidates"]
+        ),
+    )

@@ -1,0 +1,279 @@
+"""Profile likelihood of a parameter: the misfit over its values, all others fitted anew.
+
+It shows what a standard error cannot: intervals that are not symmetric, and values that the data
+do not bound at all. Bates and Watts, "Nonlinear Regression Analysis and Its Applications", 1988,
+chapter 6; Raue et al., Bioinformatics 25, 2009.
+
+The interval is that of the likelihood ratio. Where the residual is autocorrelated the ratio is
+scaled so that its curvature at the minimum is that of the covariance which allows for it (Chandler
+and Bate, Biometrika 94, 2007).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from mr_damper_ros.estimation.covariance import (
+    correlation_length,
+    least_squares_covariance,
+    normal_inverse,
+)
+from mr_damper_ros.estimation.determination import names_of, parameter_spans
+from mr_damper_ros.estimation.local_search import LocalSearch
+from mr_damper_ros.models.sigmoid.adaptation import adapted
+from mr_damper_ros.models.sigmoid.law import SCALE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.signals.arrays import Array
+
+CONFIDENCE = 0.95
+
+_WANTED_RISE = 0.5
+"""The root of the ratio is to rise by so much from value to value."""
+
+_MOST_STEPS = 30
+_FIRST_STEP = 0.5
+"""The first step, in standard errors; without one it is ``_BLIND_STEP`` of a span."""
+
+_BLIND_STEP = 0.01
+_FARTHEST = 1e3
+"""A parameter without a plausible range is followed over so many of its spans."""
+
+_RIDGE = 1e-4
+"""Weight that keeps what is not determined from running away: a trace of the misfit."""
+
+_LINEAR = (*SCALE_PARAMETER_NAMES, "k2", "k3")
+
+_SOFT = 2.0
+"""A step over current that is this part of the largest current wide, inverted."""
+
+_TOLERANCE = 1e-7
+"""Relative gain of the sum of squares below which the fit of the others has converged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The profile likelihood of parameter ``name``.
+
+    ``ratio`` (m,): twice the fall of the log-likelihood at ``values`` (m,), which rise; chi-squared
+    with one degree of freedom where the value is the true one. ``best``: the value at the minimum.
+    ``interval``: the values that are not rejected at the confidence of 95 %, infinite on a side
+    where none was within the plausible range.
+    """
+
+    name: str
+    values: Array
+    ratio: Array
+    best: float
+    interval: tuple[float, float]
+
+
+class ProfileLikelihood:
+    """Profiles of the parameters (p,) that ``misfit`` was fitted with.
+
+    ``observable`` (p,) tells which of them are determined, ``ranges`` where the shape parameters
+    may plausibly lie. ``should_stop`` is asked at every evaluation; where it says so,
+    StopRequestedError is raised.
+    """
+
+    def __init__(
+        self,
+        misfit: PooledMisfit,
+        parameters: Array,
+        observable: np.ndarray,
+        ranges: Mapping[str, tuple[float, float]],
+        should_stop: Callable[[], bool] | None = None,
+    ) -> None:
+        self._misfit = misfit
+        self._names = names_of(parameters)
+        self._ranges = ranges
+        self._should_stop = should_stop
+        self._start = np.array(parameters, dtype=float)
+        jacobian = misfit.jacobian(self._start)
+        self._spans = parameter_spans(jacobian, self._start, ranges)
+        self._seen = np.flatnonzero(observable)
+        residual = misfit.residual(self._start)
+        self._length = max(correlation_length(residual), 1)
+        self._errors, self._shrinkage = self._curvatures(jacobian[:, self._seen], residual)
+
+    def _curvatures(self, jacobian: Array, residual: Array) -> tuple[Array, Array]:
+        """Standard errors (q,) of what is observable; the variances of white noise over theirs."""
+        if not self._seen.size:
+            return np.empty(0), np.empty(0)
+        variances = np.diag(least_squares_covariance(jacobian, residual))
+        freedom = max(residual.size - self._seen.size, 1)
+        white = np.diag(normal_inverse(jacobian)) * float(residual @ residual) / freedom
+        return np.sqrt(variances), white / variances
+
+    def of(self, name: str) -> Profile:
+        """Profile of one parameter; raises ValueError where the law has none of this name."""
+        if name not in self._names:
+            raise ValueError(
+                f"there is no parameter '{name}' to profile: use one of {', '.join(self._names)}"
+            )
+        place = self._names.index(name)
+        seen = np.flatnonzero(self._seen == place)
+        shrinkage, step = 1.0 / self._length, _BLIND_STEP * float(self._spans[place])
+        if seen.size and np.isfinite(self._errors[seen[0]]):
+            shrinkage = float(self._shrinkage[seen[0]])
+            step = _FIRST_STEP * float(self._errors[seen[0]])
+        walk = _Walk(self._misfit, self._start, self._spans, name, self._seen, self._should_stop)
+        scale = shrinkage * max(self._misfit.sample_count - self._seen.size, 1)
+        low, high = self._limits(name, place)
+        walk.go(step, high, scale)
+        walk.go(-step, low, scale)
+        return walk.profile(name, scale)
+
+    def _limits(self, name: str, place: int) -> tuple[float, float]:
+        value, span = float(self._start[place]), float(self._spans[place])
+        low, high = self._ranges.get(name, (value - _FARTHEST * span, value + _FARTHEST * span))
+        # A prior value may lie outside of what is plausible from these data.
+        return min(low, value - span), max(high, value + span)
+
+
+class _Walk:
+    """The fits of all other parameters at the values of one that were visited."""
+
+    def __init__(
+        self,
+        misfit: PooledMisfit,
+        start: Array,
+        spans: Array,
+        name: str,
+        seen: np.ndarray,
+        should_stop: Callable[[], bool] | None,
+    ) -> None:
+        self._misfit = misfit
+        self._spans = spans
+        self._place = names_of(start).index(name)
+        self._linear = frozenset(_LINEAR) - {name}
+        self._slopes = [
+            place
+            for place, other in enumerate(names_of(start))
+            if other in ("a2", "a3") and other != name and place not in seen
+        ]
+        self._top_current = max(float(np.max(np.abs(w.current))) for w in misfit.windows)
+        self._should_stop = should_stop
+        self._sets: list[Array] = []
+        self._costs: list[float] = []
+        self._visit([start])
+        # The minimum over the others need not be where the parameters were left.
+        self._visit([self._sets[0]])
+
+    def _visit(self, starts: Sequence[Array], enough: float = math.inf) -> float:
+        """Fit the others from the starts, the best first, until the cost is low ``enough``."""
+        best, least = starts[0], math.inf
+        for values in sorted(starts, key=self._cost):
+            others = _Others(self._misfit, values, self._spans, self._place)
+            search = LocalSearch(others, others.start, self._should_stop)
+            search.try_out(others.start)
+            search.least_squares(tolerance=_TOLERANCE)
+            found = others.parameters(search.best)
+            cost = self._cost(found)
+            if cost < least:
+                best, least = found, cost
+            if least <= enough:
+                break
+        self._sets.append(best)
+        self._costs.append(least)
+        return least
+
+    def _cost(self, parameters: Array) -> float:
+        residual = self._misfit.residual(parameters)
+        return float(residual @ residual)
+
+    def _soft(self, values: Array) -> Array:
+        """The same with steps over current, where they are not known, that are not too steep."""
+        result = np.array(values)
+        result[self._slopes] = _SOFT / max(self._top_current, 1e-12)
+        return result
+
+    def _adapted(self, values: Array, reference: Array) -> Array:
+        return adapted(self._misfit.windows, reference, values, self._linear)
+
+    def _root(self, cost: float, scale: float) -> float:
+        """Root of the likelihood ratio of a cost."""
+        least = min(self._costs)
+        return math.sqrt(max(scale * (cost - least) / least, 0.0)) if least > 0.0 else math.inf
+
+    def go(self, step: float, limit: float, scale: float) -> None:
+        """Away from the minimum until the ratio is beyond the quantile, or up to ``limit``."""
+        bound = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
+        here = before = self._sets[0]
+        root = self._root(self._costs[0], scale)
+        for _ in range(_MOST_STEPS):
+            value = float(here[self._place])
+            if root > bound or value == limit:
+                return
+            target = min(value + step, limit) if step > 0.0 else max(value + step, limit)
+            moved = float(value - before[self._place])
+            # Along the valley, as it went so far; or with all others as they are, or adapted.
+            ahead = here + (here - before) * ((target - value) / moved if moved else 0.0)
+            plain = np.array(here)
+            ahead[self._place] = plain[self._place] = target
+            starts = [ahead, plain, *(self._adapted(s, here) for s in (plain, self._soft(plain)))]
+            enough = min(self._costs) * (1.0 + bound**2 / scale)
+            rise = self._root(self._visit(starts, enough), scale) - root
+            before, here, root = here, self._sets[-1], root + rise
+            step *= min(max(_WANTED_RISE / max(rise, 1e-9), 0.5), 3.0)
+
+    def profile(self, name: str, scale: float) -> Profile:
+        order = np.argsort([values[self._place] for values in self._sets], kind="stable")
+        values = np.array([self._sets[k][self._place] for k in order])
+        costs = np.array([self._costs[k] for k in order])
+        values, first = np.unique(values, return_index=True)
+        costs = np.minimum.reduceat(costs, first)
+        least = float(costs.min())
+        ratio = scale * (costs - least) / least if least > 0.0 else np.where(costs > 0, math.inf, 0)
+        best = int(np.argmin(costs))
+        roots = np.sqrt(ratio)
+        return Profile(
+            name=name,
+            values=values,
+            ratio=ratio,
+            best=float(values[best]),
+            interval=(
+                _crossing(values[best::-1], roots[best::-1], -math.inf),
+                _crossing(values[best:], roots[best:], math.inf),
+            ),
+        )
+
+
+def _crossing(values: Array, roots: Array, otherwise: float) -> float:
+    """Value at which the root of the ratio, nearly linear in it, passes its quantile."""
+    bound = math.sqrt(float(chdtri(1, 1.0 - CONFIDENCE)))
+    beyond = np.flatnonzero(roots > bound)
+    if not beyond.size:
+        return otherwise
+    last = int(beyond[0])
+    part = (bound - roots[last - 1]) / (roots[last] - roots[last - 1])
+    return float(values[last - 1] + part * (values[last] - values[last - 1]))
+
+
+class _Others:
+    """A pooled misfit as a function of all parameters but one, in spans."""
+
+    def __init__(self, misfit: PooledMisfit, values: Array, spans: Array, held: int) -> None:
+        self._misfit = misfit
+        self._values = np.array(values)
+        self._places = [place for place in range(values.size) if place != held]
+        self._spans = spans[self._places]
+        self._ridge = _RIDGE * math.sqrt(misfit.sample_count)
+        self.start = self._values[self._places] / self._spans
+
+    def parameters(self, unknowns: Array) -> Array:
+        values = self._values.copy()
+        values[self._places] = unknowns * self._spans
+        return values
+
+    def residual(self, unknowns: Array) -> Array:
+        plain = self._misfit.residual(self.parameters(unknowns))
+        return np.concatenate((plain, self._ridge * (unknowns - self.start)))
+
+    def jacobian(self, unknowns: Array) -> Array:
+        derivatives = self._misfit.jacobian(self.parameters(unknowns), self._places) * self._spans
+        return np.concatenate((derivatives, self._ridge * np.eye(len(self._places))))

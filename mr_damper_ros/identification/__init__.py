@@ -1,1 +1,0 @@
-"""Identification of the sigmoid law from windows of motion and force: no ROS, no files."""

@@ -1,0 +1,1 @@
+"""Files: bags, text, CSV and MAT records, and their units."""

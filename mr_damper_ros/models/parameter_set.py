@@ -1,0 +1,285 @@
+"""An identified set of parameters of a model with what is known about it, and its YAML form."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import yaml
+
+from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.signals.arrays import Array
+
+DEFAULT_MODEL = "sigmoid"
+"""The law that is meant where none is named."""
+
+
+class ParameterError(ValueError):
+    """A parameter set that cannot be used; the message says what to change."""
+
+
+_UNKNOWN = np.empty(0)
+"""Stands for "of none of the parameters" until the number of parameters is known."""
+
+
+def _unknown() -> Array:
+    return _UNKNOWN
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSet:
+    """Parameters of a model, and how well and from what they are known.
+
+    ``values`` and ``standard_errors`` have shape (p,), in the order and the units of the
+    parameters of ``model``, a name in ``MODELS``; a standard error is NaN where it is unknown.
+    ``observable`` (p,) tells which parameters the data determined (the others kept the value of
+    the start). ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
+    used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
+
+    Raises ParameterError where the model is not known, shapes are wrong, a value is not finite
+    or out of its bounds, or a range is reversed.
+    """
+
+    values: Array
+    standard_errors: Array = field(default_factory=_unknown)
+    observable: np.ndarray = field(default_factory=_unknown)
+    set_id: str = "unnamed"
+    source: str = "unknown"
+    peak_velocity_range: tuple[float, float] = (0.0, math.inf)
+    current_range: tuple[float, float] = (-math.inf, math.inf)
+    nrmse: float = math.nan
+    stamp_ns: int = 0
+    model: str = DEFAULT_MODEL
+
+    def __post_init__(self) -> None:
+        names = known_model(self.model).parameter_names
+        count = len(names)
+        for name, dtype, unknown in (
+            ("values", float, None),
+            ("standard_errors", float, math.nan),
+            ("observable", bool, False),
+        ):
+            given = getattr(self, name)
+            array = np.full(count, unknown) if given is _UNKNOWN else np.array(given, dtype=dtype)
+            if array.shape != (count,):
+                raise ParameterError(
+                    f"{name} of model '{self.model}' must hold {count} numbers, one for each of "
+                    f"{', '.join(names)} (got shape {array.shape})"
+                )
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        bounds = zip(*self.law.bounds, strict=True)
+        for name, value, error, (low, high) in zip(
+            names, self.values, self.standard_errors, bounds, strict=True
+        ):
+            if not math.isfinite(value):
+                raise ParameterError(f"parameter {name} is {value}: give a finite number")
+            if not low <= value <= high:
+                raise ParameterError(
+                    f"parameter {name} is {value}: it must lie in {low:g} to {high:g}"
+                )
+            if error < 0.0:
+                raise ParameterError(f"the standard error of {name} is {error}: it is negative")
+        for name, low_high in (
+            ("peak_velocity_range", self.peak_velocity_range),
+            ("current_range", self.current_range),
+        ):
+            low, high = low_high
+            if not low <= high:
+                raise ParameterError(f"{name} is [{low}, {high}]: give the lower bound first")
+
+    @property
+    def law(self) -> Model:
+        """The model that the parameters belong to."""
+        return MODELS[self.model]
+
+    def of_model(self, model: str) -> ParameterSet:
+        """The set itself; raises ParameterError where it is not of ``model``."""
+        if self.model != model:
+            raise ParameterError(
+                f"the parameters are those of model '{self.model}': give a set of model '{model}'"
+            )
+        return self
+
+    def as_dict(self) -> dict[str, float]:
+        """Values by parameter name."""
+        return dict(zip(self.law.parameter_names, self.values.tolist(), strict=True))
+
+    def to_yaml(self) -> str:
+        """Text that :meth:`from_yaml` reads back to the last digit."""
+        units = self.law.units
+        document: dict[str, Any] = {
+            "model": self.model,
+            "id": self.set_id,
+            "source": self.source,
+            "stamp_ns": int(self.stamp_ns),
+            "nrmse": None if math.isnan(self.nrmse) else float(self.nrmse),
+            "peak_velocity_range": [float(x) for x in self.peak_velocity_range],
+            "current_range": [float(x) for x in self.current_range],
+            "parameters": {
+                name: {
+                    "value": float(value),
+                    "unit": units[name],
+                    "standard_error": None if math.isnan(error) else float(error),
+                    "observable": bool(observable),
+                }
+                for name, value, error, observable in zip(
+                    self.law.parameter_names,
+                    self.values,
+                    self.standard_errors,
+                    self.observable,
+                    strict=True,
+                )
+            },
+        }
+        return str(yaml.safe_dump(document, sort_keys=False))
+
+    @classmethod
+    def from_yaml(cls, text: str) -> ParameterSet:
+        """Parameter set from text written by :meth:`to_yaml`, or by hand.
+
+        By hand, ``parameters`` with all names of the sigmoid law is enough, each a plain number or
+        a mapping with ``value``; those of another law need its name as ``model``.
+
+        Raises ParameterError with one sentence that says what to change.
+        """
+        try:
+            document = yaml.load(text, _UniqueKeyLoader)
+        except yaml.YAMLError as error:
+            line = getattr(getattr(error, "problem_mark", None), "line", None)
+            where = "" if line is None else f" at line {line + 1}"
+            problem = getattr(error, "problem", None)
+            detail = f": {problem}" if problem else ""
+            raise ParameterError(f"the parameter file is not valid YAML{where}{detail}") from error
+        except Exception as error:
+            # PyYAML raises what it likes for a date that does not exist, !!int '', many brackets.
+            raise ParameterError("the parameter file has an entry that YAML cannot read") from error
+        return cls._from_document(document)
+
+    @classmethod
+    def _from_document(cls, document: Any) -> ParameterSet:
+        known = {
+            *("model", "id", "source", "stamp_ns", "nrmse"),
+            *("peak_velocity_range", "current_range", "parameters"),
+        }
+        if not isinstance(document, dict) or "parameters" not in document:
+            raise ParameterError(
+                "the parameter file has no mapping 'parameters': give the values by name"
+            )
+        unknown = [str(key) for key in document if key not in known]
+        if unknown:
+            raise ParameterError(
+                f"the parameter file has unknown entries {', '.join(unknown)}: "
+                f"remove them (known are {', '.join(sorted(known))})"
+            )
+        model = document.get("model", DEFAULT_MODEL)
+        law = known_model(model)
+        names, units = law.parameter_names, law.units
+        entries = document["parameters"]
+        if not isinstance(entries, dict):
+            raise ParameterError("'parameters' must map the names of the parameters to numbers")
+        unknown = [str(name) for name in entries if name not in names]
+        if unknown:
+            raise ParameterError(
+                f"model '{model}' has no parameter {', '.join(unknown)}: "
+                f"the names are {', '.join(names)}"
+            )
+        missing = [name for name in names if name not in entries]
+        if missing:
+            raise ParameterError(f"parameter {', '.join(missing)} is missing: give its value")
+        values, errors, observable = [], [], []
+        for name in names:
+            entry = entries[name]
+            if not isinstance(entry, dict):
+                entry = {"value": entry}
+            stray = [
+                str(k) for k in entry if k not in ("value", "unit", "standard_error", "observable")
+            ]
+            if stray:
+                raise ParameterError(
+                    f"parameter {name} has unknown entries {', '.join(stray)}: remove them"
+                )
+            if entry.get("unit", units[name]) != units[name]:
+                raise ParameterError(
+                    f"parameter {name} is given in {entry['unit']}: convert it to {units[name]}"
+                )
+            values.append(_number(entry.get("value"), f"parameter {name}"))
+            error = entry.get("standard_error")
+            errors.append(
+                math.nan if error is None else _number(error, f"standard error of {name}")
+            )
+            flag = entry.get("observable", False)
+            if not isinstance(flag, bool):
+                raise ParameterError(f"observable of {name} is {_shown(flag)}: give true or false")
+            observable.append(flag)
+        nrmse = document.get("nrmse")
+        stamp = document.get("stamp_ns", 0)
+        if isinstance(stamp, bool) or not isinstance(stamp, int):
+            raise ParameterError("stamp_ns must be a whole number of nanoseconds")
+        return cls(
+            values=np.array(values),
+            standard_errors=np.array(errors),
+            observable=np.array(observable),
+            set_id=str(document.get("id", "unnamed")),
+            source=str(document.get("source", "file")),
+            peak_velocity_range=_range(
+                document.get("peak_velocity_range", [0.0, math.inf]), "peak_velocity_range"
+            ),
+            current_range=_range(
+                document.get("current_range", [-math.inf, math.inf]), "current_range"
+            ),
+            nrmse=math.nan if nrmse is None else _number(nrmse, "nrmse"),
+            stamp_ns=stamp,
+            model=model,
+        )
+
+
+def known_model(name: Any) -> Model:
+    """The model of this name; raises ParameterError where there is none."""
+    if not isinstance(name, str) or name not in MODELS:
+        raise ParameterError(f"model {_shown(name)} is unknown: the models are {', '.join(MODELS)}")
+    return MODELS[name]
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """A loader that refuses a key given twice, of which YAML would silently take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for index, key in enumerate(keys):
+            if key in keys[:index]:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"'{key}' is given twice", node.value[index][0].start_mark
+                )
+        return super().construct_mapping(node, deep)
+
+
+def _number(value: Any, what: str) -> float:
+    if isinstance(value, str):
+        # YAML 1.1 reads 1e5 as text: be kind to what every other program writes.
+        try:
+            return float(value)
+        except ValueError:
+            pass
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ParameterError(f"{what} is {_shown(value)}: give a number")
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ParameterError(f"{what} is beyond what a number can hold") from error
+
+
+def _range(value: Any, what: str) -> tuple[float, float]:
+    if not isinstance(value, (list, tuple)) or len(value) != 2:
+        raise ParameterError(f"{what} must be a list of two numbers, lower bound first")
+    return _number(value[0], what), _number(value[1], what)
+
+
+def _shown(value: Any) -> str:
+    """A value for a sentence; YAML can hold short texts that stand for endless lists."""
+    shortened = reprlib.Repr()
+    shortened.maxlevel = 1
+    return shortened.repr(value)

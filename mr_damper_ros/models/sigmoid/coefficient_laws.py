@@ -1,0 +1,236 @@
+"""How the operating-point coefficients change with peak velocity and current: six decoupled laws.
+
+The sixteen parameters fall into groups that share no unknown:
+
+    f_t = f0 (1 + e^(a1 v)) (1 + k2 S(i; a2, I0))     f0 a1 k2 a2 I0
+    alpha = a0 / (1 + k0 v)                           a0 k0
+    k_c, k_e = (k1c, k1e) e^(-a4 v)                   k1c k1e a4
+    v_h = k4 v (1 + k3 S(i; a3, I1))                  k4 k3 a3 I1
+    v_d = k6 v                                        k6
+    f_d = k5 f_t                                      k5
+
+with S(i; a, I) = sigma(a (i + I)) - sigma(a I). In each group the scales (and k2, k3) enter
+linearly and are solved for; differential evolution searches the rest, at most three unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, ProgressClock, evolve
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.signals.arrays import Array
+
+_RELATIVE_ERROR = 0.05
+"""No coefficient is trusted more than to this part: the law itself is not exact."""
+
+_EXPONENT_SPAN = 8.0
+"""Growth or decay over the range of peak velocity is searched up to e^8, 1 to 3000."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientTable:
+    """Coefficients of k operating points, with positive f_t.
+
+    ``peak_velocity`` [m/s] and ``current`` [A] have shape (k,), ``coefficients`` and their
+    standard ``errors`` shape (k, 7).
+    """
+
+    peak_velocity: Array
+    current: Array
+    coefficients: Array
+    errors: Array
+
+    def weights(self, column: int) -> Array:
+        """Inverse standard deviations (k,) of one coefficient, model error included."""
+        values = self.coefficients[:, column]
+        floor = _RELATIVE_ERROR * max(float(np.sqrt(np.mean(values**2))), 1e-300)
+        errors = np.nan_to_num(self.errors[:, column], nan=1e3 * floor)
+        return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)
+
+
+Values = Mapping[str, Array | float]
+
+
+class _Law(NamedTuple):
+    """One group of parameters: which coefficients they make, and how.
+
+    Each coefficient is scale (constant + gain step): ``basis`` gives the two parts for unknowns of
+    shape (s, 1) and operating points of shape (k,). ``gain`` is k2, k3 or empty.
+    """
+
+    stage: str
+    scales: tuple[tuple[int, str], ...]
+    gain: str
+    unknowns: tuple[str, ...]
+    basis: Callable[[Array, Array, Values], tuple[Array, Array]]
+
+
+def fit_laws(
+    table: CoefficientTable,
+    start: Array,
+    free: frozenset[str],
+    settings: EvolutionSettings,
+    clock: ProgressClock,
+) -> tuple[Array, int]:
+    """Parameters (16,) whose laws come nearest to the table, and the number of evaluations.
+
+    Parameters not in ``free`` keep the value they have in ``start`` (16,).
+    """
+    values = dict(zip(PARAMETER_NAMES, np.asarray(start, dtype=float).tolist(), strict=True))
+    bounds = shape_bounds(float(table.peak_velocity.max()), float(np.abs(table.current).max()))
+    evaluations = 0
+    for law in _LAWS:
+        names = [name for name in law.unknowns if name in free]
+        problem = _LawProblem(law, table, values, free)
+        if names and not clock.stopped:
+            best, _, count = evolve(
+                partial(problem.misfit, names),
+                [bounds[name] for name in names],
+                settings,
+                clock,
+                stage=law.stage,
+                start=np.array([values[name] for name in names]),
+            )
+            values.update(zip(names, best.tolist(), strict=True))
+            evaluations += count
+        values.update(problem.solve({name: np.array([[values[name]]]) for name in names})[1])
+    v = table.peak_velocity
+    if "k6" in free:
+        values["k6"] = _through_origin(v, table.coefficients[:, 5], table.weights(5))
+    if "k5" in free:
+        yield_force, offset = table.coefficients[:, 0], table.coefficients[:, 6]
+        values["k5"] = _through_origin(yield_force, offset, table.weights(6))
+    return np.array([values[name] for name in PARAMETER_NAMES]), evaluations
+
+
+def searched_laws(free: frozenset[str]) -> int:
+    """How many of the laws need a search for these free parameters."""
+    return sum(any(name in free for name in law.unknowns) for law in _LAWS)
+
+
+def shape_bounds(top_velocity: float, top_current: float) -> dict[str, tuple[float, float]]:
+    """Search bounds of the shape parameters that enter nonlinearly.
+
+    They follow from what the data span (peak velocity [m/s], current [A]), so that they suit any
+    damper. The slopes a2, a3 are positive: the mirror image is the same law with k2, k3 negative.
+    """
+    v, i = max(top_velocity, 1e-12), max(top_current, 1e-12)
+    exponent = (-_EXPONENT_SPAN / v, _EXPONENT_SPAN / v)
+    slope, shift = (0.2 / i, 30.0 / i), (-1.5 * i, 1.5 * i)
+    return {
+        **dict.fromkeys(("a1", "a4"), exponent),
+        **dict.fromkeys(("a2", "a3"), slope),
+        **dict.fromkeys(("I0", "I1"), shift),
+        "k0": (-0.9 / v, 1e3 / v),
+    }
+
+
+class _LawProblem:
+    """Weighted misfit of one law to the table, its linear unknowns solved for."""
+
+    def __init__(
+        self, law: _Law, table: CoefficientTable, values: Values, free: frozenset[str]
+    ) -> None:
+        self._law = law
+        self._table = table
+        self._values = values
+        self._free = free
+        self._weights = {column: table.weights(column) for column, _ in law.scales}
+
+    def misfit(self, names: list[str], individuals: Array) -> Array:
+        """Misfit (s,) of individuals of shape (len(names), s)."""
+        return self.solve(dict(zip(names, individuals[:, :, np.newaxis], strict=True)))[0]
+
+    def solve(self, trial: Values) -> tuple[Array, dict[str, float]]:
+        """Misfit (s,) for trial unknowns of shape (s, 1), and the scales of the last trial."""
+        values = {**self._values, **trial}
+        constant, step = np.broadcast_arrays(
+            *self._law.basis(self._table.peak_velocity, self._table.current, values)
+        )
+        constant, step = np.atleast_2d(constant), np.atleast_2d(step)
+        gain_is_free = self._law.gain in self._free
+        if self._law.gain and not gain_is_free:
+            constant = constant + self._values[self._law.gain] * step
+        misfit = np.zeros(constant.shape[0])
+        found: dict[str, float] = {}
+        for column, name in self._law.scales:
+            weights = self._weights[column]
+            target = weights * self._table.coefficients[:, column]
+            if name not in self._free:
+                given = float(self._values[name])
+                misfit += np.sum((given * constant * weights - target) ** 2, axis=-1)
+            elif gain_is_free:
+                scale, product, cost = _two_scales(constant * weights, step * weights, target)
+                misfit += cost
+                found[name] = float(scale[-1])
+                found[self._law.gain] = float(product[-1] / scale[-1]) if scale[-1] else 0.0
+            else:
+                scale, cost = _one_scale(constant * weights, target)
+                misfit += cost
+                found[name] = float(scale[-1])
+        return misfit, found
+
+
+def _one_scale(x: Array, target: Array) -> tuple[Array, Array]:
+    power = np.sum(x * x, axis=-1)
+    scale = np.sum(x * target, axis=-1) / np.where(power > 0.0, power, 1.0)
+    return scale, np.sum((scale[:, np.newaxis] * x - target) ** 2, axis=-1)
+
+
+def _two_scales(x: Array, y: Array, target: Array) -> tuple[Array, Array, Array]:
+    xx, xy, yy = (np.sum(p * q, axis=-1) for p, q in ((x, x), (x, y), (y, y)))
+    # A trace of damping keeps the solution finite where both columns look alike.
+    xx, yy = xx * (1.0 + 1e-9) + 1e-300, yy * (1.0 + 1e-9) + 1e-300
+    xt, yt = np.sum(x * target, axis=-1), np.sum(y * target, axis=-1)
+    determinant = xx * yy - xy * xy
+    first = (yy * xt - xy * yt) / determinant
+    second = (xx * yt - xy * xt) / determinant
+    fitted = first[:, np.newaxis] * x + second[:, np.newaxis] * y
+    return first, second, np.sum((fitted - target) ** 2, axis=-1)
+
+
+def _through_origin(x: Array, y: Array, weights: Array) -> float:
+    power = float(np.sum((weights * x) ** 2))
+    return float(np.sum(weights**2 * x * y)) / power if power > 0.0 else 0.0
+
+
+def _current_step(i: Array, slope: Array | float, shift: Array | float) -> Array:
+    on, off = slope * (i + shift), np.asarray(slope * shift)
+    return np.asarray(0.5 * (np.tanh(0.5 * on) - np.tanh(0.5 * off)))
+
+
+def _bounded_exp(x: Array) -> Array:
+    return np.asarray(np.exp(np.clip(x, -200.0, 200.0)))
+
+
+def _yield_force(v: Array, i: Array, p: Values) -> tuple[Array, Array]:
+    growth = 1.0 + _bounded_exp(p["a1"] * v)
+    return growth, growth * _current_step(i, p["a2"], p["I0"])
+
+
+def _steepness(v: Array, i: Array, p: Values) -> tuple[Array, Array]:
+    base = 1.0 / (1.0 + p["k0"] * v)
+    return base, np.zeros_like(base)
+
+
+def _viscous_slopes(v: Array, i: Array, p: Values) -> tuple[Array, Array]:
+    base = _bounded_exp(-p["a4"] * v)
+    return base, np.zeros_like(base)
+
+
+def _hysteresis(v: Array, i: Array, p: Values) -> tuple[Array, Array]:
+    return v, v * _current_step(i, p["a3"], p["I1"])
+
+
+_LAWS = (
+    _Law("yield force", ((0, "f0"),), "k2", ("a1", "a2", "I0"), _yield_force),
+    _Law("steepness", ((1, "a0"),), "", ("k0",), _steepness),
+    _Law("viscous slopes", ((2, "k1c"), (3, "k1e")), "", ("a4",), _viscous_slopes),
+    _Law("hysteresis", ((4, "k4"),), "k3", ("a3", "I1"), _hysteresis),
+)

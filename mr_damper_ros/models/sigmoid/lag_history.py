@@ -1,0 +1,173 @@
+"""The motion behind the samples of a window: what a lag needs, also where samples were left out.
+
+A lag acts on the motion as it went on, not on the samples that a search picked from it. A steady
+sine is known at all times: one cycle of it, as a periodic motion, stands for all that went before.
+Of any other motion the samples of the whole window are kept, or enough of them to follow it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.sine import Sine
+from mr_damper_ros.models.sigmoid.extension import (
+    SETTLING,
+    Extension,
+    FirstOrderLag,
+    ForceAndDamping,
+    lagged,
+)
+from mr_damper_ros.signals.arrays import Array
+
+_SAMPLES_PER_CYCLE = 1000
+"""So many follow the steepest sigmoid, whose rise takes two degrees of a cycle."""
+
+_FEWER_PER_CYCLE = 200
+"""So many follow a hysteresis, which yields over a tenth of a cycle or so."""
+
+_LONGEST_SETTLING = 0.25
+"""No more than this part of a window is left out because the lag may not have settled."""
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Motion and current (m,), ``period`` [s] apart, behind the n samples of a window.
+
+    ``places`` (n,) are where the window's samples lie, counted in samples of the history;
+    ``branch`` (n,) is the sign of their acceleration, at whose change the sigmoid force jumps.
+    ``periodic``: the history is one period, which has always gone on before.
+    """
+
+    motion: Motion
+    current: Array
+    period: float
+    places: Array
+    branch: Array
+    periodic: bool
+
+    @classmethod
+    def of_sine(cls, sine: Sine, peak_velocity: float, current: float, time: Array) -> History:
+        """One cycle of a steady sine; ``time`` [s] of the samples, on the clock of the sine."""
+        count = _SAMPLES_PER_CYCLE
+        period = 1.0 / (sine.frequency * count)
+        cycle: Array = np.arange(count, dtype=float) * period
+        motion = Motion(
+            displacement=sine.displacement(cycle),
+            velocity=sine.velocity(cycle),
+            acceleration=sine.acceleration(cycle),
+            peak_velocity=np.full(count, peak_velocity),
+            sine=sine,
+        )
+        places = time / period % count
+        branch = np.sign(sine.acceleration(time))
+        return cls(motion, np.full(count, current), period, places, branch, periodic=True)
+
+    @cached_property
+    def is_window(self) -> bool:
+        """Whether the samples of the history are those of the window."""
+        count = self.current.size
+        return self.places.size == count and bool(np.all(self.places == np.arange(count)))
+
+    @cached_property
+    def _between(self) -> tuple[np.ndarray, np.ndarray, Array]:
+        """Of each sample the earlier and the later place in the history, and the way between."""
+        count = self.current.size
+        earlier = np.floor(self.places).astype(int)
+        if not self.periodic:
+            earlier = np.minimum(earlier, count - 2)
+        share = np.minimum(self.places - earlier, 1.0)
+        earlier, later = earlier % count, (earlier + 1) % count
+        # Nothing is interpolated across a jump.
+        branch = np.sign(self.motion.acceleration)
+        jumps = branch[earlier] != branch[later]
+        share[jumps] = branch[later[jumps]] == self.branch[jumps]
+        return earlier, later, share
+
+    @cached_property
+    def coarse(self) -> History:
+        """The same with fewer samples, for what changes less steeply than a sigmoid."""
+        stride = following_stride(self.motion, self.period, _FEWER_PER_CYCLE)
+        if self.periodic:
+            stride = self.current.size // _FEWER_PER_CYCLE
+        if stride == 1:
+            return self
+        m = self.motion
+        motion = Motion(
+            displacement=m.displacement[::stride],
+            velocity=m.velocity[::stride],
+            acceleration=m.acceleration[::stride],
+            peak_velocity=m.peak_velocity[::stride],
+            sine=m.sine,
+        )
+        return replace(
+            self,
+            motion=motion,
+            current=self.current[::stride],
+            period=stride * self.period,
+            places=self.places / stride,
+        )
+
+    def force(
+        self, plain: Array, past: ForceAndDamping, displacement: Array, extension: Extension
+    ) -> Array:
+        """Force [N] of the extended law, shape (..., n), from that of the sigmoid law.
+
+        ``plain`` (..., n) is the latter at the samples, ``past`` along the history.
+        """
+        constant = extension.time_constant(past.damping)
+        missing = past.force - lagged(past.force, constant, self.period, periodic=self.periodic)
+        # Only what the lag changes is interpolated: it is smoother than the force.
+        late = plain - np.moveaxis(self.at_samples(np.moveaxis(missing, -1, 0)), 0, -1)
+        return np.asarray(late + extension.stiffness * displacement + extension.offset)
+
+    def jacobian(
+        self, plain: Array, past: ForceAndDamping, by_sigmoid: ForceAndDamping, extension: Extension
+    ) -> tuple[Array, Array]:
+        """Derivatives (n, p) of :meth:`force` by p parameters, and (n,) by the compliance.
+
+        ``plain`` (n, p) are those of the sigmoid force at the samples, ``by_sigmoid`` (m, p) those
+        of ``past`` along the history.
+        """
+        constant = extension.time_constant(past.damping)
+        lag = FirstOrderLag(constant, self.period, periodic=self.periodic)
+        # A damping below zero makes no lag.
+        damping = np.maximum(past.damping, 0.0)
+        lagging = (past.damping > 0.0)[:, np.newaxis]
+        of_force = np.column_stack((by_sigmoid.force, np.zeros(damping.size)))
+        of_constant = np.column_stack(
+            (extension.compliance * by_sigmoid.damping * lagging, damping)
+        )
+        late = lag.derivative(past.force, lag(past.force), of_force, of_constant)
+        missing = self.at_samples(of_force - late)
+        return plain - missing[:, :-1], -missing[:, -1]
+
+    def at_samples(self, values: Array) -> Array:
+        """Values (m, ...) along the history, interpolated at the samples of the window (n, ...)."""
+        if self.is_window:
+            return values
+        earlier, later, share = self._between
+        share = share.reshape(-1, *(1,) * (values.ndim - 1))
+        return np.asarray((1.0 - share) * values[earlier] + share * values[later])
+
+    def unsettled(self, time_constant: float) -> np.ndarray:
+        """Mask (n,) of samples so early that a lag [s] may still show that its start is unknown."""
+        if self.periodic:
+            return np.zeros(self.places.size, dtype=bool)
+        longest = _LONGEST_SETTLING * self.current.size * self.period
+        return np.asarray(self.places * self.period < min(SETTLING * time_constant, longest))
+
+
+def following_stride(
+    motion: Motion, period: float, samples_per_cycle: int = _SAMPLES_PER_CYCLE
+) -> int:
+    """How many samples of a motion one step of a history that still follows it may span."""
+    power = float(np.mean(motion.velocity**2))
+    if power == 0.0:
+        return 1
+    rate = math.sqrt(float(np.mean(motion.acceleration**2)) / power)
+    return max(int(2.0 * math.pi / max(rate, 1e-12) / period / samples_per_cycle), 1)

@@ -1,0 +1,364 @@
+"""The sigmoid force law of an MR damper.
+
+The law is that of Wang et al. (2004) in the form of the MATLAB routine ``mrf_sigmoid`` in
+D. M. D. da Silva, "Comparative study of optimization algorithms for parameter identification of
+the sigmoid model in MR dampers", University of Brasília, 2023 (eq. 7-11 and appendix D); where
+the typeset equations and the routine differ, the routine is followed.
+
+At one operating point, that is one peak velocity and one coil current, the force depends on
+seven *operating-point coefficients* only (:class:`Coefficients`). Each of them is proportional to
+exactly one of the sixteen parameters, its *scale parameter*; the other nine, the *shape
+parameters*, say how the coefficients change with peak velocity and current.
+
+All functions take and return SI units: displacement in m about the centre of the motion,
+velocity in m/s, acceleration in m/s², current in A, force in N (tension positive).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mr_damper_ros.signals.arrays import Array
+
+PARAMETER_NAMES = (
+    *("f0", "I0", "I1", "a0", "a1", "a2", "a3", "a4"),
+    *("k0", "k1c", "k1e", "k2", "k3", "k4", "k5", "k6"),
+)
+"""The sixteen parameters, in the order of the thesis' routine and of every parameter array."""
+
+COEFFICIENT_NAMES = ("f_t", "alpha", "k_c", "k_e", "v_h", "v_d", "f_d")
+"""The seven operating-point coefficients, in the order of every coefficient array."""
+
+SCALE_PARAMETER_NAMES = ("f0", "a0", "k1c", "k1e", "k4", "k6", "k5")
+"""The scale parameter of each coefficient, in the order of :data:`COEFFICIENT_NAMES`."""
+
+SHAPE_PARAMETER_NAMES = tuple(n for n in PARAMETER_NAMES if n not in SCALE_PARAMETER_NAMES)
+"""The nine parameters that only several operating points can tell apart."""
+
+DEPENDENCES = {
+    "f_t": ("f0", "a1", "k2", "a2", "I0"),
+    "alpha": ("a0", "k0"),
+    "k_c": ("k1c", "a4"),
+    "k_e": ("k1e", "a4"),
+    "v_h": ("k4", "k3", "a3", "I1"),
+    "v_d": ("k6",),
+    "f_d": ("f0", "a1", "k2", "a2", "I0", "k5"),
+}
+"""The parameters that each coefficient depends on."""
+
+_INDEX = {name: position for position, name in enumerate(PARAMETER_NAMES)}
+
+_PAIRS = (
+    *(slice(_INDEX["I0"], _INDEX["I1"] + 1), slice(_INDEX["a2"], _INDEX["a3"] + 1)),
+    *(slice(_INDEX["k2"], _INDEX["k3"] + 1), slice(_INDEX["a1"], _INDEX["a4"] + 1, 3)),
+    *(slice(_INDEX["k1c"], _INDEX["k1e"] + 1), slice(_INDEX["k4"], _INDEX["k6"] + 1, 2)),
+)
+"""(I0, I1), (a2, a3), (k2, k3), (a1, a4), (k1c, k1e), (k4, k6)."""
+
+_SINGLE = tuple(_INDEX[name] for name in ("f0", "a0", "k0", "k5"))
+
+_GROWTH_AND_DECAY = np.array([[1.0], [-1.0]])
+"""Signs of the exponents of a1 and a4."""
+
+SCALE_INDICES = np.array([_INDEX[name] for name in SCALE_PARAMETER_NAMES])
+
+_COEFFICIENT_LIMIT = 1e100
+"""Coefficients and inputs saturate here, so that no product of them overflows to infinity."""
+
+_EXPONENT_LIMIT = 230.0
+"""exp(230) is about 1e100: beyond it every coefficient has reached its limit anyway."""
+
+_SMALL_ARGUMENT = 1e-6
+"""Below it tanh(x)/x is 1 to twelve digits, and what is computed of its slope is rounding."""
+
+
+class Coefficients(NamedTuple):
+    """The seven operating-point coefficients; the fields broadcast against each other.
+
+    ``f_t`` yield force [N], ``alpha`` steepness [s/m], ``k_c`` and ``k_e`` viscous slopes for
+    velocity >= 0 and < 0 [s/m], ``v_h`` hysteresis velocity [m/s], ``v_d`` velocity offset [m/s],
+    ``f_d`` force offset [N].
+    """
+
+    f_t: Array
+    alpha: Array
+    k_c: Array
+    k_e: Array
+    v_h: Array
+    v_d: Array
+    f_d: Array
+
+
+def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+    """Peak velocity of the present cycle, sqrt(max(v² - a u, 0)) [m/s].
+
+    In sinusoidal motion it is constant and equal to 2 pi f A. Inputs broadcast; displacement is
+    measured from the centre of the motion.
+    """
+    u, v, a = (
+        _saturated(np.asarray(x, dtype=float)) for x in (displacement, velocity, acceleration)
+    )
+    return np.asarray(np.sqrt(np.maximum(v * v - a * u, 0.0)))
+
+
+def _exp(exponent: Array) -> Array:
+    return np.exp(exponent.clip(-_EXPONENT_LIMIT, _EXPONENT_LIMIT))
+
+
+def _sigma(x: Array) -> Array:
+    # The tanh form of the logistic function does not overflow.
+    return 0.5 * (1.0 + np.tanh(0.5 * x))
+
+
+def _sigma_derivative(x: Array) -> Array:
+    return 0.25 * (1.0 - np.tanh(0.5 * x) ** 2)
+
+
+def _saturated(x: Array) -> Array:
+    # The method: np.clip takes twice the time, which counts for blocks of a few samples.
+    return x.clip(-_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
+
+
+def _checked(parameters: ArrayLike) -> Array:
+    p = np.asarray(parameters, dtype=float)
+    if p.shape[-1:] != (len(PARAMETER_NAMES),):
+        raise ValueError(
+            f"parameters must have a last axis of length {len(PARAMETER_NAMES)} "
+            f"(got shape {p.shape}); the order is {', '.join(PARAMETER_NAMES)}"
+        )
+    return p
+
+
+def operating_point_coefficients(
+    parameters: ArrayLike, peak_velocity: ArrayLike, current: ArrayLike
+) -> Coefficients:
+    """Coefficients of the law at the operating points (peak velocity, current).
+
+    ``parameters`` has shape (..., 16), ``peak_velocity`` [m/s] and ``current`` [A] broadcast to
+    shape (n,) or are scalars; each coefficient has shape (..., n) (n = 1 for scalars). Finite
+    inputs give finite coefficients: what would overflow saturates at 1e100.
+
+    Raises ValueError where the last axis of ``parameters`` is not sixteen long.
+    """
+    p = _checked(parameters)
+    v_m = np.asarray(peak_velocity, dtype=float)
+    i = np.asarray(current, dtype=float)
+    # What has the same form is done in one go, along an axis of two before the last: with a few
+    # samples the number of operations counts, not their size.
+    thresholds, steepnesses, steps, rates, slopes, widths = (
+        p[..., pair, np.newaxis] for pair in _PAIRS
+    )
+    f0, a0, k0, k5 = (p[..., index, np.newaxis] for index in _SINGLE)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        # The difference of two logistic functions, by tanh, which does not overflow.
+        half = 0.5 * steepnesses
+        rise = np.tanh(half * _saturated(i + thresholds)) - np.tanh(half * thresholds)
+        gains = _saturated(1.0 + 0.5 * steps * rise)
+        growth_and_decay = _exp(_GROWTH_AND_DECAY * rates * v_m)
+        scale = _saturated(f0 * (1.0 + growth_and_decay[..., 0, :]))
+        f_t = _saturated(scale * gains[..., 0, :])
+        alpha = a0 / (1.0 + k0 * v_m)
+        # 0/0, the only way to a NaN here, is a sigmoid of no steepness: zero.
+        alpha = np.where(np.isnan(alpha), 0.0, alpha)
+        k = _saturated(slopes * growth_and_decay[..., 1:, :])
+        v = _saturated(widths * v_m)
+        return Coefficients(
+            f_t=f_t,
+            alpha=_saturated(alpha),
+            k_c=k[..., 0, :],
+            k_e=k[..., 1, :],
+            v_h=_saturated(v[..., 0, :] * gains[..., 1, :]),
+            v_d=v[..., 1, :],
+            f_d=_saturated(k5 * f_t),
+        )
+
+
+def force_from_coefficients(
+    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Force [N] of the law with the given coefficients.
+
+    ``velocity`` and ``acceleration`` have shape (n,); coefficients broadcast against them. Only
+    the sign of the acceleration is used: it tells the branch of the hysteresis loop.
+    """
+    c = coefficients
+    v = np.asarray(velocity, dtype=float)
+    slope = np.where(v >= 0.0, c.k_c, c.k_e)
+    sigmoid = np.tanh(0.5 * c.alpha * (v + np.sign(acceleration) * c.v_h + c.v_d))
+    return np.asarray((c.f_t * sigmoid - c.f_d) * (1.0 + slope * np.abs(v)))
+
+
+def secant_damping(
+    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Damping [N s/m] that the sigmoid amounts to: its force over its velocity.
+
+    f_t tanh(alpha x / 2) / x with x = v + sgn(a) v_h + v_d; shapes as for
+    :func:`force_from_coefficients`.
+    """
+    c = coefficients
+    return np.asarray(
+        c.f_t * 0.5 * c.alpha * _tanh_ratio(_half_argument(c, velocity, acceleration))
+    )
+
+
+def secant_damping_jacobian(
+    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Derivatives of :func:`secant_damping` by the seven coefficients, shape (..., n, 7)."""
+    c = coefficients
+    half = _half_argument(c, velocity, acceleration)
+    ratio = _tanh_ratio(half)
+    slope = 1.0 - np.tanh(half) ** 2
+    by_velocity = c.f_t * (0.5 * c.alpha) ** 2 * _divided(slope - ratio, half)
+    nothing = np.zeros(half.shape)
+    columns = (
+        0.5 * c.alpha * ratio,
+        0.5 * c.f_t * slope,
+        *(nothing, nothing),
+        by_velocity * np.sign(acceleration),
+        by_velocity,
+        nothing,
+    )
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+
+def _half_argument(c: Coefficients, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+    v = np.asarray(velocity, dtype=float)
+    return np.asarray(0.5 * c.alpha * (v + np.sign(acceleration) * c.v_h + c.v_d))
+
+
+def _tanh_ratio(x: Array) -> Array:
+    """tanh(x)/x, 1 at 0."""
+    return np.where(np.abs(x) < _SMALL_ARGUMENT, 1.0, _divided(np.tanh(x), x))
+
+
+def _divided(dividend: Array, divisor: Array) -> Array:
+    """The quotient, 0 where the divisor is next to it."""
+    small = np.abs(divisor) < _SMALL_ARGUMENT
+    return np.where(small, 0.0, dividend / np.where(small, 1.0, divisor))
+
+
+def force(
+    parameters: ArrayLike,
+    displacement: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    current: ArrayLike,
+) -> Array:
+    """Force [N] of the sixteen-parameter sigmoid law.
+
+    ``parameters`` has shape (..., 16); displacement [m], velocity [m/s], acceleration [m/s²] and
+    current [A] broadcast to shape (n,). The result has shape (..., n). Finite inputs give a
+    finite force.
+
+    Raises ValueError where the last axis of ``parameters`` is not sixteen long.
+    """
+    v = _saturated(np.asarray(velocity, dtype=float))
+    v_m = peak_velocity(displacement, v, acceleration)
+    coefficients = operating_point_coefficients(parameters, v_m, current)
+    return force_from_coefficients(coefficients, v, acceleration)
+
+
+def coefficient_jacobian(
+    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
+) -> Array:
+    """Derivatives of the force with respect to the seven coefficients, shape (..., n, 7)."""
+    c = coefficients
+    v = np.asarray(velocity, dtype=float)
+    branch = np.sign(acceleration)
+    argument = v + branch * c.v_h + c.v_d
+    sigmoid = np.tanh(0.5 * c.alpha * argument)
+    speed = np.abs(v)
+    viscous = 1.0 + np.where(v >= 0.0, c.k_c, c.k_e) * speed
+    yield_part = c.f_t * sigmoid - c.f_d
+    gradient = 0.5 * c.f_t * (1.0 - sigmoid * sigmoid) * viscous
+    shift = gradient * c.alpha
+    columns = (
+        sigmoid * viscous,
+        gradient * argument,
+        np.where(v >= 0.0, yield_part * speed, 0.0),
+        np.where(v >= 0.0, 0.0, yield_part * speed),
+        shift * branch,
+        shift,
+        -viscous,
+    )
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+
+def coefficient_parameter_jacobian(
+    parameters: ArrayLike, peak_velocity: ArrayLike, current: ArrayLike
+) -> Array:
+    """Derivatives of the seven coefficients with respect to the sixteen parameters.
+
+    ``parameters`` has shape (16,), ``peak_velocity`` and ``current`` broadcast to (n,); the
+    result has shape (n, 7, 16).
+    """
+    p = dict(zip(PARAMETER_NAMES, _checked(parameters), strict=True))
+    v_m, i = np.broadcast_arrays(
+        np.atleast_1d(np.asarray(peak_velocity, dtype=float)), np.asarray(current, dtype=float)
+    )
+    # What depends on one another lies together: most of the array is zero and never touched.
+    jacobian = np.zeros((len(COEFFICIENT_NAMES), len(PARAMETER_NAMES), *v_m.shape))
+
+    def put(coefficient: int, parameter: str, derivative: Array) -> None:
+        jacobian[coefficient, _INDEX[parameter]] = derivative
+
+    growth = _exp(p["a1"] * v_m)
+    on, off = p["a2"] * (i + p["I0"]), p["a2"] * p["I0"]
+    yield_step = _sigma(on) - _sigma(off)
+    yield_gain = 1.0 + p["k2"] * yield_step
+    scale = p["f0"] * (1.0 + growth)
+    put(0, "f0", (1.0 + growth) * yield_gain)
+    put(0, "a1", p["f0"] * v_m * growth * yield_gain)
+    put(0, "k2", scale * yield_step)
+    slope_on, slope_off = _sigma_derivative(on), _sigma_derivative(off)
+    put(0, "a2", scale * p["k2"] * (slope_on * (i + p["I0"]) - slope_off * p["I0"]))
+    put(0, "I0", scale * p["k2"] * p["a2"] * (slope_on - slope_off))
+
+    softening = 1.0 + p["k0"] * v_m
+    put(1, "a0", 1.0 / softening)
+    put(1, "k0", -p["a0"] * v_m / softening**2)
+
+    decay = _exp(-p["a4"] * v_m)
+    for coefficient, parameter in ((2, "k1c"), (3, "k1e")):
+        put(coefficient, parameter, decay)
+        put(coefficient, "a4", -p[parameter] * v_m * decay)
+
+    on, off = p["a3"] * (i + p["I1"]), p["a3"] * p["I1"]
+    width_step = _sigma(on) - _sigma(off)
+    slope_on, slope_off = _sigma_derivative(on), _sigma_derivative(off)
+    scale_h = p["k4"] * v_m
+    put(4, "k4", v_m * (1.0 + p["k3"] * width_step))
+    put(4, "k3", scale_h * width_step)
+    put(4, "a3", scale_h * p["k3"] * (slope_on * (i + p["I1"]) - slope_off * p["I1"]))
+    put(4, "I1", scale_h * p["k3"] * p["a3"] * (slope_on - slope_off))
+
+    put(5, "k6", v_m)
+
+    # f_d = k5 f_t
+    for parameter in DEPENDENCES["f_t"]:
+        put(6, parameter, p["k5"] * jacobian[0, _INDEX[parameter]])
+    put(6, "k5", scale * yield_gain)
+    return np.moveaxis(jacobian, -1, 0)
+
+
+def parameter_jacobian(
+    parameters: ArrayLike,
+    displacement: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    current: ArrayLike,
+) -> Array:
+    """Derivatives of :func:`force` with respect to the sixteen parameters, shape (n, 16)."""
+    v_m = peak_velocity(displacement, velocity, acceleration)
+    coefficients = operating_point_coefficients(parameters, v_m, current)
+    jacobian = np.einsum(
+        "nc,ncp->np",
+        coefficient_jacobian(coefficients, velocity, acceleration),
+        coefficient_parameter_jacobian(parameters, v_m, current),
+    )
+    return np.asarray(jacobian)

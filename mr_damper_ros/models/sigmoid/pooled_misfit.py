@@ -1,0 +1,245 @@
+"""Misfit of many windows as a function of all parameters of the law.
+
+Every window counts the same, whatever its length: its samples are weighted by what the window's
+own best seven coefficients leave of the force. Where only sensor noise is left this is the
+maximum-likelihood weight; where the law itself is not exact it keeps one strong run from
+drowning all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.sigmoid.extension import (
+    SIGMOID_COUNT,
+    Extension,
+    ForceAndDamping,
+    extension_of,
+    force_and_damping,
+    force_and_damping_jacobian,
+    is_extended,
+)
+from mr_damper_ros.models.sigmoid.law import (
+    COEFFICIENT_NAMES,
+    DEPENDENCES,
+    PARAMETER_NAMES,
+    Coefficients,
+    coefficient_jacobian,
+    coefficient_parameter_jacobian,
+    force_from_coefficients,
+    operating_point_coefficients,
+)
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
+
+_DEPENDENCES = tuple(
+    (COEFFICIENT_NAMES.index(coefficient), PARAMETER_NAMES.index(parameter))
+    for coefficient, parameters in DEPENDENCES.items()
+    for parameter in parameters
+)
+
+_ALL = slice(None)
+
+
+class PooledMisfit:
+    """Weighted residual of windows and its Jacobian for parameters of shape (16,) or (19,)."""
+
+    def __init__(
+        self, windows: Sequence[Window], noise: Sequence[float], slowest_lag: float = 0.0
+    ) -> None:
+        """``noise`` [N]: what each window's own best fit leaves (RMSE). ``slowest_lag`` [s]:
+        samples so early that a lag this slow may not have settled count for nothing, in the
+        extended law.
+
+        Raises ValueError where there are no windows.
+        """  # noqa: D205
+        if not windows:
+            raise ValueError("there are no windows to identify from")
+        self.windows = tuple(windows)
+        total = sum(window.sample_count for window in windows)
+        share = total / len(self.windows)
+        self._weights = [
+            float(np.sqrt(share / window.sample_count)) / max(sigma, 1e-12)
+            for window, sigma in zip(self.windows, noise, strict=True)
+        ]
+        self._own = _Motions([(w.motion, w.current, w.steady) for w in self.windows])
+        self._slowest_lag = slowest_lag
+        self.sample_count = total
+
+    def residual(self, parameters: Array) -> Array:
+        """Weighted model minus measurement [1] of all windows, shape (n,)."""
+        forces = self._forces(parameters)
+        return np.concatenate(
+            [
+                weight * (force - window.force)
+                for weight, force, window in zip(self._weights, forces, self.windows, strict=True)
+            ]
+        )
+
+    def mean_square(self, parameters: Array) -> float:
+        """Mean of the squared weighted residual: 1 where nothing but the noise is left."""
+        return float(np.mean(np.square(self.residual(parameters))))
+
+    def population_cost(self, parameters: Array) -> Array:
+        """:meth:`mean_square` of many sets, shape (s, 16) or (s, 19) to (s,)."""
+        total = np.zeros(parameters.shape[0])
+        forces = self._forces(parameters)
+        for weight, force, window in zip(self._weights, forces, self.windows, strict=True):
+            total += weight**2 * np.sum(np.square(force - window.force), axis=-1)
+        return total / self.sample_count
+
+    def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
+        """Derivatives of :meth:`residual`, shape (n, p), or only the given columns of it."""
+        if not is_extended(parameters):
+            return np.concatenate(self._own.jacobians(parameters, columns, self._weights))
+        everything = self._extended_jacobian(parameters)
+        return everything if columns is None else everything[:, columns]
+
+    def _forces(self, parameters: Array) -> list[Array]:
+        """Force [N] of each window, shape (..., n)."""
+        if not is_extended(parameters):
+            return self._own.forces(parameters)
+        sixteen = parameters[..., :SIGMOID_COUNT]
+        own = self._own.along(sixteen)
+        past = self._past(own, self._histories.along(sixteen))
+        if parameters.ndim == 1:
+            return self._extended(own, past, extension_of(parameters))
+        sets = [
+            self._extended(_of_set(own, k), _of_set(past, k), extension_of(values))
+            for k, values in enumerate(parameters)
+        ]
+        return [np.stack(forces) for forces in zip(*sets, strict=True)]
+
+    @cached_property
+    def _histories(self) -> _Motions:
+        """Of the windows that are not their own history."""
+        histories = (window.history for window in self.windows)
+        return _Motions([(h.motion, h.current, h.periodic) for h in histories if not h.is_window])
+
+    def _past(
+        self, own: list[ForceAndDamping], histories: list[ForceAndDamping]
+    ) -> list[ForceAndDamping]:
+        """Of each window what belongs to its history, which may be the window itself."""
+        rest = iter(histories)
+        return [
+            values if window.history.is_window else next(rest)
+            for window, values in zip(self.windows, own, strict=True)
+        ]
+
+    @cached_property
+    def _unsettled(self) -> list[np.ndarray]:
+        return [window.history.unsettled(self._slowest_lag) for window in self.windows]
+
+    def _extended(
+        self, own: list[ForceAndDamping], past: list[ForceAndDamping], extension: Extension
+    ) -> list[Array]:
+        forces = []
+        for place, window in enumerate(self.windows):
+            displacement, unsettled = window.motion.displacement, self._unsettled[place]
+            force = window.history.force(own[place].force, past[place], displacement, extension)
+            force[unsettled] = window.force[unsettled]
+            forces.append(force)
+        return forces
+
+    def _extended_jacobian(self, parameters: Array) -> Array:
+        """All nineteen columns."""
+        sixteen, extension = parameters[:SIGMOID_COUNT], extension_of(parameters)
+        past = self._past(self._own.along(sixteen), self._histories.along(sixteen))
+        own_by_sixteen = self._own.jacobians_along(sixteen)
+        by_sixteen = self._past(own_by_sixteen, self._histories.jacobians_along(sixteen))
+        blocks = []
+        for place, window in enumerate(self.windows):
+            of_sixteen, of_compliance = window.history.jacobian(
+                own_by_sixteen[place].force, past[place], by_sixteen[place], extension
+            )
+            displacement = window.motion.displacement
+            block = np.column_stack(
+                (of_sixteen, of_compliance, displacement, np.ones(displacement.size))
+            )
+            block[self._unsettled[place]] = 0.0
+            blocks.append(self._weights[place] * block)
+        return np.concatenate(blocks)
+
+
+class _Motions:
+    """Sigmoid forces along several motions, by one evaluation of the laws.
+
+    With one at a time, a third of the time of a search would go into calls.
+    """
+
+    def __init__(self, motions: Sequence[tuple[Motion, Array, bool]]) -> None:
+        """Motion, current (n,) [A], and whether both are steady: one value then stands for all."""
+        self._velocities = [motion.velocity for motion, _, _ in motions]
+        self._branches = [np.sign(motion.acceleration) for motion, _, _ in motions]
+        chosen = [slice(0, 1) if steady else slice(None) for _, _, steady in motions]
+        speeds = [m.peak_velocity[part] for (m, _, _), part in zip(motions, chosen, strict=True)]
+        currents = [i[part] for (_, i, _), part in zip(motions, chosen, strict=True)]
+        edges = np.cumsum([0, *(speed.size for speed in speeds)]).tolist()
+        self._places = [slice(*pair) for pair in pairwise(edges)]
+        self._peak_velocity = np.concatenate([np.empty(0), *speeds])
+        self._current = np.concatenate([np.empty(0), *currents])
+
+    def _each(self, parameters: Array) -> Iterator[tuple[Coefficients, Array, Array]]:
+        """Of each motion the coefficients for parameters (..., 16), the velocity, the branch."""
+        together = operating_point_coefficients(parameters, self._peak_velocity, self._current)
+        for place, velocity, branch in zip(
+            self._places, self._velocities, self._branches, strict=True
+        ):
+            yield Coefficients(*(c[..., place] for c in together)), velocity, branch
+
+    def forces(self, parameters: Array) -> list[Array]:
+        """Force [N] along each motion, shape (..., n), for parameters of shape (..., 16)."""
+        return [force_from_coefficients(*motion) for motion in self._each(parameters)]
+
+    def along(self, parameters: Array) -> list[ForceAndDamping]:
+        """The same with the damping of the sigmoid."""
+        return [force_and_damping(*motion) for motion in self._each(parameters)]
+
+    def jacobians(
+        self, parameters: Array, columns: Sequence[int] | None, weights: Sequence[float]
+    ) -> list[Array]:
+        """Derivatives (n, p) of each motion's force by all or some parameters, times a weight."""
+        inner = self._inner_jacobian(parameters)
+        chosen = _ALL if columns is None else np.array(columns)
+        return [
+            _chain(coefficient_jacobian(*motion), inner[place], weight, chosen)
+            for motion, place, weight in zip(
+                self._each(parameters), self._places, weights, strict=True
+            )
+        ]
+
+    def jacobians_along(self, parameters: Array) -> list[ForceAndDamping]:
+        """Derivatives (n, 16) of what :meth:`along` gives by all parameters."""
+        inner = self._inner_jacobian(parameters)
+        return [
+            ForceAndDamping(
+                *(_chain(outer, inner[place]) for outer in force_and_damping_jacobian(*motion))
+            )
+            for motion, place in zip(self._each(parameters), self._places, strict=True)
+        ]
+
+    def _inner_jacobian(self, parameters: Array) -> Array:
+        return coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
+
+
+def _of_set(motions: list[ForceAndDamping], number: int) -> list[ForceAndDamping]:
+    """One of the sets of parameters (s, ...) that the values of all motions are given for."""
+    return [ForceAndDamping(force[number], damping[number]) for force, damping in motions]
+
+
+def _chain(
+    outer: Array, inner: Array, weight: float = 1.0, columns: slice | np.ndarray = _ALL
+) -> Array:
+    """Derivatives (n, p) by parameters from those (n, 7) by coefficients and (n or 1, 7, 16)."""
+    if inner.shape[0] == 1:
+        # Row by row in memory: the product is then twice as fast.
+        return np.asarray(outer @ np.ascontiguousarray(weight * inner[0][:, columns]))
+    result = np.zeros((inner.shape[2], inner.shape[0])).T
+    for coefficient, parameter in _DEPENDENCES:
+        result[:, parameter] += outer[:, coefficient] * inner[:, coefficient, parameter]
+    return np.asarray(weight * result[:, columns])

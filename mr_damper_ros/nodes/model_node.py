@@ -1,0 +1,285 @@
+"""Node that predicts the damper's force, block by block, for controllers."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
+from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
+from rclpy.node import Node
+
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.inputs import Inputs
+from mr_damper_ros.nodes.messages import header, to_nanoseconds
+from mr_damper_ros.nodes.parameter_table import (
+    ConfigurationError,
+    NodeParameters,
+    ParameterTable,
+    option,
+)
+from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
+from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.acceptance import NO_BETTER
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.tracking.running_error import RunningError
+from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
+
+_REPORTS = 10
+"""Reports that may wait: only the newest ones matter."""
+
+_HEAD_START = 1e-3
+"""Seconds for which the node rests once a force is out: on a computer with no processor to spare
+who waits for the force may be put on this one, and would wait for the rest of the work, too."""
+
+_PART_OF_PAUSE = 0.1
+"""The head start is no more than this part of the pause since the last block ..."""
+
+_UNHURRIED = 1e-3
+"""... and after a pause shorter than this [s] there is none: the node may be behind."""
+
+
+@dataclass(frozen=True)
+class ModelParameters(ParameterTable):
+    """Parameters of the model node."""
+
+    parameter_file: str = option(
+        "",
+        "Parameter file (YAML) to predict with until an identifier publishes on "
+        "damper/parameters; empty for none.",
+        read_only=True,
+    )
+    bandwidth: float = option(
+        PredictorSettings.bandwidth,
+        "Bandwidth [Hz] of the observer of velocity and acceleration: wider follows faster "
+        "motion, narrower passes less noise.",
+        minimum=0.1,
+        maximum=10_000.0,
+        read_only=True,
+    )
+    centre_memory: float = option(
+        PredictorSettings.centre_memory,
+        "Time [s] over which the centre of the motion is taken; a whole cycle must fit in.",
+        minimum=0.01,
+        maximum=3600.0,
+        read_only=True,
+    )
+    current_timeout: float = option(
+        PredictorSettings.current_timeout,
+        "Age [s] of the supply current beyond which the force is marked invalid.",
+        minimum=0.0,
+        maximum=3600.0,
+        read_only=True,
+    )
+    parameters_timeout: float = option(
+        PredictorSettings.parameters_timeout,
+        "Time [s] for which no window has confirmed the parameters, beyond which the force is "
+        "marked invalid: a damper that heats may change by a quarter in ten minutes. 0: no limit. "
+        "Those of parameter_file have none either.",
+        minimum=0.0,
+        maximum=1e9,
+        read_only=True,
+    )
+    velocity_margin: float = option(
+        PredictorSettings.velocity_margin,
+        "Part by which the peak velocity may leave the identified range before the force is "
+        "marked invalid (0.25 = 25 %).",
+        minimum=0.0,
+        maximum=100.0,
+        read_only=True,
+    )
+    current_margin: float = option(
+        PredictorSettings.current_margin,
+        "How far [A] the current may leave the identified range before the force is marked "
+        "invalid.",
+        minimum=0.0,
+        maximum=100.0,
+        read_only=True,
+    )
+    error_memory: float = option(
+        10.0,
+        "Time [s] over which the error against the measured force is taken for the diagnostics.",
+        minimum=0.1,
+        maximum=3600.0,
+        read_only=True,
+    )
+    wrench_rate: float = option(
+        50.0,
+        "At most so many messages a second of data on damper/predicted_wrench, a mirror of the "
+        "valid predictions for standard tools; 0 for none.",
+        minimum=0.0,
+        maximum=10_000.0,
+        read_only=True,
+    )
+    frame_id: str = option(
+        "damper", "Frame of the published forces, x along the rod.", read_only=True
+    )
+
+
+class ModelNode(Node):
+    """Publishes a prediction for every block of samples, valid or not."""
+
+    def __init__(self) -> None:
+        super().__init__("model")
+        self._options = NodeParameters(self, ModelParameters).values
+        self._predictor = ForcePredictor(
+            PredictorSettings(
+                bandwidth=self._options.bandwidth,
+                centre_memory=self._options.centre_memory,
+                current_timeout=self._options.current_timeout,
+                parameters_timeout=self._options.parameters_timeout,
+                velocity_margin=self._options.velocity_margin,
+                current_margin=self._options.current_margin,
+            )
+        )
+        self._error = RunningError(self._options.error_memory)
+        self._message = PredictionMessage(self._options.frame_id)
+        self._last: Prediction | None = None
+        self._next_wrench_ns: int | None = None
+        self._slowest = 0.0
+        self._idle_since = -math.inf
+        self._refused_parameters = ""
+        if self._options.parameter_file:
+            self._predictor.set_parameters(_read(self._options.parameter_file))
+        self._force = self.create_publisher(
+            PredictedForce,
+            "damper/predicted_force",
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self._wrench = self.create_publisher(
+            WrenchStamped,
+            "damper/predicted_wrench",
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self.create_subscription(
+            DamperParameters, "damper/parameters", self._take_parameters, quality.latched()
+        )
+        self.create_subscription(
+            FitReport,
+            "damper/fit_report",
+            self._take_report,
+            quality.stream(_REPORTS),
+            qos_overriding_options=quality.overridable(),
+        )
+        self._inputs = Inputs(self, quality.stream, self._take_block, self._predictor.add_current)
+        self._diagnostics = Diagnostics(
+            self,
+            {
+                "input": lambda: self._inputs.samples_finding(self._predictor.sequence),
+                "current": self._inputs.current_finding,
+                "parameters": self._parameters_finding,
+                "prediction": self._prediction_finding,
+                "latency": self._latency_finding,
+            },
+        )
+
+    def _take_parameters(self, message: DamperParameters) -> None:
+        try:
+            parameters = parameter_set(message)
+        except ParameterError as error:
+            self._refused_parameters = str(error)
+            self.get_logger().warning(f"parameters {message.id} are not used: {error}")
+            return
+        self._refused_parameters = ""
+        # Published parameters that come from no samples have the stamp 0.
+        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
+        self._error.reset()
+        self.get_logger().debug(f"predicting with parameters {parameters.set_id}")
+
+    def _take_report(self, message: FitReport) -> None:
+        if message.accepted or message.reason == NO_BETTER:
+            self._predictor.confirm(message.parameter_set, to_nanoseconds(message.header.stamp))
+
+    def _take_block(self, block: SampleBlock) -> None:
+        began = time.perf_counter()
+        prediction = self._predictor.predict(block)
+        self._force.publish(self._message.of(prediction))
+        self._slowest = max(self._slowest, time.perf_counter() - began)
+        pause = began - self._idle_since
+        if pause > _UNHURRIED:
+            time.sleep(min(_HEAD_START, _PART_OF_PAUSE * pause))
+        self._last = prediction
+        if prediction.continuity:
+            self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
+            self._next_wrench_ns = None
+        if prediction.valid:
+            self._error.add(prediction.force, block.force, block.period)
+            self._mirror(prediction)
+        self._predictor.catch_up()
+        self._idle_since = time.perf_counter()
+
+    def _mirror(self, prediction: Prediction) -> None:
+        """Publish the last sample of the block as a wrench, where one is due."""
+        if self._options.wrench_rate == 0.0:
+            return
+        offset = round((prediction.force.size - 1) * prediction.period * NANOSECONDS)
+        stamp_ns = prediction.start_ns + offset
+        if self._next_wrench_ns is not None and stamp_ns < self._next_wrench_ns:
+            return
+        self._next_wrench_ns = stamp_ns + round(NANOSECONDS / self._options.wrench_rate)
+        force = Vector3(x=float(prediction.force[-1]))
+        self._wrench.publish(
+            WrenchStamped(
+                header=header(stamp_ns, self._options.frame_id), wrench=Wrench(force=force)
+            )
+        )
+
+    def _parameters_finding(self) -> Finding:
+        parameters = self._predictor.parameters
+        if self._refused_parameters:
+            return Finding(WARN, f"the newest parameters are not used: {self._refused_parameters}")
+        if parameters is None:
+            return Finding(
+                WARN,
+                "no parameters yet: start the identifier in this namespace, or give parameter_file",
+            )
+        return Finding(
+            OK,
+            f"predicting with {parameters.set_id}",
+            {
+                "id": parameters.set_id,
+                "model": parameters.model,
+                "source": parameters.source,
+                "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
+                "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
+            },
+        )
+
+    def _prediction_finding(self) -> Finding:
+        nrmse = self._error.nrmse
+        values = {"NRMSE": f"{nrmse:.4f}"}
+        if self._last is None or self._inputs.silent:
+            return Finding(STALE, "nothing to predict: no samples come", values)
+        if not self._last.valid:
+            return Finding(WARN, f"not valid: {self._last.reason}", values)
+        if math.isnan(nrmse):
+            return Finding(OK, "valid", values)
+        return Finding(OK, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
+
+    def _latency_finding(self) -> Finding:
+        slowest, self._slowest = self._slowest, 0.0
+        if slowest == 0.0:
+            return Finding(STALE, "no block since the last report")
+        return Finding(
+            OK,
+            f"at most {1e3 * slowest:.2f} ms from a block to its prediction",
+            {"slowest [ms]": f"{1e3 * slowest:.3f}"},
+        )
+
+
+def _read(path: str) -> ParameterSet:
+    try:
+        return read_parameter_file(path)
+    except StateError as error:
+        raise ConfigurationError(f"parameter_file: {error}") from error
+
+
+def main() -> int:
+    """Run the node."""
+    return run(ModelNode, ModelParameters)

@@ -1,0 +1,202 @@
+"""Plays a bag onto its topics, with /clock: for machines without ``ros2 bag``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.messages import to_stamp
+from mr_damper_ros.nodes.pacing import Outlet, Pacer, SendingThread, wait_for_subscribers
+from mr_damper_ros.nodes.parameter_table import NodeParameters, ParameterTable, option
+from mr_damper_ros.nodes.recorded_bag import RecordedBag
+from mr_damper_ros.nodes.spinning import FAILURE, SUCCESS, run
+
+_CLOCK_PERIOD_NS = 10_000_000
+"""Time between two /clock messages, of the computer's time, or of the bag's where that is less."""
+
+
+@dataclass(frozen=True)
+class ReplayParameters(ParameterTable):
+    """Parameters of the replay node."""
+
+    bag: str = option("", "Path of the bag to play: a folder, or a single file.", read_only=True)
+    topics: str = option(
+        "",
+        "Topics to play, as recorded, separated by blanks; empty means all of them but /clock.",
+        read_only=True,
+    )
+    rate: float = option(
+        1.0,
+        "Speed relative to the recording; 0 plays as fast as the subscribers take it.",
+        minimum=0.0,
+        maximum=1000.0,
+        read_only=True,
+    )
+    loop: bool = option(
+        False,
+        "Start again at the end, for ever. Stamps and /clock then jump back to the beginning.",
+        read_only=True,
+    )
+    start_paused: bool = option(
+        False,
+        "Wait at the first message for the services ~/resume or ~/step.",
+        read_only=True,
+    )
+    wait_for_subscribers: int = option(
+        1,
+        "Number of nodes that must have subscribed to the topics before the first message is sent.",
+        minimum=0,
+        maximum=1000,
+        read_only=True,
+    )
+    wait_timeout: float = option(
+        10.0,
+        "Longest time [s] to wait for them; the bag is played to those that are there then.",
+        minimum=0.0,
+        maximum=86400.0,
+        read_only=True,
+    )
+
+
+class ReplayNode(Node):  # type: ignore[misc]
+    """Publishes the messages of a bag, unchanged, at their time."""
+
+    def __init__(self) -> None:
+        super().__init__("replay")
+        self.parameters = NodeParameters(self, ReplayParameters)
+        values = self.parameters.values
+        self._bag = RecordedBag(values.bag, frozenset(values.topics.split()))
+        log = self.get_logger()
+        for sentence in self._bag.omitted:
+            log.warning(sentence)
+        provenance = "; ".join(f"{key}: {value}" for key, value in self._bag.details.items())
+        log.info(
+            f"playing {values.bag}: {self._bag.message_count} messages, "
+            f"{self._bag.duration:.3g} s{'; ' + provenance if provenance else ''}"
+        )
+        self._pacer = Pacer(values.rate, paused=values.start_paused)
+        unpaced = values.rate == 0.0
+        self._outlets = {
+            topic.name: Outlet(
+                self,
+                topic.message_type,
+                topic.name,
+                self._pacer,
+                unpaced=unpaced,
+                latched=topic.latched,
+            )
+            for topic in self._bag.topics
+        }
+        self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
+        self._clock_step_ns = round(_CLOCK_PERIOD_NS * max(values.rate, 1.0))
+        self._sent = 0
+        self._rounds = 0
+        self._state = "waits for subscribers"
+        self.create_service(Trigger, "~/pause", self._pause)
+        self.create_service(Trigger, "~/resume", self._resume)
+        self.create_service(Trigger, "~/step", self._step)
+        self._diagnostics = Diagnostics(self, {"replay": self._find})
+        self._sending = SendingThread(self, self._pacer, self._send)
+
+    def destroy_node(self) -> None:
+        """End the sending before its publishers go."""
+        self._sending.stop()
+        self._bag.close()
+        super().destroy_node()
+
+    # --- sending, in its own thread -----------------------------------------------------------
+
+    def _send(self) -> None:
+        values = self.parameters.values
+        publishers = [outlet.publisher for outlet in self._outlets.values()]
+        if values.wait_for_subscribers > 0 and not wait_for_subscribers(
+            self, publishers, values.wait_for_subscribers, values.wait_timeout, self._pacer
+        ):
+            self.get_logger().warning(
+                f"fewer than {values.wait_for_subscribers} nodes subscribed within "
+                f"{values.wait_timeout:g} s: playing to those that are there"
+            )
+        while True:
+            self._state = "plays"
+            if not self._play_once():
+                return
+            self._rounds += 1
+            if not values.loop:
+                break
+            self._pacer.restart()
+            self.get_logger().info("the bag starts again: stamps and /clock jump back")
+        self._state = "waits until the subscribers have the last message"
+        for outlet in self._outlets.values():
+            outlet.wait_for_acknowledgement()
+        self.get_logger().info(f"end of the bag: {self._sent} messages were sent")
+
+    def _play_once(self) -> bool:
+        tick: int | None = None
+        for topic, stamp, data in self._bag.messages():
+            # The clock goes on between messages too, and never runs ahead of the next one.
+            while tick is not None and tick < stamp:
+                if not self._pacer.wait_until(tick, is_step=False):
+                    return False
+                self._tick(tick)
+                tick += self._clock_step_ns
+            if not self._pacer.wait_until(stamp):
+                return False
+            if tick is None:
+                self._tick(stamp)
+                tick = stamp + self._clock_step_ns
+            self._outlets[topic].publish(data)
+            self._sent += 1
+        return True
+
+    def _tick(self, stamp: int) -> None:
+        self._clock_publisher.publish(Clock(clock=to_stamp(stamp)))
+
+    # --- steering -----------------------------------------------------------------------------
+
+    def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._pacer.pause()
+        return self._answer(response, "paused")
+
+    def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._pacer.resume()
+        return self._answer(response, "playing")
+
+    def _step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self._pacer.paused:
+            response.success = False
+            response.message = "only a paused bag can be stepped: call ~/pause before"
+            return response
+        self._pacer.step()
+        return self._answer(response, "one message more")
+
+    def _answer(self, response: Trigger.Response, message: str) -> Trigger.Response:
+        response.success = True
+        response.message = message
+        return response
+
+    # --- state --------------------------------------------------------------------------------
+
+    def exit_code(self) -> int | None:
+        """None while there is something to send, then whether all of it was."""
+        if not self._sending.finished:
+            return None
+        return FAILURE if self._sending.failure else SUCCESS
+
+    def _find(self) -> Finding:
+        figures = {"bag": self._bag.path, "messages sent": self._sent, "rounds": self._rounds}
+        if self._sending.failure:
+            return Finding(ERROR, self._sending.failure, figures)
+        if self._bag.omitted:
+            return Finding(WARN, "; ".join(self._bag.omitted), figures)
+        if self._pacer.paused:
+            return Finding(OK, "paused: call ~/resume or ~/step", figures)
+        return Finding(OK, self._state, figures)
+
+
+def main() -> int:
+    """Run the node."""
+    return run(ReplayNode, ReplayParameters, ended=ReplayNode.exit_code)

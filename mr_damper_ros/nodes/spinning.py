@@ -1,0 +1,144 @@
+"""Starts a node, spins it, and ends it cleanly."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.exceptions import (
+    InvalidNamespaceException,
+    InvalidNodeNameException,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+)
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from mr_damper_ros.nodes.parameter_table import ConfigurationError, ParameterTable, describe
+
+SUCCESS = 0
+FAILURE = 1
+BAD_CONFIGURATION = 2
+
+_WAKE_UP = 0.1
+"""Seconds after which a spinning node looks whether it is to stop, or at its end."""
+
+N = TypeVar("N", bound=Node)
+
+
+def run(
+    factory: Callable[[], N],
+    parameters: type[ParameterTable],
+    arguments: Sequence[str] | None = None,
+    ended: Callable[[N], int | None] = lambda _: None,
+) -> int:
+    """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
+
+    ``ended`` is the exit code once the node's work is over, None as long as it is not. A
+    configuration that the node cannot start with is one sentence on stderr and exit code 2.
+    """
+    arguments = list(sys.argv if arguments is None else arguments)
+    try:
+        others = remove_ros_args(arguments)[1:]
+    except Exception as error:  # rcl's errors share no public base class
+        return _reject(f"the command line cannot be used: {_without_source_position(error)}")
+    if "-h" in others or "--help" in others:
+        print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
+        print(describe(parameters))
+        return SUCCESS
+    if others:
+        return _reject(
+            f"unknown argument {others[0]}: parameters are set by --ros-args -p NAME:=VALUE"
+        )
+
+    # rclpy's own handlers shut the context down in the midst of whatever is being done: callbacks
+    # fail, and the events executor may abort the process when that happens in its first spin. With
+    # these the node ends in good order, and a signal before rclpy has started is not lost.
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:
+        return _reject(f"the command line cannot be used: {_without_source_position(error)}")
+    try:
+        return _spin(factory, ended, stop)
+    except _CONFIGURATION_ERRORS as error:
+        return _reject(str(error))
+    except _NodeError as error:
+        return _reject(f"the node cannot be started: {error}")
+    finally:
+        rclpy.try_shutdown()
+
+
+def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: threading.Event) -> int:
+    try:
+        node = factory()
+    except rclpy_implementation.RCLError as error:
+        raise _NodeError(_without_source_position(error)) from error
+    executor = make_executor()
+    executor.add_node(node)
+    # What was made so far stays to the end. Looking through it for garbage takes some tens of
+    # milliseconds, in which blocks would wait.
+    gc.collect()
+    gc.freeze()
+    try:
+        while not stop.is_set():
+            executor.spin_once(timeout_sec=_WAKE_UP)
+            code = ended(node)
+            if code is not None:
+                return code
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+    return SUCCESS
+
+
+_CONFIGURATION_ERRORS = (
+    ConfigurationError,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    InvalidQosOverridesError,
+    InvalidNodeNameException,
+    InvalidNamespaceException,
+)
+
+
+class _NodeError(Exception):
+    """The middleware has refused to make the node."""
+
+
+def _reject(sentence: str) -> int:
+    print(sentence, file=sys.stderr)
+    return BAD_CONFIGURATION
+
+
+def _without_source_position(error: Exception) -> str:
+    """Return rcl's message, reduced to what concerns the user."""
+    message = str(error).removeprefix("Failed to parse ROS arguments: ").split(", at /")[0]
+    return " ".join(message.split())
+
+
+def make_executor(context: Context | None = None) -> Executor:
+    """The executor that all nodes use; ``context`` None is rclpy's own.
+
+    The events executor takes half of the processor time of the single-threaded one and has the
+    shorter tail of latencies; services, timers, lifecycle transitions and actions were tried with
+    it. It must be driven by ``spin_once`` with a timeout: its ``spin`` waits in an undefined way
+    before rclpy 7.1.8. Jazzy had none before rclpy 7.1.4.
+    """
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)

@@ -1,0 +1,1 @@
+"""Other processes and threads: the supervised worker, the pool, the background writer."""

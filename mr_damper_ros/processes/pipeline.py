@@ -1,0 +1,220 @@
+"""The order in which windows and searches go through the worker to the tracker.
+
+One job at a time, windows in the order of their data, and each task built only once the one before
+it is complete: what is accepted then depends on the data alone, never on how fast they came.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import GlobalProgress
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.worker import Control, Done, Progress, Worker
+from mr_damper_ros.tracking.tracker import (
+    FitResult,
+    FitTask,
+    GlobalResult,
+    GlobalTask,
+    Report,
+    WindowTracker,
+    run_fit,
+    run_global,
+)
+from mr_damper_ros.tracking.window_assembler import RawWindow
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Time [s] that the fit of a window and a search may take; then the best so far counts."""
+
+    fit: float
+    search: float
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A global identification that somebody asked for, or (``settings`` None) that fell due."""
+
+    settings: EvolutionSettings | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SearchProgress:
+    """How far the running search is."""
+
+    search: Search
+    progress: GlobalProgress
+
+
+@dataclass(frozen=True, eq=False)
+class SearchEnded:
+    """A search is over; ``result`` and ``report`` are None where it never ran or does not count."""
+
+    search: Search
+    result: GlobalResult | None = None
+    report: Report | None = None
+    duration: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class WindowEnded:
+    """The fit of a window is over, after ``duration`` seconds of work (NaN: it failed)."""
+
+    report: Report
+    duration: float
+
+
+Event = SearchProgress | SearchEnded | WindowEnded
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    number: int
+    task: FitTask | GlobalTask
+    search: Search | None
+
+
+class Pipeline:
+    """Windows and searches that wait, and the one that runs.
+
+    At most ``waiting_windows`` windows wait; when one more comes the oldest is dropped, and with
+    it the looks before the next.
+    """
+
+    def __init__(
+        self, tracker: WindowTracker, worker: Worker, *, waiting_windows: int, budget: Budget
+    ) -> None:
+        self.dropped_windows = 0
+        self._tracker = tracker
+        self._worker = worker
+        self._limit = waiting_windows
+        self._budget = budget
+        self._windows: deque[RawWindow] = deque()
+        self._searches: deque[Search] = deque()
+        self._given_up: list[Event] = []
+        self._job: _Job | None = None
+        self._overtaken = False
+
+    @property
+    def waiting_windows(self) -> int:
+        """Number of windows, looks not counted, that wait for the worker."""
+        return sum(not window.look for window in self._windows)
+
+    @property
+    def running(self) -> str:
+        """What runs now: "fit", "search", or "" for nothing."""
+        if self._job is None:
+            return ""
+        return "fit" if self._job.search is None else "search"
+
+    def add_window(self, window: RawWindow) -> None:
+        """Queue a window or a look."""
+        self._windows.append(window)
+        if self.waiting_windows > self._limit:
+            while self._windows.popleft().look:
+                pass
+            self.dropped_windows += 1
+            while self._windows[0].look:
+                self._windows.popleft()
+        self._next()
+
+    def add_search(self, search: Search) -> None:
+        """Queue a search; it goes before the windows that wait."""
+        self._searches.append(search)
+        self._next()
+
+    def cancel_search(self, search: Search) -> None:
+        """End a search soon, with the best so far; it still ends with an event."""
+        if self._job is not None and self._job.search is search:
+            self._worker.cancel()
+        elif search in self._searches:
+            self._searches.remove(search)
+            self._given_up.append(SearchEnded(search))
+
+    def reset(self) -> None:
+        """Back to the initial set; windows that wait belong to the past and are forgotten."""
+        self._windows.clear()
+        self._overtake()
+        self._tracker.reset()
+
+    def replace(self, parameters: ParameterSet) -> None:
+        """Run with this set from now on; a window that is being fitted starts again from it."""
+        if self._job is not None and isinstance(self._job.task, FitTask):
+            self._windows.appendleft(self._job.task.window)
+        self._overtake()
+        self._tracker.replace(parameters)
+
+    def poll(self) -> list[Event]:
+        """What has happened since the last call. Never blocks."""
+        events, self._given_up = self._given_up, []
+        for outcome in self._worker.poll():
+            job = self._job
+            if job is None or job.number != outcome.task:
+                continue
+            if isinstance(outcome, Progress):
+                if job.search is not None:
+                    events.append(SearchProgress(job.search, outcome.value))
+                continue
+            self._job = None
+            if isinstance(outcome, Done):
+                events += self._complete(job, *outcome.result)
+            elif isinstance(job.task, FitTask):
+                events += self._complete(job, FitResult(job.task, outcome.reason), math.nan)
+            else:
+                events += self._complete(job, GlobalResult(job.task, outcome.reason), math.nan)
+        self._next()
+        return events
+
+    def _overtake(self) -> None:
+        """The result of what runs now was searched from a set that is no longer in use."""
+        if self._job is not None:
+            self._overtaken = True
+            self._worker.cancel()
+
+    def _complete(
+        self, job: _Job, result: FitResult | GlobalResult, duration: float
+    ) -> list[Event]:
+        overtaken, self._overtaken = self._overtaken, False
+        if isinstance(result, FitResult):
+            if overtaken:
+                return []
+            if result.task.window.look:
+                early = self._tracker.complete_look(result)
+                return [] if early is None else [WindowEnded(early, duration)]
+            report = self._tracker.complete(result)
+            if report.global_due:
+                self._searches.append(Search())
+            return [WindowEnded(report, duration)]
+        assert job.search is not None
+        if overtaken:
+            return [SearchEnded(job.search)]
+        report = self._tracker.complete_global(result)
+        return [SearchEnded(job.search, result, report, duration)]
+
+    def _next(self) -> None:
+        if self._job is not None:
+            return
+        if self._searches:
+            search = self._searches.popleft()
+            global_task = self._tracker.global_task(search.settings)
+            number = self._worker.submit(_run_search, global_task, budget=self._budget.search)
+            self._job = _Job(number, global_task, search)
+        elif self._windows:
+            fit_task = self._tracker.window_task(self._windows.popleft())
+            number = self._worker.submit(_run_fit, fit_task, budget=self._budget.fit)
+            self._job = _Job(number, fit_task, None)
+
+
+def _run_fit(task: FitTask, control: Control) -> tuple[FitResult, float]:
+    began = time.perf_counter()
+    return run_fit(task, control.should_stop), time.perf_counter() - began
+
+
+def _run_search(task: GlobalTask, control: Control) -> tuple[GlobalResult, float]:
+    began = time.perf_counter()
+    return run_global(task, control.report), time.perf_counter() - began

@@ -1,0 +1,189 @@
+"""Independent tasks in several processes, with the same results for any number of them.
+
+A task is a picklable function of one picklable argument and of nothing else. Results come in the
+order of the tasks. Each process has one BLAS thread: more would get in each other's way, and sums
+depend on their number. The first process, which does all tasks where there is but one, must have
+been started with one too (``OMP_NUM_THREADS=1``) for results that agree to the last digit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from functools import partial
+from multiprocessing.queues import SimpleQueue
+from types import TracebackType
+from typing import Any, TypeVar
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+Tell = Callable[[Any], bool]
+"""Given to a task to tell of its progress; False where it should return soon with what it has."""
+
+Listen = Callable[[int, Any], bool]
+"""Hears of the progress of the task of this index; returning False stops all tasks."""
+
+SINGLE_THREADED = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment in which BLAS computes with one thread."""
+
+_PATIENCE = 0.05
+"""Seconds between two looks at what the processes tell."""
+
+_PR_SET_PDEATHSIG = 1
+
+
+class ProcessPool:
+    """A context with ``count`` processes, started when there are tasks for them.
+
+    With one, and in a process that may not have children (a daemon of ``multiprocessing``), the
+    tasks are done here. Raises ValueError for less than one.
+    """
+
+    def __init__(self, count: int = 1) -> None:
+        if count < 1:
+            raise ValueError(f"workers is {count}: at least 1 is needed")
+        self.count = 1 if multiprocessing.current_process().daemon else count
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> ProcessPool:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._pool is not None:
+            self._stop.set()
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def map(
+        self,
+        function: Callable[[Task, Tell], Result],
+        tasks: Sequence[Task],
+        listen: Listen | None = None,
+        done: Callable[[int, Result], None] | None = None,
+    ) -> list[Result | None]:
+        """``function(task, tell)`` of every task, in order; None where it was not begun.
+
+        ``listen`` hears what the tasks tell and may stop them; those that run then return what
+        they have. ``done`` is called with each result as soon as it is there, in any order.
+        """
+        hear = listen or _go_on
+        if self.count == 1 or len(tasks) < 2:
+            return _one_after_another(function, tasks, hear, done)
+        pool = self._started()
+        numbered: dict[Future[Result], int] = {
+            pool.submit(_call, function, task, index): index for index, task in enumerate(tasks)
+        }
+        results: list[Result | None] = [None] * len(tasks)
+        waiting = set(numbered)
+        try:
+            while waiting:
+                finished, waiting = wait(waiting, timeout=_PATIENCE)
+                for future in finished:
+                    if not future.cancelled():
+                        results[numbered[future]] = future.result()
+                        if done is not None:
+                            done(numbered[future], future.result())
+                for index, news in self._heard():
+                    if not self._stop.is_set() and not hear(index, news):
+                        self._end(waiting)
+        except BaseException:
+            self._end(waiting)
+            while waiting:
+                waiting = wait(waiting, timeout=_PATIENCE).not_done
+                # Who is not heard cannot end.
+                self._heard()
+            raise
+        return results
+
+    def _end(self, waiting: set[Future[Any]]) -> None:
+        self._stop.set()
+        for future in waiting:
+            future.cancel()
+
+    def _heard(self) -> list[tuple[int, Any]]:
+        news = []
+        while not self._told.empty():
+            news.append(self._told.get())
+        return news
+
+    def _started(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            os.environ.update({**SINGLE_THREADED, **os.environ})
+            # Nothing is forked: threads of the parent do not survive a fork.
+            context = multiprocessing.get_context("spawn")
+            self._stop = context.Event()
+            self._told: SimpleQueue[tuple[int, Any]] = context.SimpleQueue()
+            self._pool = ProcessPoolExecutor(
+                self.count, context, initializer=_begin, initargs=(self._stop, self._told)
+            )
+        return self._pool
+
+
+def _go_on(index: int, news: Any) -> bool:
+    return True
+
+
+def _one_after_another(
+    function: Callable[[Task, Tell], Result],
+    tasks: Sequence[Task],
+    listen: Listen,
+    done: Callable[[int, Result], None] | None,
+) -> list[Result | None]:
+    results: list[Result | None] = [None] * len(tasks)
+    stopped = False
+
+    def hear(index: int, news: Any) -> bool:
+        nonlocal stopped
+        stopped = stopped or not listen(index, news)
+        return not stopped
+
+    for index, task in enumerate(tasks):
+        if stopped:
+            break
+        result = function(task, partial(hear, index))
+        results[index] = result
+        if done is not None:
+            done(index, result)
+    return results
+
+
+_channel: tuple[Any, SimpleQueue[tuple[int, Any]]] | None = None
+"""In a process of a pool: whether to stop, and where to tell."""
+
+
+def _begin(stop: Any, told: SimpleQueue[tuple[int, Any]]) -> None:
+    global _channel
+    _channel = stop, told
+    # Ctrl-C goes to all processes of a terminal; the first one decides.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    # The parent may have died before that was said.
+    parent = multiprocessing.parent_process()
+    if parent is not None and not parent.is_alive():
+        os._exit(1)
+
+
+def _call(function: Callable[[Task, Tell], Result], task: Task, index: int) -> Result:
+    assert _channel is not None
+    stop, told = _channel
+
+    def tell(news: Any) -> bool:
+        if stop.is_set():
+            return False
+        told.put((index, news))
+        return True
+
+    return function(task, tell)

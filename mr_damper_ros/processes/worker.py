@@ -1,0 +1,382 @@
+"""A supervised worker process: one long computation at a time, while the node goes on receiving.
+
+The process is a fresh interpreter (nothing is forked: DDS threads do not survive a fork), started
+by hand rather than by ``multiprocessing``, which would run the node's main script again in the
+child and load rclpy there. Tasks and answers are pickles over a private socket pair.
+
+- A worker that dies is noticed at once and replaced; the interrupted task is tried once more. So
+  it is where a worker gives no sign of life, because it is stopped or hangs in a call into C.
+- A task that exceeds its time budget is asked to stop with what it has; a worker that does not
+  answer is killed and replaced, and the task has failed.
+- The worker dies with its parent, however that one ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import math
+import os
+import pickle
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from multiprocessing.connection import Connection
+from typing import Any
+
+from mr_damper_ros.processes.process_pool import SINGLE_THREADED
+
+_GRACE = 1.0
+"""Seconds that a task has for stopping by itself after it was asked to."""
+
+_START_LIMIT = 60.0
+"""Seconds after which a process that has not reported for work counts as dead."""
+
+_BEAT = 0.25
+"""Seconds between two signs of life of a worker, whatever it works on."""
+
+_SILENCE_LIMIT = 1.5
+"""Seconds without a sign of life after which a worker is taken to hang."""
+
+_LONGEST_LOOK = 0.1
+"""What passes between two looks counts as silence up to this [s]: a node that was itself held up,
+with the whole computer perhaps, has not listened."""
+
+_RESTART_PAUSE = 1.0
+"""Seconds between two starts where the process does not even come up."""
+
+_PR_SET_PDEATHSIG = 1
+
+_TASK, _STOP = b"t", b"s"
+"""First byte of what the node sends: a pickled (number, call), or the number of one to stop."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Something that the running task reported."""
+
+    task: int
+    value: Any
+
+
+@dataclass(frozen=True)
+class Done:
+    """The task returned."""
+
+    task: int
+    result: Any
+
+
+@dataclass(frozen=True)
+class Failed:
+    """The task gave no result; ``reason`` is one sentence."""
+
+    task: int
+    reason: str
+
+
+Outcome = Progress | Done | Failed
+
+
+class Control:
+    """What a task in the worker is given to talk to the node; its methods may be called often."""
+
+    def __init__(self, number: int, send: Callable[[Any], None], stopped: set[int]) -> None:
+        self._number = number
+        self._send = send
+        self._stopped = stopped
+
+    def should_stop(self) -> bool:
+        """Whether the task should return soon with what it has."""
+        return self._number in self._stopped
+
+    def report(self, value: Any) -> bool:
+        """Deliver any picklable value as a :class:`Progress`; False where the task should stop."""
+        self._send(("progress", self._number, value))
+        return not self.should_stop()
+
+
+class _Process:
+    """One worker process with the threads that talk to it: no call here ever blocks."""
+
+    def __init__(self, module: str) -> None:
+        self.started = time.monotonic()
+        self.ready = False
+        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._child = subprocess.Popen(
+                [
+                    *(sys.executable, "-c"),
+                    f"from {__name__} import serve; serve({theirs.fileno()}, {module!r})",
+                ],
+                stdin=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()],
+                env={
+                    **os.environ,
+                    # The arrays are small: more threads would only take the node's time from it.
+                    **SINGLE_THREADED,
+                    "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
+                },
+                # Ctrl-C goes to the whole group of the terminal; the worker must not see it.
+                start_new_session=True,
+            )
+        self._connection = Connection(ours.detach())
+        self._sending = threading.Lock()
+        threading.Thread(target=self._receive, name="worker answers", daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def _receive(self) -> None:
+        try:
+            while True:
+                self._inbox.put(self._connection.recv())
+        except Exception:  # closed, or half a message of a killed process
+            self._inbox.put(("gone",))
+        finally:
+            # Not under a sending, which ends by itself: nobody is left to read.
+            with self._sending:
+                self._connection.close()
+
+    def messages(self) -> list[Any]:
+        """What has arrived since the last call; ("gone",) is the last message of all."""
+        received = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                received.append(self._inbox.get_nowait())
+        return received
+
+    def send(self, message: bytes) -> None:
+        """Send bytes. A stopped process does not read, so the sending has a thread of its own."""
+
+        def work() -> None:
+            # A broken pipe is a dead worker, which the receiving thread reports.
+            with self._sending, contextlib.suppress(OSError):
+                self._connection.send_bytes(message)
+
+        threading.Thread(target=work, name="worker task", daemon=True).start()
+
+    def kill(self) -> None:
+        self._child.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._child.wait(timeout=_GRACE)
+
+
+class Worker:
+    """Runs one function call at a time in another process.
+
+    ``module`` is the one that the tasks come from: a process loads it before it takes a task, so
+    that loading it, which takes seconds on a busy computer, does not count as the task's time.
+    Call :meth:`poll` often: it brings the results, enforces time budgets and replaces a process
+    that has died.
+    """
+
+    def __init__(self, module: str) -> None:
+        self.replaced = 0
+        self._module = module
+        self._notices: list[str] = []
+        self._number = 0
+        self._task: bytes | None = None
+        self._budget = math.inf
+        self._retried = False
+        self._started: float | None = None  # the task, in a process that is ready
+        self._stop_asked: float | None = None
+        self._next_start = 0.0
+        self._looked = time.monotonic()
+        self._silence = 0.0
+        self._process: _Process | None = _Process(self._module)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a task has been submitted and has not yet ended."""
+        return self._task is not None
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a process that has come up."""
+        return self._process is not None and self._process.ready
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the present worker process; None for the moment in which there is none."""
+        return None if self._process is None else self._process.pid
+
+    def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
+        """Start ``function(*args, control)`` in the worker and return the task's number.
+
+        The function must be importable there; it is given a :class:`Control`. ``budget`` is the
+        time [s] that it may take. Raises RuntimeError while another task runs.
+        """
+        if self.busy:
+            raise RuntimeError("the worker is busy: wait for its task to end")
+        call = pickle.dumps((function, args))
+        self._number += 1
+        self._task = _TASK + pickle.dumps((self._number, call))
+        self._budget = budget
+        self._retried = False
+        self._stop_asked = None
+        self._begin()
+        return self._number
+
+    def cancel(self) -> None:
+        """Ask the running task to return soon with what it has; it still ends with an outcome."""
+        if self.busy and self._stop_asked is None:
+            self._stop_asked = time.monotonic()
+            if self._process is not None:
+                self._process.send(_STOP + pickle.dumps(self._number))
+
+    def poll(self) -> list[Outcome]:
+        """What has happened since the last call, and what is overdue. Never blocks."""
+        outcomes: list[Outcome] = []
+        now = time.monotonic()
+        self._silence += min(now - self._looked, _LONGEST_LOOK)
+        self._looked = now
+        if self._process is not None:
+            for kind, *content in self._process.messages():
+                self._silence = 0.0
+                outcomes += self._received(kind, content)
+        outcomes += self._overdue()
+        if self._process is None and time.monotonic() >= self._next_start:
+            self._process = _Process(self._module)
+            self._begin()
+        return outcomes
+
+    def take_notices(self) -> list[str]:
+        """Sentences about the worker itself (deaths, replacements) since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def close(self) -> None:
+        """End the worker process. It holds nothing that could be lost."""
+        if self._process is not None:
+            self._process.kill()
+            self._process = None
+        self._task = None
+        self._next_start = math.inf
+
+    def _begin(self) -> None:
+        """Give the task, if there is one, to the process, if there is one."""
+        self._started = None
+        if self._task is None or self._process is None:
+            return
+        self._process.send(self._task)
+        if self._stop_asked is not None:
+            self._process.send(_STOP + pickle.dumps(self._number))
+        if self._process.ready:
+            self._started = time.monotonic()
+
+    def _received(self, kind: str, content: list[Any]) -> list[Outcome]:
+        assert self._process is not None
+        if kind == "gone":
+            return self._replace("the worker process died")
+        if kind == "ready":
+            self._process.ready = True
+            self._started = time.monotonic()
+            return []
+        if kind == "alive":
+            return []
+        number, value = content
+        if self._task is None or number != self._number:
+            return []
+        if kind == "progress":
+            return [Progress(number, value)]
+        self._task = None
+        return [Done(number, value) if kind == "done" else Failed(number, value)]
+
+    def _overdue(self) -> list[Outcome]:
+        process, now = self._process, time.monotonic()
+        if process is None:
+            return []
+        if not process.ready:
+            if now - process.started > _START_LIMIT:
+                return self._replace(f"the worker did not start within {_START_LIMIT:g} s")
+            return []
+        if self._silence > _SILENCE_LIMIT:
+            return self._replace("the worker process hangs")
+        if self._task is None or self._started is None:
+            return []
+        over_budget = now - self._started > self._budget
+        if over_budget:
+            self.cancel()
+        if self._stop_asked is not None and now > max(self._stop_asked, self._started) + _GRACE:
+            why = f"the task exceeded its {self._budget:g} s" if over_budget else "it was cancelled"
+            return self._replace(f"{why} and did not stop when asked to", retry=False)
+        return []
+
+    def _replace(self, why: str, *, retry: bool = True) -> list[Outcome]:
+        """Take the process away; :meth:`poll` starts the next one."""
+        assert self._process is not None
+        self._process.kill()
+        if not self._process.ready:
+            self._next_start = time.monotonic() + _RESTART_PAUSE
+        self._process = None
+        self.replaced += 1
+        if self._task is None:
+            self._notices.append(f"{why}: the worker is replaced")
+            return []
+        if retry and not self._retried and self._stop_asked is None:
+            self._retried = True
+            self._notices.append(f"{why}: the worker is replaced and its task starts again")
+            return []
+        self._task = None
+        self._notices.append(f"{why}: the worker is replaced and its task is given up")
+        return [Failed(self._number, why)]
+
+
+def serve(descriptor: int, module: str) -> None:
+    """Be the worker on this socket, until it closes, for the tasks of a module."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        # The end of the socket is noticed by a thread, which a long call into C could hold up.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    import_module(module)
+    connection = Connection(descriptor)
+    tasks: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    stopped: set[int] = set()
+
+    def receive() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                message = connection.recv_bytes()
+                if message[:1] == _STOP:
+                    stopped.add(pickle.loads(message[1:]))
+                else:
+                    tasks.put(message[1:])
+        os._exit(0)
+
+    sending = threading.Lock()
+
+    def send(message: Any) -> None:
+        data = message if isinstance(message, bytes) else pickle.dumps(message)
+        with sending:
+            connection.send_bytes(data)
+
+    def beat() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                time.sleep(_BEAT)
+                send(("alive",))
+
+    send(("ready",))
+    for work in (receive, beat):
+        threading.Thread(target=work, daemon=True).start()
+    while True:
+        number, call = pickle.loads(tasks.get())
+        send(_answer(number, call, Control(number, send, stopped)))
+
+
+def _answer(number: int, call: bytes, control: Control) -> bytes:
+    try:
+        function, args = pickle.loads(call)
+        return pickle.dumps(("done", number, function(*args, control)))
+    except Exception as error:
+        return pickle.dumps(("failed", number, f"{type(error).__name__}: {error}"))

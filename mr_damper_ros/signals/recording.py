@@ -1,0 +1,143 @@
+"""One uninterrupted recording of a damper in a test machine, in SI units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+
+DEFAULT_START_NS = 1_672_531_200 * NANOSECONDS
+"""Stamp of the first sample where nothing tells the time: 1 January 2023, 0:00 UTC.
+
+A stamp near zero would be taken for "time unknown" by many ROS programs.
+"""
+
+_SMALLEST_MOTION = 1e-6
+_LARGEST_MOTION = 0.5
+_LARGEST_SPEED = 5.0
+_LARGEST_FORCE = 1e6
+_LARGEST_CURRENT = 50.0
+_TEMPERATURES = (-60.0, 250.0)
+_PERIODS = (1e-6, 0.1)
+
+
+class RecordingError(ValueError):
+    """A recording that cannot be used; the message says what to change."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Samples of displacement, force and current at a fixed period, without gaps.
+
+    ``displacement`` [m] (extension positive), ``force`` [N] (tension positive), ``current`` [A]
+    and, where it was measured, ``temperature`` [°C] have shape (n,); sample k was taken at
+    ``start_ns`` + k ``period`` (nanoseconds since the epoch, seconds). ``details`` says in words
+    where the recording comes from; it goes into a bag's metadata.
+
+    Raises RecordingError where there are no samples, lengths differ, a value is not finite, or
+    the period is not positive.
+    """
+
+    name: str
+    start_ns: int
+    period: float
+    displacement: Array
+    force: Array
+    current: Array
+    temperature: Array | None = None
+    details: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period) and self.period > 0.0):
+            raise RecordingError(
+                f"the sample period of '{self.name}' is {self.period} s: it must be positive"
+            )
+        object.__setattr__(self, "details", dict(self.details))
+        for name in ("displacement", "force", "current", "temperature"):
+            values = getattr(self, name)
+            if values is None and name == "temperature":
+                continue
+            object.__setattr__(self, name, self._checked(name, values))
+
+    def _checked(self, name: str, values: Array) -> Array:
+        array = np.array(values, dtype=np.float64)
+        if array.ndim != 1:
+            raise RecordingError(
+                f"the {name} of '{self.name}' has shape {array.shape}: give a list of samples"
+            )
+        if array.size == 0:
+            raise RecordingError(f"the {name} of '{self.name}' holds no samples")
+        if array.size != np.size(self.displacement):
+            raise RecordingError(
+                f"'{self.name}' holds {np.size(self.displacement)} displacements but "
+                f"{array.size} values of {name}: give one for each sample"
+            )
+        finite = np.isfinite(array)
+        if not finite.all():
+            index = int(np.argmin(finite))
+            raise RecordingError(
+                f"the {name} of sample {index} of '{self.name}' is {array[index]}: "
+                "cut the recording before it or mend the value"
+            )
+        array.flags.writeable = False
+        return array
+
+    @property
+    def sample_count(self) -> int:
+        """Number of samples n."""
+        return int(self.displacement.size)
+
+    @property
+    def duration(self) -> float:
+        """Time [s] that the samples stand for, n times the period."""
+        return self.sample_count * self.period
+
+    @property
+    def time(self) -> Array:
+        """Time of each sample [s] from the first, shape (n,)."""
+        return np.arange(self.sample_count, dtype=np.float64) * self.period
+
+    def stamp_ns(self, index: int) -> int:
+        """Stamp of a sample, nanoseconds since the epoch."""
+        return self.start_ns + round(index * self.period * NANOSECONDS)
+
+    def check_plausible(self) -> None:
+        """Raise RecordingError where the numbers cannot be a damper's in SI units.
+
+        Wrong units pass every other check, and an identification would take them seriously.
+        """
+        problem = self._implausible()
+        if problem:
+            raise RecordingError(f"'{self.name}': {problem}")
+
+    def _implausible(self) -> str:
+        if not _PERIODS[0] <= self.period <= _PERIODS[1]:
+            return f"the sample period is {self.period:.3g} s: is the unit of the time right?"
+        span = float(np.ptp(self.displacement))
+        if span > _LARGEST_MOTION:
+            return f"the displacement spans {span:.3g} m: is it in millimetres?"
+        if span < _SMALLEST_MOTION:
+            return (
+                f"the displacement spans {span * 1e6:.2g} micrometres: the damper did not move, "
+                "or the unit of the displacement is too small"
+            )
+        speed = float(np.sqrt(np.mean(np.diff(self.displacement) ** 2))) / self.period
+        if speed > _LARGEST_SPEED:
+            return f"the rod moves at {speed:.3g} m/s on average: is the unit of the time right?"
+        force = float(np.max(np.abs(self.force)))
+        if force > _LARGEST_FORCE:
+            return f"the force reaches {force:.3g} N: give the unit of the force that fits"
+        if np.ptp(self.force) == 0.0:
+            return f"the force is {force:.3g} N throughout: is it the right column?"
+        current = float(np.max(np.abs(self.current)))
+        if current > _LARGEST_CURRENT:
+            return f"the current reaches {current:.3g} A: is it in milliamperes?"
+        if self.temperature is not None:
+            low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
+            if low < _TEMPERATURES[0] or high > _TEMPERATURES[1]:
+                return f"the temperature lies between {low:.4g} and {high:.4g} °C: is it in kelvin?"
+        return ""

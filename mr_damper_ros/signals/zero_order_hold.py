@@ -1,0 +1,89 @@
+"""Coil current on the sample clock: each value holds until the next one is stamped."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+
+KEEP_CURRENT = 3600.0
+"""Seconds of values that a stream keeps: where a bag is played as fast as it goes, the current may
+come far ahead of the samples that it belongs to."""
+
+_LATE_NS = NANOSECONDS // 2
+"""A stamp this much before the newest one is late; further back, time itself was set back."""
+
+
+class ZeroOrderHold:
+    """Stamped values of the supply current, held from each stamp to the next."""
+
+    def __init__(self, keep: float) -> None:
+        """Keep at least the last ``keep`` seconds of values."""
+        self._keep_ns = round(keep * NANOSECONDS)
+        self._stamps: list[int] = []
+        self._values: list[float] = []
+        self._jumped = False
+        # The last result that was of one value throughout, to be given again.
+        self._constant = np.empty(0)
+
+    @property
+    def last_stamp_ns(self) -> int | None:
+        """Stamp of the newest value; None before the first."""
+        return self._stamps[-1] if self._stamps else None
+
+    def add(self, stamp_ns: int, current: float) -> None:
+        """Add a value [A]; one that jumps back in time takes the place of all that came after.
+
+        A value that is only late takes its place among the others.
+        """
+        place = bisect_left(self._stamps, stamp_ns)
+        back_ns = self._stamps[-1] - stamp_ns if self._stamps else 0
+        if back_ns > _LATE_NS:
+            self._jumped = True
+            del self._stamps[place:], self._values[place:]
+        elif place < len(self._stamps) and self._stamps[place] == stamp_ns:
+            del self._stamps[place], self._values[place]
+        self._stamps.insert(place, stamp_ns)
+        self._values.insert(place, current)
+        # One value older than the horizon stays: it holds up to the next.
+        surplus = bisect_right(self._stamps, self._stamps[-1] - self._keep_ns) - 1
+        if surplus > 0:
+            del self._stamps[:surplus], self._values[:surplus]
+
+    def follow_jump(self) -> None:
+        """Forget the values of the time before, now that the samples have jumped back.
+
+        If the current jumped first, its values are those of the new time already.
+        """
+        if not self._jumped:
+            self._stamps.clear()
+            self._values.clear()
+        self._jumped = False
+
+    def known_from(self, stamp_ns: int) -> bool:
+        """Whether a value is in force at the stamp."""
+        return bool(self._stamps) and self._stamps[0] <= stamp_ns
+
+    def at(self, start_ns: int, period: float, count: int) -> Array:
+        """Current [A] at ``count`` samples from ``start_ns``, ``period`` [s] apart, shape (n,).
+
+        Before the first value that value is taken: ask :meth:`known_from`. The result is not for
+        writing: where the current stays the same, so does the array.
+        """
+        first = max(bisect_right(self._stamps, start_ns) - 1, 0)
+        if first + 1 == len(self._stamps):
+            if self._constant.size != count or self._constant[0] != self._values[first]:
+                self._constant = np.full(count, self._values[first])
+            return self._constant
+        result = np.full(count, self._values[first])
+        for stamp, value in zip(self._stamps[first + 1 :], self._values[first + 1 :], strict=True):
+            # Rounding of the stamp to nanoseconds must not move a step by one sample.
+            offset = (stamp - start_ns) / (period * NANOSECONDS)
+            index = int(np.ceil(offset - 1e-3))
+            if index >= count:
+                break
+            result[max(index, 0) :] = value
+        return result

@@ -1,0 +1,1 @@
+"""The damper that changes: followed window by window, judged, predicted, kept on disk."""

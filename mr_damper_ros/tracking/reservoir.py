@@ -1,0 +1,68 @@
+"""Accepted windows at different operating points, kept for the global identification."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from mr_damper_ros.estimation.window_fit import WindowFit
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+
+_SAME_VELOCITY = math.log(1.1)
+"""Peak velocities within 10 % of each other are one operating point."""
+
+_SAME_CURRENT = 0.05
+"""Currents [A] within this of each other are one operating point."""
+
+_MOST_SAMPLES = 500
+_MOST_WINDOWS = 100
+
+OperatingPoint = tuple[float, float]
+"""Peak velocity [m/s] and current [A]."""
+
+
+def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
+    """Index of the nearest of the points that is the same operating point; None if none is."""
+    best, nearest = 1.0, None
+    for index, (v_m, current) in enumerate(points):
+        ratio = math.log(max(v_m, 1e-9) / max(wanted[0], 1e-9))
+        distance = max(abs(ratio) / _SAME_VELOCITY, abs(current - wanted[1]) / _SAME_CURRENT)
+        if distance <= best:
+            best, nearest = distance, index
+    return nearest
+
+
+class Reservoir:
+    """The newest accepted window of each operating point, thinned to a few hundred samples."""
+
+    def __init__(
+        self, windows: Iterable[Window] = (), points: Iterable[OperatingPoint] = ()
+    ) -> None:
+        """Begin with these windows, oldest first, and their operating points."""
+        self._windows = list(windows)
+        self._points = list(points)
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """All windows kept, oldest first."""
+        return tuple(self._windows)
+
+    @property
+    def points(self) -> tuple[OperatingPoint, ...]:
+        """The operating point of each window."""
+        return tuple(self._points)
+
+    @property
+    def operating_points(self) -> int:
+        """Number of different operating points."""
+        return len(self._windows)
+
+    def add(self, window: Window, fit: WindowFit) -> None:
+        """Keep a window in place of the older one at its operating point."""
+        older = nearest_same(self._points, fit.operating_point)
+        if older is None and len(self._windows) == _MOST_WINDOWS:
+            older = 0
+        if older is not None:
+            del self._windows[older], self._points[older]
+        self._windows.append(window.thinned(_MOST_SAMPLES))
+        self._points.append(fit.operating_point)

@@ -1,0 +1,175 @@
+"""Covariances tell the truth for white and for correlated residuals, and NaN for the unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from mr_damper_ros.estimation.covariance import (
+    correlation_length,
+    least_squares_covariance,
+    normal_inverse,
+    triangular_factor,
+)
+from mr_damper_ros.models.sigmoid.scale_misfit import scale_parameter_errors
+from mr_damper_ros.signals.arrays import Array
+
+N = 2000
+
+ROUNDING = 1e-9
+"""Relative, of singular values whose sizes span four decades."""
+
+
+def design(seed: int = 0) -> Array:
+    """Three smooth columns of very different size."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0.0, 1.0, N)
+    columns = np.column_stack((np.ones(N), np.sin(12.0 * t), t**2 + 0.1 * rng.normal(size=N)))
+    return np.asarray(columns * np.array([1.0, 1e-3, 1e4]))
+
+
+def correlated(seed: int, memory: float, scale: float = 1.0) -> Array:
+    """A residual of unit variance whose autocorrelation falls as memory^lag."""
+    white = np.random.default_rng(seed).normal(0.0, np.sqrt(1.0 - memory**2), N + 500)
+    return np.asarray(scale * lfilter([1.0], [1.0, -memory], white)[500:])
+
+
+def test_the_inverse_is_the_inverse() -> None:
+    jacobian = design()
+    np.testing.assert_allclose(
+        normal_inverse(jacobian) @ (jacobian.T @ jacobian), np.eye(3), atol=1e-6
+    )
+
+
+def test_a_column_of_zeros_is_unknown_and_leaves_the_others_alone() -> None:
+    jacobian = design()
+    padded = np.insert(jacobian, 1, 0.0, axis=1)
+    inverse = normal_inverse(padded)
+    assert np.isnan(inverse[1, :]).all()
+    assert np.isnan(inverse[:, 1]).all()
+    rest = np.delete(np.delete(inverse, 1, axis=0), 1, axis=1)
+    np.testing.assert_allclose(rest, normal_inverse(jacobian), rtol=1e-9)
+
+
+def test_what_is_unknown_leaves_the_others_alone_where_the_residual_is_correlated() -> None:
+    jacobian, residual = design(), correlated(0, 0.95)
+    padded = np.insert(jacobian, 1, 0.0, axis=1)
+    covariance = least_squares_covariance(padded, residual)
+    assert np.isnan(np.diag(covariance)).tolist() == [False, True, False, False]
+    rest = np.delete(np.delete(covariance, 1, axis=0), 1, axis=1)
+    expected = least_squares_covariance(jacobian, residual)
+    np.testing.assert_allclose(rest, expected, rtol=0.01)
+
+
+def test_two_columns_alike_are_unknown_and_leave_the_others_alone() -> None:
+    jacobian = design()
+    doubled = np.column_stack((jacobian, 3.0 * jacobian[:, 1]))
+    inverse = normal_inverse(doubled)
+    assert np.isnan(np.diag(inverse)).tolist() == [False, True, False, True]
+    without = normal_inverse(jacobian)
+    np.testing.assert_allclose(inverse[0, 0], without[0, 0], rtol=1e-6)
+    np.testing.assert_allclose(inverse[2, 2], without[2, 2], rtol=1e-6)
+
+
+def test_nothing_at_all_is_unknown() -> None:
+    assert np.isnan(normal_inverse(np.zeros((50, 3)))).all()
+
+
+def test_a_white_residual_gives_the_textbook_covariance() -> None:
+    jacobian = design()
+    residual = np.random.default_rng(1).normal(0.0, 2.0, N)
+    expected = (residual @ residual) / (N - 3) * np.linalg.inv(jacobian.T @ jacobian)
+    np.testing.assert_allclose(least_squares_covariance(jacobian, residual), expected, rtol=1e-5)
+
+
+def test_weights_of_one_change_nothing() -> None:
+    jacobian, residual = design(), correlated(1, 0.9)
+    np.testing.assert_allclose(
+        least_squares_covariance(jacobian, residual, np.ones(N)),
+        least_squares_covariance(jacobian, residual),
+    )
+
+
+def test_a_weight_of_zero_removes_a_sample() -> None:
+    jacobian = design()
+    residual = np.random.default_rng(1).normal(0.0, 2.0, N)
+    weights = np.ones(N)
+    weights[::2] = 0.0
+    half = least_squares_covariance(jacobian[1::2], residual[1::2])
+    # The degrees of freedom still count all samples: half the variance per sample.
+    ratio = np.diag(least_squares_covariance(jacobian, residual, weights)) / np.diag(half)
+    np.testing.assert_allclose(ratio, 0.5, rtol=0.01)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8, 0.95])
+def test_the_covariance_is_that_of_repeated_experiments(memory: float) -> None:
+    jacobian = design()
+    solve = np.linalg.pinv(jacobian)
+    estimates, claimed = [], []
+    for seed in range(300):
+        noise = correlated(seed, memory)
+        estimate = solve @ noise
+        estimates.append(estimate)
+        claimed.append(np.diag(least_squares_covariance(jacobian, noise - jacobian @ estimate)))
+    ratio = np.mean(claimed, axis=0) / np.var(estimates, axis=0)
+    # Standard errors within a quarter; a variance from 300 draws is good for 8 %.
+    assert np.all((ratio > 0.75**2) & (ratio < 1.25**2)), ratio
+
+
+def test_taking_a_correlated_residual_for_white_would_be_wrong() -> None:
+    # The test above would pass without any care if this failed.
+    jacobian = design()
+    solve = np.linalg.pinv(jacobian)
+    estimates = [solve @ correlated(seed, 0.95) for seed in range(300)]
+    naive = np.diag(np.linalg.inv(jacobian.T @ jacobian))
+    assert np.var(estimates, axis=0)[0] / naive[0] > 10.0
+
+
+def test_white_noise_counts_as_white() -> None:
+    lengths = [
+        correlation_length(np.random.default_rng(seed).normal(size=N)) for seed in range(200)
+    ]
+    assert np.mean(np.array(lengths) == 0) >= 0.98
+
+
+@pytest.mark.parametrize("memory", [0.5, 0.8, 0.95])
+def test_the_length_of_a_correlation_is_found(memory: float) -> None:
+    exact = 4.0 * np.log(0.05) / np.log(memory)
+    lengths = [correlation_length(correlated(seed, memory)) for seed in range(30)]
+    assert np.median(lengths) == pytest.approx(exact, rel=0.4)
+
+
+def test_a_correlation_that_never_ends_is_bounded() -> None:
+    assert correlation_length(np.linspace(-1.0, 1.0, N)) <= N // 4
+
+
+@pytest.mark.parametrize("residual", [np.zeros(N), np.ones(10)], ids=["zero", "short"])
+def test_a_residual_that_says_nothing_counts_as_white(residual: Array) -> None:
+    assert correlation_length(residual) == 0
+
+
+def test_the_error_of_k5_is_that_of_a_quotient() -> None:
+    scales = np.array([50.0, 1.0, 1.0, 1.0, 1.0, 1.0, 4.0])
+    covariance = np.diag([4.0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.09])
+    covariance[0, 6] = covariance[6, 0] = 0.3
+    draws = np.random.default_rng(0).multivariate_normal(scales, covariance, 200_000)
+    errors = scale_parameter_errors(scales, covariance)
+    assert errors[6] == pytest.approx(np.std(draws[:, 6] / draws[:, 0]), rel=0.02)
+    np.testing.assert_allclose(errors[:6], np.sqrt(np.diag(covariance))[:6])
+
+
+def test_without_a_yield_force_k5_is_unknown() -> None:
+    errors = scale_parameter_errors(np.zeros(7), np.eye(7))
+    assert np.isnan(errors[6])
+    assert np.isfinite(errors[:6]).all()
+
+
+@pytest.mark.parametrize("rows", [3, 4096, 4097, 20_000])
+def test_the_triangular_factor_has_the_singular_values_of_the_matrix(rows: int) -> None:
+    matrix = np.random.default_rng(5).normal(size=(rows, 6)) * np.logspace(0.0, 4.0, 6)
+    factor = triangular_factor(matrix)
+    assert factor.shape == (min(rows, 6), 6)
+    expected = np.linalg.svd(matrix, compute_uv=False)
+    np.testing.assert_allclose(np.linalg.svd(factor, compute_uv=False), expected, rtol=ROUNDING)
+    np.testing.assert_allclose(np.tril(factor, -1), 0.0)

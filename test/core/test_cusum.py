@@ -1,0 +1,344 @@
+"""A sudden change of the force is noticed at once, and hardly anything else is taken for one."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.cusum import (
+    SLACK,
+    THRESHOLD,
+    ChangeWatch,
+    change_point,
+    fit_scale,
+)
+from mr_damper_ros.tracking.tracker import (
+    EARLY_METHOD,
+    Report,
+    TrackerSettings,
+    WindowTracker,
+    run_fit,
+)
+from mr_damper_ros.tracking.unscented_filter import METHOD
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+
+POINT = (0.03, 1.0)
+
+RUN_LENGTH_ERROR = 0.3
+"""Relative: 150 runs tell their mean to 8 %, for a run length scatters as much as it is long."""
+
+HOURS = (5.0, 10.0)
+"""Least and most time between false alarms at 20 blocks per second."""
+
+BLOCK = 50
+"""Samples: the detector knows the begin of a change to a block."""
+
+MEAN_ERROR, SPREAD_ERROR = 0.25, 0.2
+"""Of 0 and of 1, which 200 scores tell to 7 % and 5 %."""
+
+FEW_SAMPLES = 2
+"""By which noise may move the begin of a change."""
+
+TIME_ERROR = 0.02
+"""Seconds: the same for a step of a damper that moves at 1 Hz."""
+
+SCALE_ERROR = 0.01
+"""Relative: a tenth of the change that is found."""
+
+
+def noise(seed: int, count: int, deviation: float = 1.0) -> Array:
+    return np.random.default_rng(seed).normal(0.0, deviation, count)
+
+
+# -- the sum ---------------------------------------------------------------------------------
+
+
+def blocks_to_alarm(seed: int, threshold: float, most: int) -> int:
+    """Blocks until a false alarm on white noise, where the force hardly stands out of it."""
+    watch = ChangeWatch(
+        noise=1.0,
+        block_norm=1.0,
+        smallest_change=1e-6,
+        operating_point=POINT,
+        block=1,
+        threshold=threshold,
+    )
+    predicted = np.ones(1)
+    for number, value in enumerate(noise(seed, most), start=1):
+        watch = watch.follow(predicted, predicted + value)
+        if watch.changed:
+            return number
+    return most
+
+
+def average_run_length(threshold: float) -> float:
+    """Mean number of blocks between two false alarms of both sums, in white noise.
+
+    Siegmund's approximation ("Sequential Analysis", 1985); 1.166 corrects the threshold for the
+    overshoot over it.
+    """
+    reach = 2.0 * SLACK * (threshold + 1.166)
+    return (math.exp(reach) - reach - 1.0) / (2.0 * SLACK**2) / 2.0
+
+
+def test_false_alarms_are_as_rare_as_stated() -> None:
+    threshold = 3.0
+    found = np.mean([blocks_to_alarm(seed, threshold, 5000) for seed in range(150)])
+    assert found == pytest.approx(average_run_length(threshold), rel=RUN_LENGTH_ERROR)
+
+
+def test_the_stated_rate_of_false_alarms_is_one_in_hours() -> None:
+    least, most = HOURS
+    assert least < average_run_length(THRESHOLD) / (20.0 * 3600.0) < most
+
+
+def test_no_false_alarm_in_minutes_of_noise() -> None:
+    assert blocks_to_alarm(1, THRESHOLD, 20_000) == 20_000
+
+
+@pytest.mark.parametrize("change", [-0.1, -0.03, 0.03, 0.1])
+def test_a_change_is_noticed_within_a_few_blocks(change: float) -> None:
+    predicted = 100.0 * np.sin(np.arange(2000) * 0.03)
+    measured = predicted + noise(0, 2000, 1.0)
+    watch = ChangeWatch.after_fit(predicted, measured, POINT, smallest_change=0.02)
+    assert not watch.follow(predicted, measured).changed
+    later = (1.0 + change) * predicted + noise(1, 2000, 1.0)
+    watch = watch.follow(predicted, measured).follow(predicted[:600], later[:600])
+    assert watch.changed
+    assert watch.samples_since_change == pytest.approx(600, abs=BLOCK)
+
+
+def test_a_change_below_what_is_worth_a_fit_raises_no_alarm() -> None:
+    predicted = 100.0 * np.sin(np.arange(20_000) * 0.03)
+    watch = ChangeWatch.after_fit(predicted, predicted + noise(0, 20_000), POINT, 0.02)
+    assert not watch.follow(predicted, 1.005 * predicted + noise(1, 20_000)).changed
+
+
+def test_the_swing_of_a_law_that_is_not_exact_is_no_change() -> None:
+    # 15 % of the force in its third harmonic: far more than noise, in every cycle the same.
+    phase = np.arange(2000) * 2.0 * math.pi / 1000.0
+    predicted = 100.0 * np.tanh(3.0 * np.sin(phase))
+    swing = 15.0 * np.sin(3.0 * phase)
+    # What a fit leaves has nothing of the force itself in it.
+    swing -= fit_scale(predicted, swing).factor * predicted
+    measured = predicted + swing + noise(0, 2000)
+    watch = ChangeWatch.after_fit(predicted, measured, POINT, 0.02)
+    for seed in range(20):
+        watch = watch.follow(predicted, measured + noise(1 + seed, 2000))
+    assert not watch.changed
+    assert watch.follow(predicted, 0.7 * measured).changed
+
+
+def test_without_force_there_is_nothing_to_compare() -> None:
+    watch = ChangeWatch.after_fit(np.zeros(100), noise(0, 100), POINT, 0.02)
+    assert not watch.follow(np.zeros(100), noise(1, 100)).changed
+    with pytest.raises(ValueError, match="the predicted force is zero"):
+        fit_scale(np.zeros(5), np.ones(5))
+
+
+def test_the_factor_comes_with_its_standard_error() -> None:
+    predicted = 100.0 * np.sin(np.arange(500) * 0.03)
+    found = [fit_scale(predicted, 0.9 * predicted + noise(seed, 500, 5.0)) for seed in range(200)]
+    scores = [(fit.factor - 0.9) / fit.standard_error for fit in found]
+    assert np.mean(scores) == pytest.approx(0.0, abs=MEAN_ERROR)
+    assert np.std(scores) == pytest.approx(1.0, abs=SPREAD_ERROR)
+
+
+@pytest.mark.parametrize("begin", [0, 30, 130, 300])
+def test_the_begin_of_a_change_is_found_to_the_sample(begin: int) -> None:
+    predicted = 100.0 + 50.0 * np.sin(np.arange(400) * 0.03)
+    measured = np.where(np.arange(400) >= begin, 0.9, 1.0) * predicted + noise(0, 400, 2.0)
+    assert change_point(predicted, measured, 40) == pytest.approx(begin, abs=FEW_SAMPLES)
+
+
+# -- looks -----------------------------------------------------------------------------------
+
+
+def cut(sizes: list[int], looks: int) -> list[RawWindow]:
+    run = known.run(samples=sum(sizes))
+    assembler = WindowAssembler(1.0, 0.5, looks)
+    windows = assembler.add_current(known.T0, 1.0)
+    for block in known.blocks(run.displacement, run.force, sizes):
+        windows += assembler.add_block(block)
+        windows += assembler.add_current(block.end_ns, 1.0)
+    return windows
+
+
+@pytest.mark.parametrize("sizes", [[3000], [1] * 3000, [7, 100] * 20 + [860]])
+def test_looks_come_between_the_windows_whatever_the_blocks(sizes: list[int]) -> None:
+    windows = cut(sizes, looks=3)
+    first = [(w.start_ns - known.T0) // 1_000_000 for w in windows]
+    assert first[:6] == [0, 125, 250, 375, 500, 625]
+    assert [w.look for w in windows[:6]] == [0, 125, 125, 125, 0, 125]
+    assert all(w.force.size == 1000 for w in windows)
+
+
+def test_looks_leave_the_windows_as_they_were() -> None:
+    plain = cut([100] * 30, looks=0)
+    watched = [w for w in cut([100] * 30, looks=4) if not w.look]
+    assert [w.start_ns for w in plain] == [w.start_ns for w in watched]
+    for a, b in zip(plain, watched, strict=True):
+        np.testing.assert_array_equal(a.force, b.force)
+
+
+def test_more_looks_than_samples_is_a_look_at_every_sample() -> None:
+    windows = cut([1520], looks=10_000)
+    assert [w.look for w in windows[:3]] == [0, 1, 1]
+    with pytest.raises(ValueError, match="must not be negative"):
+        WindowAssembler(1.0, 0.5, -1)
+
+
+# -- early fits ------------------------------------------------------------------------------
+
+STEP = 4.3
+"""Time of the step [s], in the middle of a hop."""
+
+
+def stream(
+    factor: float = 0.9, *, tracker: str = "window", spoil: object = None, **run: object
+) -> tuple[WindowTracker, list[Report]]:
+    """A tracker after ten seconds in which the force changes, and its reports."""
+    settings: dict[str, object] = {"samples": 10_000, **run}
+    whole = known.run(**settings)  # type: ignore[arg-type]
+    time = np.arange(10_000) * whole.period
+    force = np.where(time >= STEP, factor, 1.0) * whole.clean + whole.force - whole.clean
+    if callable(spoil):
+        force = spoil(time, force)
+    tracked = WindowTracker(
+        TrackerSettings(tracker=tracker, method="least_squares", global_period=0),
+        ParameterSet(known.PLAUSIBLE * np.where(np.arange(16) == 0, 0.8, 1.0), set_id="start"),
+    )
+    return tracked, known.followed(tracked, whole.displacement, force, 1.0)
+
+
+def early(reports: list[Report]) -> list[Report]:
+    return [report for report in reports if report.method == EARLY_METHOD]
+
+
+def seconds(report: Report) -> float:
+    return (report.stamp_ns - known.T0) * 1e-9
+
+
+@pytest.mark.parametrize("tracker", ["window", METHOD])
+@pytest.mark.parametrize("factor", [0.7, 0.9, 1.15])
+def test_a_step_is_fitted_before_the_hop_is_over(factor: float, tracker: str) -> None:
+    reports = stream(factor, tracker=tracker)[1]
+    (report,) = early(reports)
+    assert STEP < seconds(report) < 5.0
+    assert report.accepted
+    assert report.set_id.startswith("early-")
+    assert f"the force changed by {factor - 1.0:+.0%} at t = " in report.reason
+    assert report.reason.endswith("fitted early")
+    told = float(report.reason.split("t = ")[1].split()[0]) - known.T0 * 1e-9
+    assert told == pytest.approx(STEP, abs=TIME_ERROR)
+    assert report.scale.value == pytest.approx(factor, rel=SCALE_ERROR)
+    assert np.isnan(report.coefficient_errors).all()
+
+
+@pytest.mark.parametrize("tracker", ["window", METHOD])
+def test_after_a_step_no_window_mixes_before_and_after(tracker: str) -> None:
+    tracked, reports = stream(0.9, tracker=tracker)
+    after = reports[reports.index(early(reports)[0]) :]
+    scales = [report.scale.value for report in after if report.accepted]
+    assert len(scales) >= 2
+    np.testing.assert_allclose(scales, 0.9, rtol=SCALE_ERROR)
+    assert any("before the change" in report.reason for report in after)
+    found = tracked.parameters.values[0]
+    np.testing.assert_allclose(found, 0.9 * known.PLAUSIBLE[0], rtol=SCALE_ERROR)
+
+
+def test_an_early_set_keeps_what_is_known_of_the_other_parameters() -> None:
+    errors = stream(0.9)[0].parameters.standard_errors
+    assert np.isfinite(errors[0])
+    assert np.isnan(errors[known.SHAPE]).all()
+
+
+@pytest.mark.parametrize("tracker", ["window", METHOD])
+@pytest.mark.parametrize("current", [0.0, 1.0])
+def test_a_steady_damper_is_never_fitted_early(tracker: str, current: float) -> None:
+    assert early(stream(1.0, tracker=tracker, current=current)[1]) == []
+
+
+def noise_burst(time: Array, force: Array) -> Array:
+    burst = (time > 5.2) & (time < 5.6)
+    return np.where(burst, force + noise(7, time.size, 300.0), force)
+
+
+def clipped(time: Array, force: Array) -> Array:
+    return np.where(time > 5.2, np.clip(force, -500.0, 500.0), force)
+
+
+def broken(time: Array, force: Array) -> Array:
+    return np.where(time > 5.2, 0.0, force)
+
+
+@pytest.mark.parametrize("spoil", [noise_burst, clipped, broken])
+def test_a_fault_of_the_sensor_is_not_fitted_early(spoil: object) -> None:
+    assert early(stream(1.0, spoil=spoil)[1]) == []
+
+
+def test_a_change_of_the_operating_point_is_no_change_of_the_damper() -> None:
+    # Parameters of one operating point say nothing of another.
+    tracked, reports = stream(1.0)
+    assert early(reports) == []
+    before = tracked.parameters
+    other = known.raw_window(known.run(frequency=3.0, current=0.3, samples=2000), number=20)
+    look = dataclasses.replace(other, look=500)
+    assert tracked.complete_look(run_fit(tracked.window_task(look))) is None
+    assert tracked.parameters is before
+
+
+def test_a_large_change_waits_for_whole_windows_to_confirm_it() -> None:
+    _, reports = stream(0.3)
+    assert early(reports) == []
+    assert any("waiting for the next window to confirm" in report.reason for report in reports)
+
+
+def test_a_look_before_the_first_set_says_nothing() -> None:
+    tracked = WindowTracker(TrackerSettings(), ParameterSet(known.PLAUSIBLE))
+    look = dataclasses.replace(known.raw_window(known.run()), look=500)
+    assert tracked.complete_look(run_fit(tracked.window_task(look))) is None
+
+
+def test_when_time_is_set_back_the_past_change_is_forgotten() -> None:
+    tracked, _ = stream(0.9)
+    past = dataclasses.replace(known.raw_window(known.run()), start_ns=known.T0 - 10**13)
+    report = tracked.complete(run_fit(tracked.window_task(past)))
+    assert "before the change" not in report.reason
+
+
+def swinging(time: Array, force: Array) -> Array:
+    """What no law of the package explains: the strength changes to and fro."""
+    return np.where(time > 5.2, 1.0 + 0.06 * np.sign(np.sin(4.0 * np.pi * time)), 1.0) * force
+
+
+def test_between_two_early_fits_a_window_is_judged() -> None:
+    reports = stream(1.0, spoil=swinging)[1]
+    places = [place for place, report in enumerate(reports) if report.method == EARLY_METHOD]
+    assert len(places) >= 1
+    for first, second in itertools.pairwise(places):
+        assert any(np.isfinite(report.nrmse_after) for report in reports[first + 1 : second])
+
+
+def test_after_a_reset_nothing_is_watched() -> None:
+    tracked, _ = stream(0.9)
+    tracked.reset()
+    task = tracked.window_task(known.raw_window(known.run()))
+    assert (task.watch, task.state, task.changed_ns) == (None, None, 0)
+
+
+def test_the_same_stream_gives_the_same_early_set() -> None:
+    (first, _), (second, _) = itertools.repeat(stream(0.9), 2)
+    np.testing.assert_array_equal(first.parameters.values, second.parameters.values)
+
+
+def test_a_smallest_change_of_nothing_is_a_sentence() -> None:
+    with pytest.raises(ValueError, match=r"smallest_change is 0\.0: it must be positive"):
+        TrackerSettings(smallest_change=0.0)

@@ -1,0 +1,339 @@
+"""The emulated rig: true kinematics, true physics, and the same stream however it is cut."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_motion import BandLimitedRandom
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid import law as sigmoid
+from mr_damper_ros.rig.emulator import (
+    ConstantDamper,
+    CurrentSchedule,
+    EmulatedRig,
+    EmulatorError,
+    ForceStep,
+    ModelDamper,
+    RigSettings,
+    TemperatureDependentDamper,
+    ThermalModel,
+    scaled,
+)
+from mr_damper_ros.rig.excitation import (
+    Excitation,
+    ExcitationError,
+    SampledMotion,
+    SineMotion,
+)
+
+SINE = SineMotion(0.005, 1.0, phase=0.3)
+SILENT = RigSettings(force_noise=0.0)
+THERMAL = ThermalModel(capacity=20.0)
+
+SAME_FORCE = 2e-11
+"""[N]: the last digits of forces of up to 1.5 kN, computed block by block."""
+
+ROUNDING = 1e-13
+"""Relative: the same products in another order."""
+
+VELOCITY_BY_DIFFERENCES = 1e-9
+"""[m/s]: curvature and rounding of differences of a motion of 10 mm over 2 µs."""
+
+ACCELERATION_BY_DIFFERENCES = 1e-7
+"""[m/s²]: the same of its velocity."""
+
+ROUNDED_CORNERS = 0.05
+"""Relative: the flanks are steeper by 3 % to make up for the corners."""
+
+RANDOM_SIZE = 0.15
+"""Relative: four of the standard errors that a sum of 200 tones of random size has, 3.5 %."""
+
+NOISE_SIZE = 0.02
+"""Relative: four of the standard errors that a standard deviation from 20 000 values has."""
+
+OFF_CENTRE = 2e-9
+"""[N], of 60 kN: the last digits of the displacement, which an offset of six amplitudes takes."""
+
+HEAT_BALANCE = 1e-12
+"""Relative: 2000 roundings of 28 °C are 2e-13 of the rise, if they add up at random."""
+
+FIRST_PEAK = 0.02
+"""Part of the force: within the first cycle the damper warms by 3 K, and loses 0.6 % per K."""
+
+WEAKENED = 0.9
+"""Most that may be left of the first peak, so that the run shows a loss."""
+
+MOTIONS = [
+    pytest.param(SineMotion(0.005, 3.0, phase=4.481, offset=0.01), id="sine"),
+    pytest.param(SineMotion(0.005, 3.0, triangularity=0.9), id="triangle"),
+    pytest.param(BandLimitedRandom(0.003, 0.2, 4.0, seed=3), id="random"),
+    pytest.param(
+        SampledMotion(0.004 * np.sin(np.linspace(0.0, 30.0, 301)) ** 2, 0.02), id="sampled"
+    ),
+]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_damper_of_any_model_has_the_force_of_its_model(model: str) -> None:
+    parameters = ParameterSet(known.EXAMPLES[model], model=model)
+    damper = ModelDamper(parameters, SILENT.period)
+    for _ in range(2):  # it starts at rest in every rig
+        block = EmulatedRig(damper, SINE, 1.0, settings=SILENT).next_block(1050)
+        u, v, a = SINE.at(np.arange(1050) * SILENT.period)
+        motion = Motion(u, v, a, sigmoid.peak_velocity(u, v, a), None)
+        expected = parameters.law.force(parameters.values, motion, 1.0, SILENT.period)
+        np.testing.assert_allclose(block.force, expected, rtol=0.0, atol=SAME_FORCE)
+
+
+def test_a_damper_of_any_model_weakens_as_it_heats() -> None:
+    parameters = ParameterSet(known.EXAMPLES["bingham"], model="bingham")
+    motion = SINE.at(np.arange(100) * SILENT.period)
+    cold, mild, hot, hotter = (
+        ModelDamper(parameters, SILENT.period, 0.74).force(motion, np.ones(100), celsius)
+        for celsius in (20.0, 49.5, 71.0, 90.0)
+    )
+    np.testing.assert_allclose(mild, 0.87 * cold)
+    np.testing.assert_allclose(hot, 0.74 * cold)
+    np.testing.assert_array_equal(hotter, hot)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_velocity_is_the_derivative_of_displacement(motion: Excitation) -> None:
+    time = np.linspace(0.013, 5.871, 400)
+    step = 1e-6
+    slope = (motion.at(time + step).displacement - motion.at(time - step).displacement) / 2 / step
+    np.testing.assert_allclose(
+        motion.at(time).velocity, slope, rtol=0.0, atol=VELOCITY_BY_DIFFERENCES
+    )
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_acceleration_is_the_derivative_of_velocity(motion: Excitation) -> None:
+    time = np.linspace(0.0131, 5.871, 400)
+    step = 1e-6
+    slope = (motion.at(time + step).velocity - motion.at(time - step).velocity) / 2 / step
+    np.testing.assert_allclose(
+        motion.at(time).acceleration, slope, rtol=0.0, atol=ACCELERATION_BY_DIFFERENCES
+    )
+
+
+def test_a_motion_of_full_triangularity_has_nearly_constant_speed() -> None:
+    speed = np.abs(SineMotion(0.005, 1.0, triangularity=0.999).at(np.linspace(0, 1, 1000)).velocity)
+    assert np.median(speed) == pytest.approx(4 * 0.005, rel=ROUNDED_CORNERS)
+
+
+def test_a_motion_of_full_triangularity_reaches_its_amplitude() -> None:
+    motion = SineMotion(0.005, 1.0, triangularity=0.999).at(np.linspace(0, 1, 1001))
+    assert np.ptp(motion.displacement) == pytest.approx(0.01, rel=ROUNDING, abs=0.0)
+
+
+def test_random_motion_has_the_stated_size() -> None:
+    time = np.arange(0.0, 400.0, 0.02)
+    motion = BandLimitedRandom(0.003, 0.2, 4.0, seed=1).at(time).displacement
+    assert np.std(motion) == pytest.approx(0.003, rel=RANDOM_SIZE)
+
+
+def test_an_earthquake_ends_at_rest() -> None:
+    motion = SampledMotion(0.01 * np.sin(np.arange(50.0)), 0.02).at(np.array([0.98, 5.0]))
+    np.testing.assert_array_equal(motion.velocity[1:], 0.0)
+    assert motion.displacement[1] == motion.displacement[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: SineMotion(0.0, 1.0), "the amplitude is 0.0: it must be positive"),
+        (lambda: SineMotion(0.005, float("nan")), "the frequency is nan"),
+        (lambda: SineMotion(0.005, 1.0, triangularity=1.0), "0 .sine. to below 1"),
+        (lambda: SampledMotion(np.array([0.0, 1.0, np.nan, 0.0]), 0.01), "four finite samples"),
+    ],
+)
+def test_a_motion_that_cannot_be_made_is_refused(make: Any, sentence: str) -> None:
+    with pytest.raises(ExcitationError, match=sentence):
+        make()
+
+
+# ---- the stream ----
+
+
+def warm_rig() -> EmulatedRig:
+    return EmulatedRig(
+        TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
+        SINE,
+        CurrentSchedule((0.0, 0.15), (0.5, 1.5)),
+        settings=RigSettings(displacement_noise=1e-6, seed=4),
+        thermal=THERMAL,
+        events=[ForceStep(0.2, 0.8)],
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(1, 230), min_size=1, max_size=6))
+def test_the_size_of_the_blocks_does_not_change_the_stream(sizes: list[int]) -> None:
+    rig = warm_rig()
+    blocks = [rig.next_block(size) for size in sizes]
+    whole = warm_rig().next_block(sum(sizes))
+    for name in ("displacement", "force", "current", "temperature"):
+        parts = np.concatenate([getattr(block, name) for block in blocks])
+        np.testing.assert_array_equal(parts, getattr(whole, name))
+    firsts = np.cumsum([0, *sizes[:-1]])
+    assert [block.sequence for block in blocks] == firsts.tolist()
+    assert [block.start_ns - whole.start_ns for block in blocks] == (firsts * 10**6).tolist()
+
+
+def test_another_seed_gives_other_noise() -> None:
+    one, two = (
+        EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.0, settings=RigSettings(seed=seed))
+        for seed in (1, 2)
+    )
+    assert not np.array_equal(one.next_block(50).force, two.next_block(50).force)
+
+
+@pytest.mark.parametrize(("quantity", "size"), [("force", 5.53), ("displacement", 2e-6)])
+def test_the_noise_has_the_stated_size(quantity: str, size: float) -> None:
+    noisy = RigSettings(**{"force_noise": 0.0, f"{quantity}_noise": size})
+    measured, true = (
+        EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.0, settings=chosen).next_block(20_000)
+        for chosen in (noisy, SILENT)
+    )
+    noise = getattr(measured, quantity) - getattr(true, quantity)
+    assert np.std(noise) == pytest.approx(size, rel=NOISE_SIZE)
+
+
+def test_the_law_sees_the_displacement_about_the_centre() -> None:
+    centred, moved = (
+        EmulatedRig(
+            ConstantDamper(LITERATURE), SineMotion(0.005, 1.0, offset=offset), 0.5, settings=SILENT
+        )
+        for offset in (0.0, 0.03)
+    )
+    np.testing.assert_allclose(
+        moved.next_block(500).force, centred.next_block(500).force, rtol=0.0, atol=OFF_CENTRE
+    )
+
+
+def test_the_current_steps_with_its_sample() -> None:
+    rig = EmulatedRig(
+        ConstantDamper(LITERATURE), SINE, CurrentSchedule((0.0, 0.3), (0.0, 1.0)), settings=SILENT
+    )
+    current = rig.next_block(500).current
+    assert np.flatnonzero(np.diff(current)).tolist() == [299]
+
+
+def test_a_leak_takes_its_share_of_the_force_from_its_time_on() -> None:
+    whole, leaking = (
+        EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.5, settings=SILENT, events=events)
+        for events in ([], [ForceStep(0.2, 0.7)])
+    )
+    ratio = leaking.next_block(400).force / whole.next_block(400).force
+    np.testing.assert_array_equal(ratio[:200], 1.0)
+    np.testing.assert_allclose(ratio[200:], 0.7, rtol=ROUNDING)
+
+
+# ---- heat ----
+
+
+def test_between_two_temperatures_the_force_is_interpolated() -> None:
+    damper = TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS, 28.0, 71.0)
+    kinematics = SINE.at(np.linspace(0.0, 1.0, 200))
+    motion = Motion(*kinematics, sigmoid.peak_velocity(*kinematics), sine=None)
+    cold, middle, hot = (
+        damper.force(motion, np.full(200, 1.5), celsius) for celsius in (10.0, 49.5, 90.0)
+    )
+    np.testing.assert_allclose(middle, 0.5 * (cold + hot), rtol=ROUNDING)
+    np.testing.assert_allclose(
+        cold, sigmoid.force(THESIS_28_CELSIUS, *kinematics, 1.5), rtol=ROUNDING
+    )
+    np.testing.assert_allclose(
+        hot, sigmoid.force(THESIS_71_CELSIUS, *kinematics, 1.5), rtol=ROUNDING
+    )
+
+
+def test_scaled_parameters_scale_the_force() -> None:
+    motion = SINE.at(np.linspace(0.0, 1.0, 200))
+    np.testing.assert_allclose(
+        sigmoid.force(scaled(LITERATURE, 0.74), *motion, 0.5),
+        0.74 * sigmoid.force(LITERATURE, *motion, 0.5),
+        rtol=ROUNDING,
+    )
+
+
+def test_the_heat_balance_closes() -> None:
+    # Without convection every joule of the stroke is in the damper.
+    thermal = ThermalModel(capacity=100.0, conductance=0.0)
+    rig = EmulatedRig(
+        ConstantDamper(THESIS_28_CELSIUS), SINE, 1.5, settings=SILENT, thermal=thermal
+    )
+    block = rig.next_block(2001)
+    velocity = SINE.at(np.arange(2000) * 1e-3).velocity
+    energy = float(np.sum(block.force[:2000] * velocity) * 1e-3)
+    assert block.temperature[2000] - 28.0 == pytest.approx(
+        energy / 100.0, rel=HEAT_BALANCE, abs=0.0
+    )
+    assert energy > 0.0
+
+
+def test_the_temperature_settles_where_convection_balances_the_power() -> None:
+    model = ThermalModel(ambient=20.0, conductance=0.5, capacity=430.0)
+    assert model.after(28.0, 25.0, 1e6) == pytest.approx(70.0)
+    half_way = model.after(20.0, 25.0, 430.0 / 0.5 * np.log(2.0))
+    assert half_way == pytest.approx(45.0)
+
+
+def test_a_run_makes_the_damper_warm_and_weak() -> None:
+    rig = EmulatedRig(
+        TemperatureDependentDamper(THESIS_28_CELSIUS, scaled(THESIS_28_CELSIUS, 0.74)),
+        SINE,
+        1.5,
+        settings=SILENT,
+        thermal=ThermalModel(capacity=5.0),
+    )
+    recording = rig.record(20.0)
+    assert recording.temperature is not None
+    first, last = recording.force[:1000].max(), recording.force[-1000:].max()
+    expected = 1.0 - 0.26 * (recording.temperature[-500] - 28.0) / (71.0 - 28.0)
+    assert last / first == pytest.approx(expected, abs=FIRST_PEAK)
+    assert last < WEAKENED * first
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: RigSettings(sample_rate=0.0), "sample rate"),
+        (lambda: RigSettings(force_noise=-1.0), "the force noise is -1.0"),
+        (lambda: ThermalModel(capacity=0.0), "the heat capacity is 0.0"),
+        (lambda: ThermalModel(conductance=-1.0), "must not be negative"),
+        (lambda: CurrentSchedule((), ()), "give at least one"),
+        (lambda: CurrentSchedule((1.0, 0.0), (0.0, 1.0)), "must rise"),
+        (lambda: CurrentSchedule.constant(float("nan")), "not finite"),
+        (
+            lambda: TemperatureDependentDamper(LITERATURE, LITERATURE, 71.0, 28.0),
+            "is not above the cold one",
+        ),
+        (
+            lambda: EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.0).next_block(0),
+            "at least one",
+        ),
+    ],
+)
+def test_settings_out_of_range_are_refused(make: Any, sentence: str) -> None:
+    with pytest.raises(EmulatorError, match=sentence):
+        make()
+
+
+def test_any_object_with_a_force_is_a_damper() -> None:
+    class Dashpot:
+        def force(self, motion: Motion, current: np.ndarray, celsius: float) -> np.ndarray:
+            return 1000.0 * motion.velocity
+
+    block = EmulatedRig(Dashpot(), SINE, 0.0, settings=SILENT).next_block(10)
+    np.testing.assert_allclose(block.force, 1000.0 * SINE.at(np.arange(10) * 1e-3).velocity)

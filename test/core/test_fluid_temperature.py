@@ -1,0 +1,225 @@
+"""The force over temperature as it was, and the temperature from the force, or none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.rig.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.fluid_temperature import (
+    TemperatureMap,
+    TemperatureMaps,
+    fit_temperature_map,
+)
+from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale
+
+COLD, HOT = 28.0, 71.0
+POINT = (0.0314, 1.5)
+STANDARD_ERRORS = 4.0
+"""By which an estimate may miss the truth: one in some ten thousand would by chance."""
+
+MODEL_ERROR = 0.1
+"""Kelvin by which a curve in ln s may differ from the emulated damper's straight line in F."""
+
+FORCE_OF_A_KELVIN = 0.007
+"""Relative: what the force of the emulated damper changes by per kelvin."""
+
+INVERTED = 1e-6
+"""Kelvin: rounding, of which the root of a nearly straight parabola makes more."""
+
+
+# -- the emulated damper -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Heated:
+    """Windows of the emulated damper while it heats: temperatures (n,) and force scales."""
+
+    celsius: Array
+    scales: tuple[ForceScale, ...]
+
+    def maps(self, every: int = 1) -> TemperatureMaps:
+        maps = TemperatureMaps()
+        for celsius, scale in list(zip(self.celsius, self.scales, strict=True))[::every]:
+            maps.add(POINT, celsius, scale)
+        return maps
+
+
+@cache
+def heated(seed: int = 0) -> Heated:
+    """Fifty-two seconds at 5 mm, 1 Hz, 1.5 A, with little to heat: from 28 to 71 °C."""
+    rig = EmulatedRig(
+        TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
+        SineMotion(5e-3, 1.0),
+        1.5,
+        thermal=ThermalModel(capacity=25.0, conductance=0.0),
+    )
+    baselines, scales, celsius = Baselines(), [], []
+    start = LITERATURE
+    for _ in range(26):
+        block = rig.next_block(2000)
+        window = Window.from_samples(block.displacement, block.force, block.current, block.period)
+        fit = fit_window(window, start, method="least_squares")
+        baselines.add(fit)
+        start = fit.parameters
+        scales.append(force_scale(baselines, fit))
+        celsius.append(float(block.temperature.mean()))
+    return Heated(np.array(celsius), tuple(scales))
+
+
+def test_the_damper_was_heated() -> None:
+    assert heated().celsius[0] < COLD + 2.0
+    assert heated().celsius[-1] > HOT - 5.0
+
+
+def test_the_temperature_is_that_of_the_emulated_damper() -> None:
+    """Identified from every second window, asked for the others."""
+    run = heated()
+    maps = run.maps(every=2)
+    for celsius, scale in list(zip(run.celsius, run.scales, strict=True))[1:-1:2]:
+        found = maps.temperature(POINT, scale)
+        allowed = STANDARD_ERRORS * found.standard_error + MODEL_ERROR
+        assert abs(found.celsius - celsius) < allowed
+
+
+def test_the_force_at_a_temperature_is_that_of_the_emulated_damper() -> None:
+    run = heated()
+    found = run.maps().at(POINT)
+    assert found is not None
+    for celsius, scale in zip(run.celsius, run.scales, strict=True):
+        value = found.scale(celsius).value
+        allowed = STANDARD_ERRORS * scale.standard_error + FORCE_OF_A_KELVIN * MODEL_ERROR
+        assert value == pytest.approx(scale.value, abs=allowed)
+
+
+# -- known maps --------------------------------------------------------------------------------
+
+ERROR = 2e-3
+"""Relative standard error of the force scale of a window."""
+
+SPREAD_ERROR = 0.2
+"""Of a standard deviation of 1 that 200 draws tell: four of its standard errors of 5 %."""
+
+SAME_CURVE = 0.2
+"""Of the error of one window, by which a map of kept points may differ from one of all points."""
+
+
+def observed(
+    seed: int = 0, *, rate: float = -7e-3, count: int = 60, span: float = 40.0, bend: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Temperatures, noisy force scales and their standard errors of an exponential law."""
+    rng = np.random.default_rng(seed)
+    celsius = 30.0 + span * np.sort(rng.random(count))
+    true = np.exp(rate * (celsius - 30.0) + bend * (celsius - 30.0) ** 2)
+    return celsius, true * (1.0 + ERROR * rng.normal(size=count)), np.full(count, ERROR)
+
+
+def fitted(*data: Array) -> TemperatureMap:
+    found = fit_temperature_map(POINT, *data)
+    assert found is not None
+    return found
+
+
+@known.fixed(20)
+@given(st.floats(-0.02, -0.004), st.floats(15.0, 60.0), st.integers(0, 1000))
+def test_the_inverse_is_the_inverse(rate: float, span: float, seed: int) -> None:
+    found = fitted(*observed(seed, rate=rate, span=span))
+    for celsius in np.linspace(found.low, found.high, 7)[1:-1]:
+        again = found.temperature(found.scale(celsius))
+        assert again.celsius == pytest.approx(celsius, abs=INVERTED)
+
+
+@known.fixed(20)
+@given(st.integers(0, 10_000), st.floats(-5e-5, 5e-5))
+def test_a_map_falls_throughout_or_is_none(seed: int, bend: float) -> None:
+    found = fit_temperature_map(POINT, *observed(seed, bend=bend))
+    if found is not None:
+        scales = [found.scale(c).value for c in np.linspace(found.low, found.high, 50)]
+        assert np.all(np.diff(scales) < 0.0)
+
+
+def test_the_standard_errors_are_true() -> None:
+    """The temperature of a new window lies where its standard error says."""
+    deviations = []
+    for seed in range(200):
+        found = fitted(*observed(seed))
+        noise = ERROR * np.random.default_rng([seed, 1]).normal()
+        value = math.exp(-7e-3 * 20.0) * (1.0 + noise)
+        told = found.temperature(ForceScale(value, ERROR * value))
+        deviations.append((told.celsius - 50.0) / told.standard_error)
+    assert np.std(deviations) == pytest.approx(1.0, abs=SPREAD_ERROR)
+
+
+def test_the_exponential_law_needs_two_coefficients_and_a_bent_one_three() -> None:
+    assert fitted(*observed()).coefficients.size == 2
+    assert fitted(*observed(bend=6e-5)).coefficients.size == 3
+
+
+def test_outside_of_what_was_seen_nothing_is_known() -> None:
+    found = fitted(*observed())
+    for celsius in (found.low - 0.1, found.high + 0.1):
+        assert math.isnan(found.scale(celsius).value)
+    for celsius in (found.low - 3.0, found.high + 3.0):
+        scale = ForceScale(math.exp(-7e-3 * (celsius - 30.0)), ERROR)
+        assert math.isnan(found.temperature(scale).celsius)
+        assert math.isnan(found.temperature(scale).standard_error)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        observed(count=7),
+        observed(span=0.5),
+        observed(rate=0.0),
+        observed(span=0.0),
+        observed(rate=-4e-3, bend=1e-4),
+    ],
+    ids=["few windows", "small span", "no effect", "one temperature", "force falls and rises"],
+)
+def test_what_does_not_identify_a_map_gives_none(data: tuple[Array, Array, Array]) -> None:
+    assert fit_temperature_map(POINT, *data) is None
+
+
+def test_unknown_temperatures_and_scales_are_left_out() -> None:
+    maps = TemperatureMaps()
+    for celsius, scale, error in zip(*observed(), strict=True):
+        maps.add(POINT, celsius, ForceScale(scale, error))
+        maps.add(POINT, math.nan, ForceScale(scale, error))
+        maps.add(POINT, celsius, ForceScale())
+    (found,) = maps.identified
+    assert found.windows == 60
+
+
+def test_another_operating_point_has_a_map_of_its_own() -> None:
+    maps = TemperatureMaps()
+    for celsius, scale, error in zip(*observed(), strict=True):
+        maps.add(POINT, celsius, ForceScale(scale, error))
+    elsewhere = (2.0 * POINT[0], POINT[1])
+    assert maps.at(elsewhere) is None
+    assert math.isnan(maps.temperature(elsewhere, ForceScale(0.9, ERROR)).celsius)
+
+
+def test_what_is_kept_of_a_long_run_is_bounded_and_says_the_same() -> None:
+    maps = TemperatureMaps()
+    data = observed(count=3000)
+    for celsius, scale, error in zip(*data, strict=True):
+        maps.add(POINT, celsius, ForceScale(scale, error))
+    kept, whole = maps.at(POINT), fitted(*data)
+    assert kept is not None
+    assert kept.windows <= 400
+    assert (kept.low, kept.high) == (whole.low, whole.high)
+    middle = 0.5 * (whole.low + whole.high)
+    expected = whole.scale(middle).value
+    assert kept.scale(middle).value == pytest.approx(expected, abs=SAME_CURVE * ERROR)

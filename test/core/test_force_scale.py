@@ -1,0 +1,156 @@
+"""The force scale against the baseline is right, with a right standard error."""
+
+from __future__ import annotations
+
+import math
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.tracking.force_scale import Baselines, force_scale
+from mr_damper_ros.tracking.reservoir import Reservoir
+
+WEAKER = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
+
+NOISELESS = 1e-12
+"""Relative: what rounding leaves of the fit to a force without noise."""
+
+STANDARD_ERRORS = 4.0
+"""By which a scale may miss the truth: one normal number in 16 000 does."""
+
+SMALL_ERROR = 2e-4
+"""Relative: noise over force, over the root of 2000 samples, is a standard error of 1e-4."""
+
+OTHER_PHASES = 1e-5
+"""Relative: the scale is a mean over 256 phases of a cycle, the truth one over 2000 samples."""
+
+SCATTER = 0.3
+"""Relative: a standard deviation from 60 draws is good for 9 %."""
+
+
+def fit_of(run: known.Run) -> WindowFit:
+    return fit_window(run.window, known.PLAUSIBLE, method="least_squares")
+
+
+def scale_between(before: WindowFit, after: WindowFit) -> tuple[float, float]:
+    baselines = Baselines()
+    baselines.add(before)
+    scale = force_scale(baselines, after)
+    return scale.value, scale.standard_error
+
+
+def test_a_weaker_damper_has_a_smaller_scale() -> None:
+    value, _ = scale_between(fit_of(known.run(seed=None)), fit_of(known.run(WEAKER, seed=None)))
+    assert value == pytest.approx(0.9, rel=NOISELESS)
+
+
+def test_without_noise_the_scale_has_no_error() -> None:
+    _, error = scale_between(fit_of(known.run(seed=None)), fit_of(known.run(WEAKER, seed=None)))
+    assert error < NOISELESS
+
+
+def test_phase_and_noise_of_the_windows_play_no_part() -> None:
+    value, error = scale_between(
+        fit_of(known.run(seed=1, phase=0.3)), fit_of(known.run(WEAKER, seed=2, phase=2.9))
+    )
+    # Both fits have an error; the scale tells that of the second.
+    assert value == pytest.approx(0.9, abs=STANDARD_ERRORS * math.sqrt(2.0) * error)
+    assert error < SMALL_ERROR
+
+
+def test_the_scale_between_the_published_temperatures_is_that_of_their_forces() -> None:
+    cold, warm = (
+        known.run(p, current=1.5, seed=None) for p in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
+    )
+    expected = float(cold.clean @ warm.clean) / float(cold.clean @ cold.clean)
+    assert scale_between(fit_of(cold), fit_of(warm))[0] == pytest.approx(expected, rel=OTHER_PHASES)
+
+
+def test_the_standard_error_is_the_scatter() -> None:
+    baseline = fit_of(known.run(seed=None))
+    scales = [scale_between(baseline, fit_of(known.run(seed=seed))) for seed in range(60)]
+    values, errors = np.array(scales).T
+    assert np.std(values) / np.mean(errors) == pytest.approx(1.0, rel=SCATTER)
+
+
+def test_without_a_baseline_there_is_no_scale() -> None:
+    scale = force_scale(Baselines(), fit_of(known.run()))
+    assert math.isnan(scale.value)
+    assert math.isnan(scale.standard_error)
+
+
+@pytest.mark.parametrize(
+    "elsewhere", [{"current": 1.2}, {"amplitude": 7.5e-3}, {"frequency": 2.0}], ids=str
+)
+def test_another_operating_point_has_another_baseline(elsewhere: dict[str, float]) -> None:
+    baselines = Baselines()
+    baselines.add(fit_of(known.run()))
+    assert math.isnan(force_scale(baselines, fit_of(known.run(**elsewhere))).value)
+
+
+def test_the_first_fit_stays_the_baseline() -> None:
+    baselines = Baselines()
+    for parameters in (known.PLAUSIBLE, WEAKER):
+        baselines.add(fit_of(known.run(parameters, seed=None)))
+    scale = force_scale(baselines, fit_of(known.run(WEAKER, seed=None)))
+    assert scale.value == pytest.approx(0.9, rel=NOISELESS)
+
+
+EDGE = 0.001
+"""Relative change of the amplitude or current that no controller of a test machine holds."""
+
+ACROSS_THE_EDGE = 2.5 * EDGE
+"""Relative: the two runs are two such changes apart, and so are their forces at most."""
+
+
+@pytest.mark.parametrize("what", ["peak velocity", "current"])
+def test_an_operating_point_at_the_edge_of_a_cell_has_one_baseline(what: str) -> None:
+    speed, current = 1.1**-33.5, 0.5
+    if what == "current":
+        speed, current = 1.1**-33.0, 0.525
+    baselines = Baselines()
+    for factor, parameters in ((1.0 - EDGE, known.PLAUSIBLE), (1.0 + EDGE, WEAKER)):
+        amplitude = speed / (2.0 * math.pi) * (factor if what == "peak velocity" else 1.0)
+        i = current * (factor if what == "current" else 1.0)
+        fit = fit_of(known.run(parameters, amplitude=amplitude, current=i, seed=None))
+        scale = force_scale(baselines, fit)
+        baselines.add(fit)
+    assert scale.value == pytest.approx(0.9, rel=ACROSS_THE_EDGE)
+
+
+# -- reservoir -------------------------------------------------------------------------------
+
+
+def kept(window: Window, reservoir: Reservoir) -> None:
+    reservoir.add(window, fit_window(window, known.PLAUSIBLE, method="least_squares"))
+
+
+def test_the_reservoir_keeps_the_newest_window_of_each_operating_point() -> None:
+    reservoir = Reservoir()
+    for seed in (1, 2):
+        for current in (0.5, 1.0):
+            kept(known.run(current=current, seed=seed, samples=500).window, reservoir)
+    assert reservoir.operating_points == 2
+    newest = known.run(current=0.5, seed=2, samples=500).force
+    np.testing.assert_array_equal(reservoir.windows[0].force, newest)
+
+
+def test_the_reservoir_thins_long_windows() -> None:
+    reservoir = Reservoir()
+    kept(known.run(samples=7001).window, reservoir)
+    assert 500 <= reservoir.windows[0].sample_count < 1000
+
+
+def test_the_reservoir_forgets_the_oldest_operating_point_when_it_is_full() -> None:
+    reservoir = Reservoir()
+    window = known.run(samples=200).window
+    for number in range(103):
+        current = 0.1 * number
+        shifted = Window(window.motion, window.force, np.full(200, current))
+        kept(shifted, reservoir)
+    currents = [float(w.current[0]) for w in reservoir.windows]
+    assert currents == pytest.approx([0.1 * number for number in range(3, 103)])

@@ -1,0 +1,127 @@
+"""A window weighed against the running set."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+import pytest
+from random_motion import BandLimitedRandom
+
+from mr_damper_ros.estimation.map_estimate import WANDER, with_prior
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, SCALE_INDICES
+from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
+from mr_damper_ros.signals.arrays import Array
+
+SIGMOID = MODELS["sigmoid"]
+RUNNING = known.PLAUSIBLE
+RANDOM = BandLimitedRandom(rms=4e-3, low=0.2, high=2.0, seed=2)
+
+UNMOVED = 0.2
+"""Standard errors by which the running set may move what a window determines well."""
+
+AS_WELL = 1.001
+"""Most that the RMSE may be of that of the fit to the window alone."""
+
+BETTER = 0.5
+"""Most that the error elsewhere may be of that of the fit to a short window alone."""
+
+ROUNDING = 1e-9
+"""Relative."""
+
+
+def steady(parameters: Array = RUNNING) -> Window:
+    return known.run(parameters, current=1.0, seed=3).window
+
+
+def random_window(first: int, samples: int, *, unmodelled: float = 0.2, seed: int = 0) -> Window:
+    """A window of random motion; ``unmodelled`` [1]: a slow part of the force that no law has."""
+    whole = RANDOM.at(np.arange(20_000) * 1e-3).displacement
+    window = Window.from_samples(whole, np.zeros(whole.size), 1.0, 1e-3)
+    clean = window.predicted_force(RUNNING)
+    slow = BandLimitedRandom(rms=1.0, low=0.2, high=4.0, seed=10 + seed)
+    rest = unmodelled * np.std(clean) * slow.at(np.arange(20_000) * 1e-3).displacement
+    force = clean + rest + np.random.default_rng(seed).normal(0.0, known.NOISE, clean.size)
+    return Window(window.motion, force, window.current, 1e-3).part(slice(first, first + samples))
+
+
+def own(window: Window) -> WindowFit:
+    return fit_window(window, RUNNING, method="least_squares")
+
+
+def test_a_steady_sine_is_fitted_as_without_a_running_set() -> None:
+    off = RUNNING.copy()
+    off[SCALE_INDICES] *= 1.01
+    window = steady()
+    alone = own(window)
+    weighed = with_prior(SIGMOID, alone, window, off)
+    errors = np.sqrt(np.diag(alone.covariance))
+    assert np.max(np.abs(weighed.scales - alone.scales) / errors) < UNMOVED
+    assert weighed.rmse < AS_WELL * alone.rmse
+
+
+def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
+    elsewhere = random_window(10_000, 8000, unmodelled=0.0)
+    errors = []
+    for seed in range(5):
+        window = random_window(1000 * seed, 1000, seed=seed)
+        alone = own(window)
+        weighed = with_prior(SIGMOID, alone, window, RUNNING)
+        errors.append(
+            [
+                known.rms(elsewhere.predicted_force(fit.parameters) - elsewhere.force)
+                for fit in (alone, weighed)
+            ]
+        )
+    alone_error, weighed_error = np.median(errors, axis=0)
+    assert weighed_error < BETTER * alone_error
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_slope_that_a_window_hardly_shows_stays(seed: int) -> None:
+    # Fast forwards, slow backwards: 2 mm/s of 0.1 m/s say little of the slope backwards.
+    time = np.arange(400) * 1e-3
+    displacement = 0.016 * np.sin(2.0 * np.pi * (time - 0.13))
+    whole = Window.from_samples(displacement, np.zeros(400), 1.0, 1e-3)
+    rest = BandLimitedRandom(rms=30.0, low=2.0, high=20.0, seed=seed).at(time).displacement
+    made = Window(whole.motion, whole.predicted_force(RUNNING) + rest, whole.current, 1e-3)
+    window = made.part(whole.motion.velocity > -0.002)
+    weighed = with_prior(SIGMOID, own(window), window, RUNNING, fastest=0.1)
+    backwards = COEFFICIENT_NAMES.index("k_e")
+    moved = abs(weighed.scales[backwards] - RUNNING[SCALE_INDICES][backwards])
+    assert 0.1 * moved < WANDER
+
+
+def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
+    window = random_window(0, 1000)
+    weighed = with_prior(SIGMOID, own(window), window, RUNNING)
+    jacobian = ScaleMisfit(window, RUNNING).jacobian(ScaleMisfit(window, RUNNING).start)
+    force = known.rms(window.predicted_force(RUNNING))
+    effects = np.sqrt(np.mean(jacobian**2, axis=0) * np.diag(weighed.covariance)) / force
+    assert np.all(effects <= WANDER * (1.0 + ROUNDING))
+
+
+def test_a_sudden_change_is_followed_at_once() -> None:
+    stronger = RUNNING.copy()
+    stronger[SCALE_INDICES[0]] *= 2.0
+    window = steady(stronger)
+    alone = own(window)
+    weighed = with_prior(SIGMOID, alone, window, RUNNING)
+    assert weighed.rmse < AS_WELL * alone.rmse
+
+
+@pytest.mark.parametrize("fastest", [0.1, np.inf])
+def test_a_running_set_without_force_does_not_spoil_the_fit(fastest: float) -> None:
+    nothing = RUNNING.copy()
+    nothing[0] = 0.0
+    window = steady()
+    alone = own(window)
+    weighed = with_prior(SIGMOID, alone, window, nothing, fastest=fastest)
+    assert weighed.rmse < AS_WELL * alone.rmse
+
+
+def test_other_models_are_left_alone() -> None:
+    window = steady()
+    alone = own(window)
+    assert with_prior(MODELS["bingham"], alone, window, RUNNING) is alone

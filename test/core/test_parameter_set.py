@@ -1,0 +1,238 @@
+"""Parameter sets: text and back to the last digit, and one clear sentence for every fault."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from typing import Any
+
+import known
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+NUMBER = st.floats(allow_nan=False)
+
+
+def ordered_pair() -> st.SearchStrategy[tuple[float, float]]:
+    return st.tuples(NUMBER, NUMBER).map(lambda pair: (min(pair), max(pair)))
+
+
+@st.composite
+def parameter_sets(draw: st.DrawFn) -> ParameterSet:
+    model = draw(st.sampled_from(list(MODELS.values())))
+    count = len(model.parameters)
+
+    def one_for_each(entries: st.SearchStrategy[Any]) -> np.ndarray:
+        return np.array(draw(st.lists(entries, min_size=count, max_size=count)))
+
+    return ParameterSet(
+        model=model.name,
+        values=np.clip(one_for_each(FINITE), *model.bounds),
+        standard_errors=one_for_each(st.floats(0.0)),
+        observable=one_for_each(st.booleans()),
+        set_id=draw(st.text()),
+        source=draw(st.text()),
+        peak_velocity_range=draw(ordered_pair()),
+        current_range=draw(ordered_pair()),
+        nrmse=draw(st.one_of(st.floats(0.0), st.just(math.nan))),
+        stamp_ns=draw(st.integers(-(2**63), 2**63 - 1)),
+    )
+
+
+@known.fixed(150)
+@given(parameter_sets())
+def test_text_and_back_is_exact(original: ParameterSet) -> None:
+    read = ParameterSet.from_yaml(original.to_yaml())
+    for field in dataclasses.fields(ParameterSet):
+        np.testing.assert_array_equal(
+            getattr(read, field.name), getattr(original, field.name), err_msg=field.name
+        )
+
+
+def test_unknown_standard_errors_and_nrmse_stay_unknown() -> None:
+    read = ParameterSet.from_yaml(ParameterSet(LITERATURE).to_yaml())
+    assert np.isnan(read.standard_errors).all()
+    assert math.isnan(read.nrmse)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+def test_the_text_names_value_and_unit_of_every_parameter(model: Model) -> None:
+    values = np.clip(np.arange(len(model.parameters)), *model.bounds)
+    entries = yaml.safe_load(ParameterSet(values, model=model.name).to_yaml())["parameters"]
+    assert list(entries) == list(model.parameter_names)
+    assert {name: entry["unit"] for name, entry in entries.items()} == model.units
+    assert [entry["value"] for entry in entries.values()] == values.tolist()
+
+
+def by_hand(**changes: object) -> str:
+    """A file written by hand: sixteen plain numbers, and these top-level entries."""
+    document: dict[str, object] = {"parameters": dict(zip(PARAMETER_NAMES, range(16), strict=True))}
+    document.update(changes)
+    return yaml.safe_dump(document)
+
+
+def with_parameter(name: str, entry: object) -> str:
+    parameters: dict[str, object] = dict(zip(PARAMETER_NAMES, range(16), strict=True))
+    parameters[name] = entry
+    return by_hand(parameters=parameters)
+
+
+def without_parameter(name: str) -> str:
+    document = yaml.safe_load(by_hand())
+    del document["parameters"][name]
+    return yaml.safe_dump(document)
+
+
+def test_sixteen_plain_numbers_are_enough() -> None:
+    read = ParameterSet.from_yaml(by_hand())
+    assert read.values.tolist() == list(range(16))
+    assert not read.observable.any()
+    assert read.source == "file"
+
+
+def test_a_power_of_ten_that_yaml_takes_for_text_is_read() -> None:
+    text = by_hand().replace("a0: 3", "a0: 1e5")
+    assert text != by_hand()
+    assert ParameterSet.from_yaml(text).as_dict()["a0"] == 1e5
+
+
+FAULTS = {
+    "not yaml": ("parameters: [1, 2\nfoo: {", r"not valid YAML at line \d"),
+    "control characters": ("\x00\x01", "not valid YAML"),
+    "code": ("!!python/object/apply:os.getcwd []", "not valid YAML at line 1"),
+    "empty": ("", "no mapping 'parameters': give the values"),
+    "a list": ("- 1\n- 2\n", "no mapping 'parameters'"),
+    "no parameters": ("id: x\n", "no mapping 'parameters'"),
+    "parameters as list": (by_hand(parameters=[1, 2]), "'parameters' must map the names"),
+    "stray entry": (by_hand(comment="x"), "unknown entries comment: remove them"),
+    "unknown model": (by_hand(model="magic"), "model 'magic' is unknown: the models are bingham, "),
+    "list of models": (by_hand(model=["sigmoid"]), r"model \['sigmoid'\] is unknown"),
+    "names of another model": (by_hand(model="bingham"), "model 'bingham' has no parameter I0, "),
+    "unknown parameter": (
+        with_parameter("f1", 3.0),
+        "model 'sigmoid' has no parameter f1: the names are f0, I0",
+    ),
+    "missing parameter": (without_parameter("k6"), "parameter k6 is missing: give its value"),
+    "no value": (with_parameter("k6", {"unit": "1"}), "parameter k6 is None: give a number"),
+    "null": (with_parameter("k6", None), "parameter k6 is None: give a number"),
+    "text": (with_parameter("k6", "much"), "parameter k6 is 'much': give a number"),
+    "truth": (with_parameter("k6", True), "parameter k6 is True: give a number"),
+    "list": (with_parameter("k6", [1.0]), r"parameter k6 is \[1.0\]: give a number"),
+    "nan": (with_parameter("k6", math.nan), "parameter k6 is nan: give a finite number"),
+    "infinite": (with_parameter("k6", -math.inf), "parameter k6 is -inf: give a finite number"),
+    "stray in parameter": (
+        with_parameter("k6", {"value": 1.0, "min": 0.0}),
+        "parameter k6 has unknown entries min: remove them",
+    ),
+    "wrong unit": (
+        with_parameter("f0", {"value": 1.0, "unit": "kN"}),
+        "parameter f0 is given in kN: convert it to N",
+    ),
+    "error as text": (
+        with_parameter("k6", {"value": 1.0, "standard_error": "small"}),
+        "standard error of k6 is 'small': give a number",
+    ),
+    "stamp with a point": (by_hand(stamp_ns=1.5), "stamp_ns must be a whole number of nanoseconds"),
+    "stamp as truth": (by_hand(stamp_ns=True), "stamp_ns must be a whole number of nanoseconds"),
+    "nrmse as text": (by_hand(nrmse="good"), "nrmse is 'good': give a number"),
+    "range of three": (
+        by_hand(current_range=[0.0, 1.0, 2.0]),
+        "current_range must be a list of two numbers, lower bound first",
+    ),
+    "range as number": (by_hand(peak_velocity_range=1.0), "must be a list of two numbers"),
+    "range of text": (by_hand(current_range=["low", 1.0]), "current_range is 'low': give a number"),
+    "reversed range": (
+        by_hand(peak_velocity_range=[0.3, 0.1]),
+        r"peak_velocity_range is \[0.3, 0.1\]: give the lower bound first",
+    ),
+    "range of nan": (by_hand(current_range=[math.nan, 1.0]), "give the lower bound first"),
+}
+
+
+@pytest.mark.parametrize(("text", "sentence"), FAULTS.values(), ids=FAULTS.keys())
+def test_a_fault_in_the_file_is_one_sentence(text: str, sentence: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        ParameterSet.from_yaml(text)
+    assert re.search(sentence, str(caught.value))
+    assert "\n" not in str(caught.value)
+
+
+UNCAUGHT = {
+    "an integer beyond floating point": (with_parameter("k6", 10**400), "k6"),
+    "observable as text": (with_parameter("k6", {"value": 1.0, "observable": "no way"}), "k6"),
+    "a negative standard error": (with_parameter("k6", {"value": 1.0, "standard_error": -2}), "k6"),
+    "a name given twice": (by_hand().replace("  a0: 3\n", "  a0: 3\n  a0: 4\n"), "a0"),
+}
+
+
+@pytest.mark.parametrize(("text", "sentence"), UNCAUGHT.values(), ids=UNCAUGHT.keys())
+def test_an_unusual_fault_is_one_sentence_too(text: str, sentence: str) -> None:
+    with pytest.raises(ParameterError, match=sentence):
+        ParameterSet.from_yaml(text)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_a_value_out_of_its_bounds_is_refused(share: float) -> None:
+    values = known.EXAMPLES["bouc_wen"].copy()
+    values[MODELS["bouc_wen"].parameter_names.index("share")] = share
+    with pytest.raises(ParameterError, match=f"parameter share is {share}: it must lie in 0 to 1"):
+        ParameterSet(values, model="bouc_wen")
+
+
+@pytest.mark.parametrize("name", ["values", "standard_errors", "observable"])
+def test_a_wrong_number_of_values_is_refused(name: str) -> None:
+    arrays = {"values": LITERATURE, name: np.ones(15)}
+    with pytest.raises(ParameterError, match=rf"{name} of .* must hold 16 numbers.*\(15,\)"):
+        ParameterSet(**arrays)
+
+
+def test_the_arrays_of_a_set_are_its_own_and_cannot_be_changed() -> None:
+    values = LITERATURE.copy()
+    made = ParameterSet(values)
+    values[0] = -1.0
+    assert made.values[0] == LITERATURE[0]
+    with pytest.raises(ValueError, match="read-only"):
+        made.values[0] = -1.0
+
+
+def test_a_set_of_another_model_than_needed_is_refused() -> None:
+    extended = ParameterSet(np.zeros(19), model="sigmoid_lag")
+    assert extended.of_model("sigmoid_lag") is extended
+    with pytest.raises(ParameterError, match=r"those of model 'sigmoid_lag': give .* 'sigmoid'"):
+        extended.of_model("sigmoid")
+
+
+def test_values_by_name() -> None:
+    assert ParameterSet(LITERATURE).as_dict() == dict(
+        zip(PARAMETER_NAMES, LITERATURE.tolist(), strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 5_000, "a: 2001-02-31", "a: !!int ''", "a: !!timestamp x", "a: !!float ''", "? {a: 1}"],
+)
+def test_whatever_yaml_stumbles_over_is_one_error(text: str) -> None:
+    with pytest.raises(ParameterError, match="YAML"):
+        ParameterSet.from_yaml(text)
+
+
+def test_an_entry_of_any_size_is_refused_in_a_short_sentence() -> None:
+    lists = "&a [1, 1, 1, 1, 1, 1, 1, 1]"
+    for name in "bcdefg":
+        lists = f"&{name} [{lists}{', *' + chr(ord(name) - 1)}{', *' + chr(ord(name) - 1)}]"
+    names = ParameterSet(np.ones(16)).law.parameter_names
+    text = f"nrmse: {lists}\nparameters: {{{', '.join(f'{name}: 1' for name in names)}}}"
+    with pytest.raises(ParameterError) as caught:
+        ParameterSet.from_yaml(text)
+    assert len(str(caught.value)) < 300

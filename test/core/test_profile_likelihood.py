@@ -1,0 +1,145 @@
+"""Profile likelihoods: intervals as they must be, and none where the data hold nothing."""
+
+from __future__ import annotations
+
+import math
+
+import known
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from mr_damper_ros.estimation.covariance import least_squares_covariance
+from mr_damper_ros.estimation.determination import plausible_ranges
+from mr_damper_ros.estimation.local_search import StopRequestedError
+from mr_damper_ros.estimation.profile_likelihood import ProfileLikelihood
+from mr_damper_ros.models.sigmoid.adaptation import adapted
+from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+    operating_point_coefficients,
+)
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.arrays import Array
+
+NORMAL_QUANTILE = 1.96
+NEARLY_LINEAR = 0.03
+"""Relative difference of an interval of the likelihood ratio and one of standard errors."""
+
+CENTRED = 0.1
+"""Of half the interval, by which its middle may lie off the estimate where the law is bent."""
+
+HELD = 3.0
+"""Least factor by which the standard error would seem smaller; the ratio goes by its square."""
+
+MADE_UP_FOR = 1e-4
+"""Relative error of coefficients that seven scales reproduce after a change of the shape."""
+
+MEMORY = 0.9
+"""Lag-1 autocorrelation of the residual."""
+
+ALL = np.ones(16, dtype=bool)
+RANGES = plausible_ranges(0.19, 1.5)
+
+
+def windows(
+    currents: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5), memory: float = 0.0
+) -> list[Window]:
+    made = []
+    points = [(a, f, i) for a in (2.5e-3, 10e-3) for f in (1.0, 3.0) for i in currents]
+    for seed, (a, f, i) in enumerate(points):
+        run = known.run(amplitude=a, frequency=f, current=i, samples=400, period=2.5e-3, seed=seed)
+        noise = lfilter([math.sqrt(1.0 - memory**2)], [1.0, -memory], run.force - run.clean)
+        made.append(Window.from_samples(run.displacement, run.clean + noise, i, run.period))
+    return made
+
+
+def pooled(chosen: list[Window]) -> PooledMisfit:
+    return PooledMisfit(chosen, [known.NOISE] * len(chosen))
+
+
+def fitted(misfit: PooledMisfit) -> Array:
+    """Least squares over all sixteen, by Gauss and Newton from the truth."""
+    values = known.PLAUSIBLE.copy()
+    for _ in range(5):
+        jacobian = misfit.jacobian(values)
+        sizes = np.linalg.norm(jacobian, axis=0)
+        step = np.linalg.lstsq(jacobian / sizes, misfit.residual(values), rcond=None)[0]
+        values = values - step / sizes
+    return np.asarray(values)
+
+
+@pytest.fixture(scope="module", params=[0.0, MEMORY], ids=["white", "correlated"])
+def fit(request: pytest.FixtureRequest) -> tuple[PooledMisfit, Array]:
+    misfit = pooled(windows(memory=request.param))
+    return misfit, fitted(misfit)
+
+
+@pytest.mark.parametrize("name", ["f0", "k5", "k0", "a2"])
+def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
+    fit: tuple[PooledMisfit, Array], name: str
+) -> None:
+    misfit, values = fit
+    covariance = least_squares_covariance(misfit.jacobian(values), misfit.residual(values))
+    place = known.index(name)
+    half = NORMAL_QUANTILE * math.sqrt(covariance[place, place])
+    low, high = ProfileLikelihood(misfit, values, ALL, RANGES).of(name).interval
+    assert (high - low) / (2.0 * half) == pytest.approx(1.0, abs=NEARLY_LINEAR)
+    assert 0.5 * (low + high) == pytest.approx(values[place], abs=CENTRED * half)
+
+
+def test_the_others_give_way(fit: tuple[PooledMisfit, Array]) -> None:
+    """With the others held, the value would seem to be known so many times as well, or better."""
+    misfit, values = fit
+    profile = ProfileLikelihood(misfit, values, ALL, RANGES).of("I0")
+    held = values.copy()
+    held[known.index("I0")] = profile.values[-1]
+    rise = misfit.mean_square(held) / misfit.mean_square(values) - 1.0
+    assert rise * misfit.sample_count > HELD**2 * profile.ratio[-1]
+
+
+def test_where_one_current_was_seen_nothing_bounds_the_laws_over_current() -> None:
+    misfit = pooled(windows((1.0,)))
+    open_names = ("k2", "a2", "I0", "k3", "a3", "I1")
+    seen = np.array([name not in open_names for name in PARAMETER_NAMES])
+    likelihood = ProfileLikelihood(misfit, known.PLAUSIBLE, seen, RANGES)
+    for name in ("a2", "I0", "I1"):
+        assert likelihood.of(name).interval == (-math.inf, math.inf), name
+
+
+def test_values_rise_and_the_best_has_no_fall() -> None:
+    misfit = pooled(windows())
+    profile = ProfileLikelihood(misfit, known.PLAUSIBLE, ALL, RANGES).of("f0")
+    assert np.all(np.diff(profile.values) > 0.0)
+    assert profile.ratio.min() == 0.0
+    assert profile.best == profile.values[np.argmin(profile.ratio)]
+    low, high = profile.interval
+    assert profile.values[0] <= low < profile.best < high <= profile.values[-1]
+
+
+def test_a_name_that_the_law_does_not_have_is_refused() -> None:
+    likelihood = ProfileLikelihood(pooled(windows((1.0,))), known.PLAUSIBLE, ALL, RANGES)
+    with pytest.raises(ValueError, match="no parameter 'b9' to profile: use one of f0"):
+        likelihood.of("b9")
+
+
+def test_a_profile_can_be_stopped() -> None:
+    misfit = pooled(windows((1.0,)))
+    likelihood = ProfileLikelihood(misfit, known.PLAUSIBLE, ALL, RANGES, lambda: True)
+    with pytest.raises(StopRequestedError):
+        likelihood.of("f0")
+
+
+# -- scales that follow a change of the shape --------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "value"), [("a1", -3.0), ("k0", 40.0), ("a2", 12.0)])
+def test_at_one_operating_point_any_change_can_be_made_up_for(name: str, value: float) -> None:
+    run = known.run()
+    changed = known.PLAUSIBLE.copy()
+    changed[known.index(name)] = value
+    values = adapted([run.window], known.PLAUSIBLE, changed, frozenset(SCALE_PARAMETER_NAMES))
+    found = np.concatenate(operating_point_coefficients(values, run.top_speed, run.current))
+    assert values[known.index(name)] == value
+    np.testing.assert_allclose(found, run.coefficients, rtol=MADE_UP_FOR)

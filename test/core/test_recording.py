@@ -1,0 +1,91 @@
+"""Recordings: what cannot be a damper's is refused with a sentence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.signals.recording import Recording, RecordingError
+
+TIME = np.arange(100) * 1e-3
+
+
+def recording(**changes: Any) -> Recording:
+    fields: dict[str, Any] = {
+        "name": "run",
+        "start_ns": 1_700_000_000_000_000_000,
+        "period": 1e-3,
+        "displacement": 0.005 * np.sin(60.0 * TIME),
+        "force": 1000.0 * np.cos(60.0 * TIME),
+        "current": np.full(100, 0.5),
+    }
+    return Recording(**{**fields, **changes})
+
+
+def changed(values: np.ndarray, index: int, value: float) -> np.ndarray:
+    values = values.copy()
+    values[index] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"period": 0.0}, "the sample period of 'run' is 0.0 s: it must be positive"),
+        ({"period": -1e-3}, "it must be positive"),
+        ({"period": np.nan}, "it must be positive"),
+        ({"displacement": np.empty(0)}, "holds no samples"),
+        ({"displacement": np.zeros((100, 2))}, "shape"),
+        ({"force": np.zeros(99)}, "'run' holds 100 displacements but 99 values of force"),
+        ({"temperature": np.zeros(3)}, "3 values of temperature"),
+        ({"force": changed(TIME, 7, np.nan)}, "the force of sample 7 of 'run' is nan"),
+        ({"current": changed(TIME, 99, np.inf)}, "the current of sample 99 of 'run' is inf"),
+    ],
+)
+def test_what_is_no_recording_is_refused(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(RecordingError) as error:
+        recording(**changes)
+    assert sentence in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"displacement": 5.0 * np.sin(60.0 * TIME)}, "is it in millimetres?"),
+        ({"displacement": np.full(100, 0.02)}, "did not move"),
+        ({"displacement": 0.2 * np.sin(600.0 * TIME)}, "is the unit of the time right?"),
+        ({"period": 1.0}, "is the unit of the time right?"),
+        ({"period": 1e-7}, "is the unit of the time right?"),
+        ({"force": 1e7 * np.cos(60.0 * TIME)}, "give the unit of the force"),
+        ({"force": np.full(100, 3.0)}, "is it the right column?"),
+        ({"current": np.full(100, 500.0)}, "is it in milliamperes?"),
+        ({"temperature": np.full(100, 301.0)}, "is it in kelvin?"),
+    ],
+)
+def test_wrong_units_are_named(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(RecordingError, match=r".") as error:
+        recording(**changes).check_plausible()
+    assert sentence in str(error.value)
+
+
+def test_a_damper_in_its_units_is_plausible() -> None:
+    recording(temperature=np.full(100, 28.0)).check_plausible()
+
+
+def test_a_recording_cannot_be_changed_afterwards() -> None:
+    displacement = 0.005 * np.sin(60.0 * TIME)
+    made = recording(displacement=displacement)
+    displacement[:] = 0.0
+    assert np.ptp(made.displacement) > 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        made.force[0] = 0.0
+
+
+def test_stamps_follow_the_period_to_the_nanosecond() -> None:
+    made = recording(period=1.0 / 3.0, start_ns=17)
+    assert made.stamp_ns(3) == 17 + 1_000_000_000
+    assert made.stamp_ns(1) == 17 + 333_333_333
+    assert made.duration == pytest.approx(100.0 / 3.0)

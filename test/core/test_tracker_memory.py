@@ -1,0 +1,233 @@
+"""A tracker that is started again from what it wrote goes on as if it had never stopped."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import json
+import math
+from typing import Any
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.tracking.state_directory import StateError
+from mr_damper_ros.tracking.tracker import (
+    TRACKERS,
+    FitResult,
+    Report,
+    TrackerSettings,
+    WindowTracker,
+    run_fit,
+)
+from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
+
+COUNT = 16
+
+SCALE_ERROR = 0.05
+"""Relative error of the force scale: the damper weakened while its baseline was taken."""
+
+SAMPLES = 1000
+"""A whole cycle: less does not determine the seven scales."""
+
+START = ParameterSet(known.PLAUSIBLE, set_id="start")
+
+
+def tracker(**changes: Any) -> WindowTracker:
+    entries: dict[str, Any] = {"method": "least_squares", "global_period": 4, **changes}
+    return WindowTracker(TrackerSettings(**entries), START)
+
+
+def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
+    """Windows at two operating points, whose damper gets weaker and, once, too noisy."""
+    reports = []
+    for number in range(first, last):
+        weaker = known.PLAUSIBLE * np.where(np.arange(COUNT) == known.index("f0"), 0.97**number, 1)
+        run = known.run(
+            weaker,
+            current=(1.0, 1.5)[number % 2],
+            samples=SAMPLES,
+            noise=known.NOISE * (20.0 if number == 6 else 1.0),
+            seed=number,
+        )
+        raw = known.raw_window(run, number=number, temperature=20.0 + number)
+        task = tracked.window_task(raw)
+        reports.append(tracked.complete(run_fit(task)))
+    return reports
+
+
+def resumed(tracked: WindowTracker, **changes: Any) -> WindowTracker:
+    """A new tracker, from the text of another."""
+    again = tracker(**changes)
+    again.resume(tracked.parameters, from_text(to_text(tracked.memory), COUNT))
+    return again
+
+
+@pytest.mark.parametrize("kind", TRACKERS)
+def test_a_tracker_goes_on_where_it_was(kind: str) -> None:
+    tracked = tracker(tracker=kind)
+    feed(tracked, 0, 7)  # the last window is refused
+    again = resumed(tracked, tracker=kind)
+    assert again.accepted_windows == tracked.accepted_windows > 2
+    assert again.reservoir.operating_points == 2
+    without_end, with_restart = feed(tracked, 7, 12), feed(again, 7, 12)
+    assert {report.accepted for report in without_end} == {True}
+    for one, other in zip(without_end, with_restart, strict=True):
+        np.testing.assert_equal(dataclasses.asdict(other), dataclasses.asdict(one))
+    assert to_text(again.memory) == to_text(tracked.memory)
+
+
+def test_the_baseline_is_still_that_of_the_first_windows() -> None:
+    tracked = tracker()
+    feed(tracked, 0, 6)
+    (report,) = feed(resumed(tracked), 12, 13)
+    assert report.scale.value == pytest.approx(0.97**12, rel=SCALE_ERROR)
+
+
+def test_an_unconfirmed_step_is_still_waiting() -> None:
+    def stronger(tracked: WindowTracker, number: int) -> Report:
+        twice = known.PLAUSIBLE * np.where(np.arange(COUNT) == known.index("f0"), 2.0, 1.0)
+        raw = known.raw_window(known.run(twice, samples=SAMPLES, seed=number), number=number)
+        return tracked.complete(run_fit(tracked.window_task(raw)))
+
+    tracked = tracker()
+    feed(tracked, 0, 4)
+    assert "waiting for the next window to confirm it" in stronger(tracked, 4).reason
+    assert stronger(resumed(tracked), 5).accepted
+
+
+def test_the_filter_of_another_tracker_is_not_used() -> None:
+    tracked = tracker(tracker="unscented")
+    feed(tracked, 0, 3)
+    assert tracked.memory.state is not None
+    assert resumed(tracked, tracker="window").memory.state is None
+
+
+def test_a_watch_for_other_changes_is_not_used() -> None:
+    tracked = tracker()
+    feed(tracked, 0, 2)
+    assert resumed(tracked).memory.watch is not None
+    assert resumed(tracked, smallest_change=0.05).memory.watch is None
+
+
+def test_sets_are_numbered_on() -> None:
+    tracked = tracker()
+    feed(tracked, 0, 3)
+    again = resumed(tracked)
+    assert feed(again, 3, 4)[0].set_id == "window-4"
+
+
+def learnt() -> dict[str, Any]:
+    """The text of a tracker that has seen a few windows, as JSON gives it."""
+    tracked = tracker(tracker="unscented")
+    feed(tracked, 0, 3)
+    document: dict[str, Any] = json.loads(to_text(tracked.memory))
+    return document
+
+
+DOCUMENT = learnt()
+
+
+def leaves(data: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Paths of all entries, the inner ones too."""
+    found = [path] if path else []
+    items = (
+        data.items()
+        if isinstance(data, dict)
+        else enumerate(data)
+        if isinstance(data, list)
+        else ()
+    )
+    for key, value in items:
+        found += leaves(value, (*path, key))
+    return found
+
+
+WRONG = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**30), 10**30),
+    st.floats(),
+    st.text(max_size=5),
+    st.just({"shape": [2**60], "float64": ""}),
+    st.just({"shape": [-1, -1], "float64": "AAAAAAAA8D8="}),
+    st.lists(st.integers(), max_size=3),
+)
+
+
+@known.fixed(300)
+@given(path=st.sampled_from(leaves(DOCUMENT)), wrong=WRONG)
+def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong: Any) -> None:
+    document = copy.deepcopy(DOCUMENT)
+    entry = document
+    for key in path[:-1]:
+        entry = entry[key]
+    entry[path[-1]] = wrong
+    try:
+        memory = from_text(json.dumps(document), COUNT)
+    except StateError:
+        return
+    again = tracker(tracker="unscented")
+    again.resume(START, memory)
+    for report in feed(again, 3, 5):
+        assert report.scale.value > 0.0 or math.isnan(report.scale.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "cannot be used"),
+        ("[" * 100_000, "nested too deeply"),
+        ("null", "does not have the entries"),
+        ('{"windows": 1' + "0" * 5000 + "}", "cannot be used"),
+        ('{"windows": -1}', "a negative count"),
+        ('{"future": 1}', "does not have the entries"),
+    ],
+)
+def test_other_texts_are_refused(text: str, sentence: str) -> None:
+    with pytest.raises(StateError, match=sentence):
+        from_text(text, COUNT)
+
+
+def test_the_memory_of_another_model_is_refused() -> None:
+    with pytest.raises(StateError, match="number of parameters"):
+        from_text(json.dumps(DOCUMENT), COUNT + 1)
+
+
+def test_nothing_learnt_is_a_memory_too() -> None:
+    memory = from_text(to_text(TrackerMemory()), COUNT)
+    assert to_text(memory) == to_text(TrackerMemory())
+
+
+def test_windows_of_any_motion_keep_what_is_behind_their_samples() -> None:
+    time = np.arange(3000) * 1e-3
+    displacement = 3e-3 * np.sin(6.0 * time) + 2e-3 * np.sin(17.0 * time)
+    window = Window.from_samples(displacement, np.sin(6.0 * time), 1.0, 1e-3).thinned(500)
+    assert window.whole is not None
+    memory = TrackerMemory(reservoir=(window,), reservoir_points=(window.operating_point,))
+    (again,) = from_text(to_text(memory), COUNT).reservoir
+    assert np.array_equal(
+        again.history.at_samples(again.history.motion.velocity),
+        window.history.at_samples(window.history.motion.velocity),
+    )
+
+
+def test_a_place_beyond_the_window_is_refused() -> None:
+    time = np.arange(400) * 1e-3
+    window = Window.from_samples(time**2, time, 1.0, 1e-3).part(slice(None, None, 2))
+    wrong = dataclasses.replace(window, places=np.asarray(window.places) + 2.0)
+    memory = TrackerMemory(reservoir=(wrong,), reservoir_points=(window.operating_point,))
+    with pytest.raises(StateError, match="such a place"):
+        from_text(to_text(memory), COUNT)
+
+
+def test_a_failed_window_is_counted() -> None:
+    tracked = tracker()
+    task = tracked.window_task(known.raw_window(known.run(samples=SAMPLES)))
+    tracked.complete(FitResult(task, "the machine stands still"))
+    assert resumed(tracked).memory.windows == 1

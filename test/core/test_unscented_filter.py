@@ -1,0 +1,332 @@
+"""The unscented Kalman filter agrees with the window fit, follows drift, and knows its error."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
+from mr_damper_ros.tracking.tracker import (
+    FitResult,
+    Report,
+    TrackerSettings,
+    WindowTracker,
+    run_fit,
+    run_global,
+)
+from mr_damper_ros.tracking.unscented_filter import (
+    METHOD,
+    FilterState,
+    UnscentedFilter,
+    as_fit,
+    state_of,
+)
+from mr_damper_ros.tracking.window_assembler import RawWindow
+
+SAMPLES = 1000
+STILL = 1e-9
+"""A drift rate [1/sqrt(s)] of nothing: the filter then only averages."""
+
+AS_AT_ONCE = 0.05
+"""Standard errors: the posterior of a nearly linear problem does not mind the order of samples."""
+
+SAME_ERRORS = 0.05
+"""Relative: half of the samples tell the noise, and with it all errors, to 1.6 %."""
+
+FORGOTTEN = 3.0
+"""Standard errors: a wide prior bends the law within its sigma points, which leaves a trace."""
+
+FOLLOWED = 1.02
+"""RMSE over that of the noise: 2 % of 1000 samples are a few standard errors in seven scales."""
+
+NEAR_THE_NOISE = 1.03
+"""RMSE over the noise that was ordered, which 1500 samples tell to 1.8 %."""
+
+MEAN_SQUARE = 0.35
+"""Of a mean square of 1: three standard errors of 40 runs, whose seven scores are correlated."""
+
+LESS_MOVED = 0.25
+"""Of the error of the plain filter: outliers keep the weight of errors of usual size."""
+
+BENT = 1e-5
+"""NRMSE: without noise only the law's bend within the sigma points is left, 1e-6 at this rate."""
+
+FOLLOWED_SCALE = 1e-3
+"""Relative: six standard errors of a report, 1.6e-4, as the filter lags behind a little too."""
+
+STANDARD_ERRORS = 4.0
+"""By which a scale may miss the truth: one normal number in 16 000 does."""
+
+ONCE = 0.1
+"""Relative: samples that counted for every window they are in would make the error 0.63 times."""
+
+WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
+
+
+def second(stamp: int) -> int:
+    return known.T0 + stamp * known.NANOSECONDS
+
+
+def fitted(window: Window, stamp: int = 0) -> FilterState:
+    state = state_of(fit_window(window, known.PLAUSIBLE, method="least_squares"), second(stamp))
+    assert state is not None
+    return state
+
+
+def filtered(
+    state: FilterState, window: Window, stamp: int = 1, rate: float = STILL, **changes: bool
+) -> WindowFit:
+    follower = UnscentedFilter(
+        state, window, known.PLAUSIBLE, second(stamp), drift_rate=rate, **changes
+    )
+    follower.take_in(np.ones(window.sample_count, dtype=bool))
+    return as_fit(follower.state, window, known.PLAUSIBLE, follower.evaluations)
+
+
+def window(number: int = 0, strength: float = 1.0, **changes: object) -> RawWindow:
+    parameters = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), strength, 1.0)
+    entries: dict[str, object] = {"samples": SAMPLES, "seed": number, **changes}
+    return known.raw_window(known.run(parameters, **entries), number=number)  # type: ignore[arg-type]
+
+
+def tracker(**settings: object) -> WindowTracker:
+    entries: dict[str, object] = {
+        "tracker": METHOD,
+        "method": "least_squares",
+        "global_period": 0,
+        **settings,
+    }
+    return WindowTracker(TrackerSettings(**entries), ParameterSet(WEAK, set_id="start"))  # type: ignore[arg-type]
+
+
+def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
+    return [tracked.complete(run_fit(tracked.window_task(w))) for w in windows]
+
+
+# -- the filter itself -----------------------------------------------------------------------
+
+
+def test_without_drift_two_halves_give_what_the_fit_of_the_whole_gives() -> None:
+    whole = known.run(samples=4000).window
+    first, last = whole.part(slice(0, 2000)), whole.part(slice(2000, None))
+    at_once = fit_window(whole, known.PLAUSIBLE, method="least_squares")
+    in_turn = filtered(fitted(first), last)
+    errors = np.sqrt(np.diag(at_once.covariance))
+    assert np.max(np.abs(in_turn.scales - at_once.scales) / errors) < AS_AT_ONCE
+    assert np.sqrt(np.diag(in_turn.covariance)) == pytest.approx(errors, rel=SAME_ERRORS)
+
+
+def test_a_fast_walk_forgets_the_past() -> None:
+    now = known.run(samples=SAMPLES, seed=3).window
+    alone = fit_window(now, known.PLAUSIBLE, method="least_squares")
+    followed = filtered(fitted(known.run(seed=1).window), now, rate=2e-2)
+    errors = np.sqrt(np.diag(alone.covariance))
+    assert np.max(np.abs(followed.scales - alone.scales) / errors) < FORGOTTEN
+
+
+def test_a_sudden_change_is_followed_within_the_window() -> None:
+    leaking = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
+    run = known.run(leaking, samples=SAMPLES, seed=3)
+    followed = filtered(fitted(known.run(seed=1).window), run.window)
+    assert followed.rmse < FOLLOWED * run.noise_rms
+
+
+def test_the_errors_are_as_large_as_it_says() -> None:
+    scores = []
+    for seed in range(40):
+        first = known.run(samples=SAMPLES, seed=seed)
+        last = known.run(samples=SAMPLES, seed=1000 + seed)
+        found = filtered(fitted(first.window), last.window)
+        errors = np.sqrt(np.diag(found.coefficient_covariance))
+        scores.append((found.coefficients - last.coefficients) / errors)
+    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=MEAN_SQUARE)
+
+
+def test_outliers_hardly_move_a_robust_filter() -> None:
+    run = known.run(samples=SAMPLES, seed=3)
+    hit = np.random.default_rng(0).random(SAMPLES) < 0.03
+    spoilt = dataclasses.replace(run, force=run.force + 400.0 * hit)
+    before = fitted(known.run(seed=1).window)
+    clean = filtered(before, run.window, rate=1e-2)
+    plain, robust = (
+        known.rms(filtered(before, spoilt.window, rate=1e-2, robust=r).scales / clean.scales - 1.0)
+        for r in (False, True)
+    )
+    assert robust < LESS_MOVED * plain
+
+
+def test_a_force_without_noise_is_followed() -> None:
+    found = filtered(
+        fitted(known.run(seed=1).window), known.run(samples=SAMPLES, seed=None).window, rate=1e-2
+    )
+    assert np.isfinite(found.scales).all()
+    assert found.nrmse < BENT
+
+
+def test_a_motion_that_is_no_sine_is_followed() -> None:
+    slow, fast = known.run(samples=3000, seed=None), known.run(frequency=2.7, samples=3000)
+    mixed = Window.from_samples(slow.displacement + 0.5 * fast.displacement, fast.force, 1.0, 1e-3)
+    m = mixed.motion
+    silent = Window(m, np.zeros(3000), mixed.current)
+    misfit = ScaleMisfit(silent, known.PLAUSIBLE)
+    truth = misfit.residual(misfit.start)
+    noise = np.random.default_rng(5).normal(0.0, known.NOISE, 3000)
+    window = Window(m, truth + noise, mixed.current)
+    state = fitted(window.part(slice(0, 1500)))
+    assert filtered(state, window.part(slice(1500, None))).rmse < NEAR_THE_NOISE * known.NOISE
+
+
+def test_a_fit_that_leaves_a_scale_open_starts_no_filter() -> None:
+    fit = fit_window(known.run().window, known.PLAUSIBLE)
+    covariance = fit.covariance.copy()
+    covariance[5] = covariance[:, 5] = np.nan
+    assert state_of(dataclasses.replace(fit, covariance=covariance), 0) is None
+
+
+# -- as a tracker ----------------------------------------------------------------------------
+
+
+def test_the_first_window_is_fitted_and_the_next_ones_are_filtered() -> None:
+    reports = fed(tracker(), window(0), window(1, strength=0.99), window(2, strength=0.98))
+    assert [report.method for report in reports] == ["least_squares", METHOD, METHOD]
+    assert [report.accepted for report in reports] == [True] * 3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Drifted:
+    """Windows of a drifting force after the first (n,): reports, and true scales [1]."""
+
+    reports: list[Report]
+    truth: np.ndarray
+
+    @property
+    def scales(self) -> np.ndarray:
+        return np.array([report.scale.value for report in self.reports])
+
+
+@pytest.fixture(scope="module")
+def drifted() -> Drifted:
+    """A damper that heats from 28 to 71 °C in forty windows."""
+    tracked = WindowTracker(
+        TrackerSettings(tracker=METHOD, method="least_squares", global_period=0),
+        ParameterSet(LITERATURE),
+    )
+    windows, truth = [], []
+    for number in range(40):
+        run = known.run(THESIS_28_CELSIUS, current=1.5, samples=SAMPLES, start=number, seed=None)
+        clean = known.drifting_force(run, number / 39)
+        noise = np.random.default_rng(number).normal(0.0, known.NOISE, SAMPLES)
+        windows.append(
+            known.raw_window(dataclasses.replace(run, force=clean + noise), number=number)
+        )
+        truth.append(float(clean @ run.clean) / float(run.clean @ run.clean))
+    return Drifted(fed(tracked, *windows)[1:], np.array(truth[1:]))
+
+
+def test_every_window_of_a_drift_is_accepted(drifted: Drifted) -> None:
+    assert all(report.accepted for report in drifted.reports)
+
+
+def test_it_follows_the_drift(drifted: Drifted) -> None:
+    np.testing.assert_allclose(drifted.scales, drifted.truth, rtol=FOLLOWED_SCALE)
+
+
+def test_it_knows_the_error_of_the_drift(drifted: Drifted) -> None:
+    errors = np.array([report.scale.standard_error for report in drifted.reports])
+    assert np.max(np.abs(drifted.scales - drifted.truth) / errors) < STANDARD_ERRORS
+
+
+def test_overlapping_windows_use_every_sample_once() -> None:
+    run = known.run(samples=4000)
+
+    def cut(first: int) -> RawWindow:
+        return RawWindow(
+            start_ns=known.T0 + first * 1_000_000,
+            period=1e-3,
+            displacement=run.displacement[first : first + 2000],
+            force=run.force[first : first + 2000],
+            current=np.full(2000, 1.0),
+        )
+
+    once, twice = tracker(drift_rate=STILL), tracker(drift_rate=STILL)
+    for tracked, starts in ((once, (0, 2000)), (twice, (0, 500, 1000, 1500, 2000))):
+        fed(tracked, *map(cut, starts))
+    results = [run_fit(t.window_task(cut(2000))) for t in (once, twice)]
+    assert all(result.fit is not None for result in results)
+    errors = [known.rms(t.parameters.standard_errors[[0, 3]]) for t in (once, twice)]
+    assert errors[0] == pytest.approx(errors[1], rel=ONCE)
+
+
+@pytest.mark.parametrize("spoil", ["noise", "clipped", "nan"])
+def test_a_bad_window_leaves_the_filter_where_it_was(spoil: str) -> None:
+    tracked = tracker()
+    fed(tracked, *(window(number, strength=1.0 - 0.01 * number) for number in range(5)))
+    good, state = tracked.parameters, tracked.window_task(window(5)).state
+    force = window(5).force.copy()
+    if spoil == "noise":
+        force += np.random.default_rng(9).normal(0.0, 200.0, SAMPLES)
+    elif spoil == "clipped":
+        force = np.clip(force, -0.4 * force.max(), 0.4 * force.max())
+    else:
+        force[10] = np.nan
+    report = fed(tracked, dataclasses.replace(window(5), force=force))[0]
+    assert not report.accepted
+    assert tracked.parameters is good
+    assert tracked.window_task(window(6)).state is state
+
+
+def test_a_window_that_brings_nothing_new_still_teaches_the_filter() -> None:
+    tracked = tracker(drift_rate=1e-4)
+    reports = fed(tracked, *(window(number) for number in range(12)))
+    assert not all(report.accepted for report in reports)
+    state = tracked.window_task(window(12)).state
+    assert state is not None
+    assert state.stamp_ns == window(11).end_ns
+
+
+@pytest.mark.parametrize("change", ["point", "past", "reset", "replace", "search"])
+def test_it_starts_again_from_a_fit_where_its_state_does_not_hold(change: str) -> None:
+    tracked = tracker()
+    fed(tracked, *(window(number, strength=1.0 - 0.02 * number) for number in range(3)))
+    following = window(3, strength=0.9)
+    if change == "point":
+        following = window(3, strength=0.9, current=0.3)
+    elif change == "past":
+        following = dataclasses.replace(following, start_ns=known.T0 - 10**12)
+    elif change == "reset":
+        tracked.reset()
+    elif change == "replace":
+        tracked.replace(ParameterSet(WEAK, set_id="loaded"))
+    else:
+        fed(tracked, window(3, current=0.2, frequency=3.0))
+        task = tracked.global_task(EvolutionSettings(generations=20, population=8))
+        assert tracked.complete_global(run_global(task)).accepted
+    assert run(tracked, following).fit.method == "least_squares"  # type: ignore[union-attr]
+
+
+def test_a_filter_that_went_astray_starts_again_from_a_fit() -> None:
+    # After three months without samples it knows nothing of the scales.
+    tracked = tracker()
+    fed(tracked, window(0), window(1))
+    late = dataclasses.replace(window(2, strength=0.9), start_ns=known.T0 + 10**16)
+    report = fed(tracked, late)[0]
+    assert report.accepted
+    assert report.method == "least_squares"
+
+
+def run(tracked: WindowTracker, raw: RawWindow) -> FitResult:
+    return run_fit(tracked.window_task(raw))
+
+
+def test_unknown_settings_are_a_sentence() -> None:
+    with pytest.raises(ValueError, match="tracker 'kalman' is unknown: use one of window, unsc"):
+        TrackerSettings(tracker="kalman")
+    with pytest.raises(ValueError, match=r"drift_rate is 0\.0: it must be positive"):
+        TrackerSettings(drift_rate=0.0)

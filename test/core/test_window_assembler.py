@@ -1,0 +1,369 @@
+"""Windows are cut by the data's stamps, whatever the blocks and the order of the messages."""
+
+from __future__ import annotations
+
+import math
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+
+PERIOD = 1e-3
+T0 = known.T0
+COUNT = 3000
+DISPLACEMENT = np.arange(COUNT) * 1e-6
+FORCE = -np.arange(COUNT, dtype=float)
+
+
+def at(seconds: float) -> int:
+    """Stamp [ns] of a time after the first sample."""
+    return T0 + round(seconds * NANOSECONDS)
+
+
+def stream(*sizes: int, first: int = 0, last: int = COUNT) -> list[SampleBlock]:
+    return known.blocks(
+        DISPLACEMENT[first:last],
+        FORCE[first:last],
+        sizes,
+        start_ns=at(first * PERIOD),
+        sequence=first,
+    )
+
+
+def assembler(window: float = 1.0, hop: float = 0.5, current: float = 1.0) -> WindowAssembler:
+    """An assembler whose current is known for the whole stream and beyond."""
+    made = WindowAssembler(window, hop)
+    made.add_current(at(0.0), current)
+    made.add_current(at(100.0), current)
+    return made
+
+
+def cut(blocks: list[SampleBlock], made: WindowAssembler | None = None) -> list[RawWindow]:
+    made = made or assembler()
+    return [window for block in blocks for window in made.add_block(block)]
+
+
+def starts(windows: list[RawWindow]) -> list[float]:
+    """Start times [s] after the first sample."""
+    return [round((window.start_ns - T0) / NANOSECONDS, 6) for window in windows]
+
+
+# -- windows ---------------------------------------------------------------------------------
+
+
+def test_a_window_comes_every_hop() -> None:
+    assert starts(cut(stream(100))) == [0.0, 0.5, 1.0, 1.5, 2.0]
+
+
+def test_windows_without_overlap_hold_every_sample_once() -> None:
+    windows = cut(stream(100), assembler(window=1.0, hop=1.0))
+    np.testing.assert_array_equal(np.concatenate([w.force for w in windows]), FORCE)
+
+
+def test_a_window_holds_its_own_samples() -> None:
+    window = cut(stream(100))[3]
+    np.testing.assert_array_equal(window.displacement, DISPLACEMENT[1500:2500])
+    np.testing.assert_array_equal(window.force, FORCE[1500:2500])
+    assert window.end_ns == at(2.499)
+    assert window.period == PERIOD
+
+
+@known.fixed(80)
+@given(
+    st.lists(st.integers(1, 1500), min_size=1, max_size=10),
+    st.sampled_from([(1.0, 0.5), (0.7, 0.7), (0.25, 0.1)]),
+)
+def test_windows_do_not_depend_on_the_size_of_the_blocks(
+    sizes: list[int], lengths: tuple[float, float]
+) -> None:
+    expected = cut(stream(10), assembler(*lengths))
+    found = cut(stream(*sizes), assembler(*lengths))
+    assert starts(found) == starts(expected)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one.displacement, other.displacement)
+        np.testing.assert_array_equal(one.force, other.force)
+        np.testing.assert_array_equal(one.current, other.current)
+
+
+def test_one_large_block_gives_all_its_windows() -> None:
+    assert len(cut(stream(COUNT), assembler(1.0, 0.02))) == 101
+
+
+def test_a_gap_starts_the_window_again() -> None:
+    windows = cut(stream(100, last=800) + stream(100, first=900))
+    assert starts(windows) == [0.9, 1.4, 1.9]
+
+
+def test_a_gap_is_told_once() -> None:
+    made = assembler()
+    cut(stream(100, last=800) + stream(100, first=900), made)
+    assert made.take_events() == [
+        "100 samples were lost (an overloaded computer or network?): "
+        "what was being collected starts again"
+    ]
+    assert made.take_events() == []
+    assert made.sequence.lost_samples == 100
+
+
+def test_repeated_blocks_change_nothing() -> None:
+    blocks = stream(100)
+    made = assembler()
+    windows = cut([b for pair in zip(blocks, blocks, strict=True) for b in pair], made)
+    assert starts(windows) == starts(cut(stream(100)))
+    assert made.sequence.repeated_samples == COUNT
+    assert made.sequence.lost_samples == 0
+
+
+def test_a_bag_that_loops_gives_the_same_windows_again() -> None:
+    once, made = cut(stream(100)), assembler()
+    twice = cut(stream(100), made)
+    # The current, too, comes again.
+    made.add_current(at(0.0), 1.0)
+    made.add_current(at(100.0), 1.0)
+    twice += cut(stream(100), made)
+    assert starts(twice) == 2 * starts(once)
+
+
+def test_a_changed_period_starts_the_window_again() -> None:
+    made = assembler()
+    cut(stream(100, last=800), made)
+    other = known.blocks(
+        np.zeros(600), np.zeros(600), [60], period=2e-3, start_ns=at(0.8), sequence=800
+    )
+    windows = cut(other, made)
+    assert starts(windows) == [0.8]
+    assert (windows[0].period, windows[0].force.size) == (2e-3, 500)
+    assert "period changed" in made.take_events()[0]
+
+
+def test_windows_keep_their_stamps_where_the_rate_is_not_the_nominal_one() -> None:
+    # 200 parts per million for a minute: 12 ms, twelve samples.
+    true_period = PERIOD * (1.0 + 2e-4)
+    made = assembler(1.0, 0.5)
+    windows = []
+    for number in range(900):
+        index = np.arange(70 * number, 70 * (number + 1), dtype=float)
+        windows += made.add_block(
+            SampleBlock(
+                start_ns=at(float(index[0]) * true_period),
+                sequence=int(index[0]),
+                period=PERIOD,
+                displacement=index,
+                force=np.zeros(70),
+            )
+        )
+    late = windows[-1]
+    true_start = at(float(late.displacement[0]) * true_period)
+    assert abs(late.start_ns - true_start) <= 2e-3 * NANOSECONDS
+
+
+def test_the_fill_grows_to_one() -> None:
+    made = assembler()
+    fills = []
+    for block in stream(100, last=900):
+        made.add_block(block)
+        fills.append(made.fill)
+    assert fills == pytest.approx([0.1 * k for k in range(1, 10)])
+
+
+def test_after_a_reset_the_window_starts_again() -> None:
+    made = assembler()
+    cut(stream(100, last=800), made)
+    made.reset()
+    assert made.fill == 0.0
+    assert starts(cut(stream(100, first=800), made)) == [0.8, 1.3, 1.8]
+
+
+@pytest.mark.parametrize(
+    ("window", "hop", "sentence"),
+    [
+        (0.0, 0.1, "the window is 0.0 s long"),
+        (math.nan, 0.1, "the window is nan s long"),
+        (math.inf, 0.1, "the window is inf s long"),
+        (1.0, 0.0, "the hop is 0.0 s"),
+        (1.0, 1.5, "the hop is 1.5 s: it must lie in 0 to 1.0 s"),
+        (1.0, math.nan, "the hop is nan s"),
+    ],
+)
+def test_lengths_that_make_no_windows_are_refused(window: float, hop: float, sentence: str) -> None:
+    with pytest.raises(ValueError) as caught:
+        WindowAssembler(window, hop)
+    assert sentence in str(caught.value)
+
+
+# -- temperature -----------------------------------------------------------------------------
+
+
+def test_a_window_has_the_temperature_of_its_end() -> None:
+    made = assembler(1.0, 1.0)
+    assert math.isnan(cut(stream(100, last=1000), made)[0].temperature)
+    made.add_temperature(41.5)
+    assert cut(stream(100, first=1000, last=2000), made)[0].temperature == 41.5
+
+
+# -- current ---------------------------------------------------------------------------------
+
+
+def test_a_window_waits_until_its_current_is_known() -> None:
+    made = WindowAssembler(1.0, 1.0)
+    made.add_current(at(0.0), 0.5)
+    assert cut(stream(100, last=1000), made) == []
+    assert made.waits_for_current
+    assert made.add_current(at(0.998), 0.5) == [], "the last sample has no current yet"
+    windows = made.add_current(at(0.999), 0.5)
+    assert starts(windows) == [0.0]
+    assert not made.waits_for_current
+    np.testing.assert_array_equal(windows[0].current, 0.5)
+
+
+def test_a_window_that_began_before_the_current_was_known_is_dropped() -> None:
+    made = WindowAssembler(1.0, 0.5)
+    made.add_current(at(0.2), 0.5)
+    made.add_current(at(5.0), 0.5)
+    assert starts(cut(stream(100), made)) == [0.5, 1.0, 1.5, 2.0]
+
+
+def test_the_next_look_replaces_a_window_that_is_dropped_for_its_current() -> None:
+    made = WindowAssembler(1.0, 0.4, looks=3)
+    made.add_current(at(0.15), 0.5)
+    made.add_current(at(5.0), 0.5)
+    windows = cut(stream(100), made)
+    assert starts(windows)[:4] == [0.2, 0.3, 0.4, 0.5]
+    assert [bool(window.look) for window in windows[:4]] == [False, True, False, True]
+
+
+def test_a_window_that_is_dropped_for_its_current_is_told() -> None:
+    made = WindowAssembler(1.0, 0.5)
+    made.add_current(at(0.2), 0.5)
+    made.add_current(at(5.0), 0.5)
+    cut(stream(100), made)
+    assert any("current" in event for event in made.take_events())
+
+
+@known.fixed(60)
+@given(st.lists(st.integers(0, 3), min_size=12, max_size=12), st.integers(0, 40))
+def test_windows_do_not_depend_on_when_the_current_arrives(turns: list[int], behind: int) -> None:
+    values = [(at(0.1 * k), float(k % 7)) for k in range(50)]
+    blocks = stream(100)
+    expected = WindowAssembler(1.0, 0.5)
+    for stamp, value in values:
+        expected.add_current(stamp, value)
+    reference = cut(blocks, expected)
+    made, found, waiting = WindowAssembler(1.0, 0.5), [], list(values)
+    for number, block in enumerate(blocks):
+        # Currents come in bursts, up to ``behind`` values later than the samples.
+        for _ in range(turns[number % len(turns)] if number >= behind // 2 else 0):
+            if waiting:
+                found += made.add_current(*waiting.pop(0))
+        found += made.add_block(block)
+    for stamp, value in waiting:
+        found += made.add_current(stamp, value)
+    assert starts(found) == starts(reference)
+    for one, other in zip(found, reference, strict=True):
+        np.testing.assert_array_equal(one.current, other.current)
+
+
+def test_a_current_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ValueError, match="the supply current is nan: it must be a finite number"):
+        WindowAssembler(1.0, 0.5).add_current(T0, math.nan)
+
+
+def test_after_a_jump_back_no_current_of_the_time_before_is_used() -> None:
+    # The clock was set back: the current of the second pass is 2 A, but comes late.
+    made = WindowAssembler(1.0, 1.0)
+    made.add_current(at(0.0), 1.0)
+    made.add_current(at(3.0), 1.0)
+    cut(stream(100, last=2500), made)
+    windows = cut(stream(100, last=1000), made)
+    for stamp in (0.0, 2.0):
+        windows += made.add_current(at(stamp), 2.0)
+    assert [float(w.current[0]) for w in windows] == [2.0]
+
+
+def test_a_value_out_of_order_does_not_hide_a_later_jump() -> None:
+    made = WindowAssembler(1.0, 1.0)
+    for stamp, value in ((0.0, 1.0), (0.2, 1.0), (0.1, 1.0), (3.0, 1.0)):
+        made.add_current(at(stamp), value)
+    cut(stream(100, last=2500), made)
+    windows = cut(stream(100, last=1000), made)
+    for stamp in (0.0, 2.0):
+        windows += made.add_current(at(stamp), 2.0)
+    assert [float(w.current[0]) for w in windows] == [2.0]
+
+
+# -- held current ----------------------------------------------------------------------------
+
+
+def held(*values: tuple[float, float], keep: float = 60.0) -> ZeroOrderHold:
+    made = ZeroOrderHold(keep)
+    for seconds, value in values:
+        made.add(at(seconds), value)
+    return made
+
+
+def test_a_value_holds_from_its_stamp_to_the_next() -> None:
+    current = held((0.0, 0.5), (0.005, 1.0), (0.008, 1.5)).at(at(0.0), PERIOD, 10)
+    assert current.tolist() == [0.5] * 5 + [1.0] * 3 + [1.5] * 2
+
+
+def test_a_value_between_two_samples_holds_from_the_later_one() -> None:
+    current = held((0.0, 0.5), (0.0042, 1.0)).at(at(0.0), PERIOD, 8)
+    assert current.tolist() == [0.5] * 5 + [1.0] * 3
+
+
+@pytest.mark.parametrize("rate", [100.0, 512.0, 1000.0, 3000.0, 44100.0])
+def test_a_step_falls_on_its_sample_at_any_rate(rate: float) -> None:
+    period = 1.0 / rate
+    for sample in (1, 7, 333, 999):
+        step = round(sample * period * NANOSECONDS)
+        made = ZeroOrderHold(60.0)
+        made.add(T0, 0.0)
+        made.add(T0 + step, 1.0)
+        current = made.at(T0, period, 1000)
+        assert int(np.argmax(current)) == sample
+        assert current.sum() == 1000 - sample
+
+
+def test_the_current_does_not_depend_on_how_it_is_asked_for() -> None:
+    rng = np.random.default_rng(0)
+    made = held((0.0, 0.0), *((float(t), float(v)) for t, v in np.sort(rng.random((20, 2)), 0)))
+    whole = made.at(at(0.0), PERIOD, 1000)
+    parts = [made.at(at(0.05 * k), PERIOD, 50) for k in range(20)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+def test_two_values_with_one_stamp_count_as_the_later() -> None:
+    assert held((0.0, 1.0), (0.0, 2.0)).at(at(0.0), PERIOD, 3).tolist() == [2.0] * 3
+
+
+def test_a_value_that_jumps_back_replaces_what_came_after() -> None:
+    made = held((0.0, 0.5), (1.0, 1.0), (2.0, 1.5), (1.4, 0.7))
+    assert made.at(at(0.0), 0.5, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 0.7, 0.7]
+    assert made.last_stamp_ns == at(1.4)
+
+
+def test_a_value_that_is_late_takes_its_place() -> None:
+    made = held((0.0, 0.5), (0.5, 1.0), (1.0, 1.5), (0.75, 0.7))
+    assert made.at(at(0.0), 0.25, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 1.5, 1.5]
+    assert made.last_stamp_ns == at(1.0)
+
+
+def test_before_the_first_value_nothing_is_known() -> None:
+    made = held((1.0, 0.5))
+    assert not made.known_from(at(0.999))
+    assert made.known_from(at(1.0))
+    assert not ZeroOrderHold(1.0).known_from(at(0.0))
+    assert ZeroOrderHold(1.0).last_stamp_ns is None
+
+
+def test_old_values_are_forgotten_but_the_one_in_force_is_kept() -> None:
+    made = held(*((0.1 * k, float(k)) for k in range(1000)), keep=5.0)
+    assert made.known_from(at(99.9 - 5.0))
+    assert not made.known_from(at(90.0))
+    assert made.at(at(99.9 - 5.0), PERIOD, 1).tolist() == [949.0]
