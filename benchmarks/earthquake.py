@@ -17,9 +17,12 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker, run_fit, run_global
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_task import run_fit
 
 CURRENTS = (0.2, 0.6, 1.0)
 """[A], of the columns of force in earthquake.mat."""

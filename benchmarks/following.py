@@ -17,8 +17,11 @@ from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.tracker import Report, TrackerSettings, WindowTracker, run_fit
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_task import run_fit
 
 WINDOW, HOP, LOOKS = 2.0, 1.0, 3
 """Defaults of the identifier node: [s], [s], looks between two windows."""

@@ -54,16 +54,13 @@ from mr_damper_ros.processes.pipeline import (
 from mr_damper_ros.processes.worker import Worker
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings
+from mr_damper_ros.tracking.look_task import EARLY_METHOD
+from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.screening import Screening
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file
-from mr_damper_ros.tracking.tracker import (
-    EARLY_METHOD,
-    TRACKERS,
-    Report,
-    TrackerSettings,
-    WindowTracker,
-)
+from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
+from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 _ATTENTION_PERIOD = 0.02

@@ -11,7 +11,7 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, kno
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
 from mr_damper_ros.nodes.messages import header, set_stamp, to_field, to_nanoseconds, to_stamp
 from mr_damper_ros.tracking.predictor import Prediction
-from mr_damper_ros.tracking.tracker import Report
+from mr_damper_ros.tracking.reports import Report
 
 
 def parameters_message(parameters: ParameterSet, frame_id: str) -> DamperParameters:

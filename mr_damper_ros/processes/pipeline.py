@@ -15,17 +15,12 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalProgress
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Control, Done, Progress, Worker
-from mr_damper_ros.tracking.tracker import (
-    FitResult,
-    FitTask,
-    GlobalResult,
-    GlobalTask,
-    Report,
-    WindowTracker,
-    run_fit,
-    run_global,
-)
+from mr_damper_ros.tracking.global_task import run_global
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tasks import FitResult, FitTask, GlobalResult, GlobalTask
+from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
+from mr_damper_ros.tracking.window_task import run_fit
 
 
 @dataclass(frozen=True)

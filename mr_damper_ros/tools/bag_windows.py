@@ -13,11 +13,7 @@ from mr_damper_ros.io.bags import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.screening import (
-    Screening,
-    fault_of_samples,
-    fault_of_sign,
-)
+from mr_damper_ros.tracking.screening import Screening, fault_of_samples, fault_of_sign
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,10 @@ from mr_damper_ros.models.sigmoid.law import (
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.tracker import Report, WindowTracker, run_fit
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.tracking.window_task import run_fit
 
 NOISE = 5.53
 """Standard deviation of the force noise of the thesis [N]."""

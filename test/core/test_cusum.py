@@ -12,22 +12,14 @@ import pytest
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.cusum import (
-    SLACK,
-    THRESHOLD,
-    ChangeWatch,
-    change_point,
-    fit_scale,
-)
-from mr_damper_ros.tracking.tracker import (
-    EARLY_METHOD,
-    Report,
-    TrackerSettings,
-    WindowTracker,
-    run_fit,
-)
+from mr_damper_ros.tracking.cusum import SLACK, THRESHOLD, ChangeWatch, change_point, fit_scale
+from mr_damper_ros.tracking.look_task import EARLY_METHOD
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.unscented_filter import METHOD
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.tracking.window_task import run_fit
 
 POINT = (0.03, 1.0)
 

@@ -24,7 +24,9 @@ from mr_damper_ros.processes.pipeline import (
     WindowEnded,
 )
 from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress
-from mr_damper_ros.tracking.tracker import EARLY_METHOD, TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.look_task import EARLY_METHOD
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 PERIOD = 1.0 / 512.0

@@ -14,16 +14,14 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, force
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings
-from mr_damper_ros.tracking.tracker import (
-    GlobalResult,
-    Report,
-    TrackerSettings,
-    WindowTracker,
-    held_back_samples,
-    run_fit,
-    run_global,
-)
+from mr_damper_ros.tracking.global_task import run_global
+from mr_damper_ros.tracking.held_back import held_back_samples
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tasks import GlobalResult
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
+from mr_damper_ros.tracking.window_task import run_fit
 
 SAMPLES = 1000
 WINDOWS = 30

@@ -16,16 +16,13 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
-from mr_damper_ros.tracking.tracker import (
-    TRACKERS,
-    FitResult,
-    Report,
-    TrackerSettings,
-    WindowTracker,
-    run_fit,
-)
+from mr_damper_ros.tracking.tasks import FitResult
+from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
+from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
+from mr_damper_ros.tracking.window_task import run_fit
 
 COUNT = 16
 

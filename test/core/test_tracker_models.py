@@ -14,17 +14,15 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.global_task import run_global
+from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.tracker import (
-    EARLY_METHOD,
-    Report,
-    TrackerSettings,
-    WindowTracker,
-    run_fit,
-    run_global,
-)
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import from_text, to_text
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
+from mr_damper_ros.tracking.window_task import run_fit
 
 SCALE_TOLERANCE = 0.01
 """Of the force scale: a tenth of the change that is to be seen."""

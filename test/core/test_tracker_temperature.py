@@ -13,10 +13,13 @@ import pytest
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory
+from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
-from mr_damper_ros.tracking.tracker import Report, TrackerSettings, WindowTracker, run_fit
+from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import from_text, to_text
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
+from mr_damper_ros.tracking.window_task import run_fit
 
 COLD, HOT = 28.0, 71.0
 SAMPLES = 1000

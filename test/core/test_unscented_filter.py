@@ -13,14 +13,11 @@ from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
-from mr_damper_ros.tracking.tracker import (
-    FitResult,
-    Report,
-    TrackerSettings,
-    WindowTracker,
-    run_fit,
-    run_global,
-)
+from mr_damper_ros.tracking.global_task import run_global
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tasks import FitResult
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.unscented_filter import (
     METHOD,
     FilterState,
@@ -29,6 +26,7 @@ from mr_damper_ros.tracking.unscented_filter import (
     state_of,
 )
 from mr_damper_ros.tracking.window_assembler import RawWindow
+from mr_damper_ros.tracking.window_task import run_fit
 
 SAMPLES = 1000
 STILL = 1e-9

@@ -1,0 +1,67 @@
+"""A look: whether the newest samples still fit the running set, and an early fit where not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mr_damper_ros.estimation.model_fit import model_force
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.tracking.acceptance import Evidence
+from mr_damper_ros.tracking.cusum import change_point, fit_scale
+from mr_damper_ros.tracking.following import STRENGTH, lasting_force, scale_of_force, strengthened
+from mr_damper_ros.tracking.force_scale import Baselines
+from mr_damper_ros.tracking.held_back import held_back_samples
+from mr_damper_ros.tracking.reservoir import nearest_same
+from mr_damper_ros.tracking.tasks import FitResult, FitTask
+from mr_damper_ros.tracking.unscented_filter import FilterState
+
+_FEWEST_EARLY = 40
+"""An early fit needs as many samples: so that each held-back chunk has one."""
+
+EARLY_METHOD = "force_scale"
+"""Method of a fit that came early because the force had changed."""
+
+
+def run_look(task: FitTask, window: Window) -> FitResult:
+    """See whether the newest samples fit the running set; if not, fit the force scale to them."""
+    raw, watch = task.window, task.watch
+    if watch is None:
+        return FitResult(task, "")
+    newest = slice(window.sample_count - raw.look, None)
+    here = window.part(newest).operating_point
+    if nearest_same([watch.operating_point], here) is None:
+        return FitResult(task, "", watch=watch.quiet())
+    predicted = model_force(task.model, window, task.start)
+    watch = watch.follow(predicted[newest], window.force[newest])
+    count = min(watch.samples_since_change, window.sample_count)
+    if not watch.changed or count < _FEWEST_EARLY:
+        return FitResult(task, "", watch=watch)
+    since = slice(window.sample_count - count, None)
+    count -= change_point(predicted[since], window.force[since], _FEWEST_EARLY)
+    since = slice(window.sample_count - count, None)
+    changed, predicted = window.part(since), predicted[since]
+    lasting = lasting_force(task.model, changed, task.start)
+    own, measured = predicted - lasting, changed.force - lasting
+    held_back = held_back_samples(count)
+    trained = fit_scale(own[~held_back], measured[~held_back]).factor
+    spread = float(np.std(window.force))
+    before, after = (
+        float(np.sqrt(np.mean((factor * own - measured)[held_back] ** 2)))
+        for factor in (1.0, trained)
+    )
+    evidence = Evidence(before / spread, after / spread, after, trained - 1.0)
+    found = fit_scale(own, measured)
+    if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
+        return FitResult(task, "", watch=watch)  # a sensor has failed, no damper does that
+    fit = strengthened(task.model, changed, task.start, found, EARLY_METHOD)
+    state = task.state
+    if state is not None:
+        factors = np.where(STRENGTH, found.factor, 1.0)
+        state = FilterState(
+            state.scales * factors,
+            state.covariance * np.outer(factors, factors) + fit.covariance,
+            raw.end_ns,
+            here,
+        )
+    scale = scale_of_force(task.model, changed, fit, Baselines(task.baselines))
+    return FitResult(task, "", changed, fit, evidence, state, watch, scale)

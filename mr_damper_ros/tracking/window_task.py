@@ -1,0 +1,151 @@
+"""The work of a window's task: screened, fitted or filtered, and judged by what was held back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from mr_damper_ros.estimation.map_estimate import with_prior
+from mr_damper_ros.estimation.model_fit import model_force, unsettled_samples
+from mr_damper_ros.estimation.window_fit import WindowFit
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.tracking.acceptance import Evidence
+from mr_damper_ros.tracking.cusum import ChangeWatch
+from mr_damper_ros.tracking.following import fit_to_window, scale_of_force
+from mr_damper_ros.tracking.force_scale import Baselines
+from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples
+from mr_damper_ros.tracking.look_task import run_look
+from mr_damper_ros.tracking.reservoir import nearest_same
+from mr_damper_ros.tracking.screening import fault_of_motion, fault_of_samples
+from mr_damper_ros.tracking.tasks import FitResult, FitTask
+from mr_damper_ros.tracking.unscented_filter import (
+    METHOD,
+    FilterState,
+    UnscentedFilter,
+    as_fit,
+    state_of,
+)
+
+_ASTRAY = 2.0
+"""A filter is wrong where held-back samples differ by more than so many times their noise."""
+
+
+def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> FitResult:
+    """Fit the window of a task; every fault of the data comes back as a sentence.
+
+    Of a look only the watch comes back as long as nothing has changed.
+    """
+    raw, settings = task.window, task.settings
+    fault = fault_of_samples(raw.displacement, raw.force, raw.current, settings.screening)
+    if fault:
+        return FitResult(task, fault)
+    try:
+        window = Window.from_samples(
+            raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
+        )
+        fault = fault_of_motion(window.motion.velocity, window.force)
+        if fault:
+            return FitResult(task, fault)
+        if raw.look:
+            return run_look(task, window)
+        before_change = math.ceil((task.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))
+        if before_change > 0.5 * window.sample_count:
+            return FitResult(task, "most of the window lies before the change of the force")
+        window = window.part(slice(max(before_change, 0), None))
+        state = _usable(task, window)
+        filtered = None if state is None else _filtered(task, window, state)
+        if filtered is not None:
+            return filtered
+        held_back = held_back_samples(window.sample_count)
+        model = task.model
+        trained = fit_to_window(
+            model,
+            window.part(~held_back),
+            task.start,
+            method=settings.method,
+            robust=settings.robust,
+            should_stop=should_stop,
+        )
+        if task.known:
+            part = window.part(~held_back)
+            trained = with_prior(
+                model, trained, part, task.start, fastest=task.fastest, robust=settings.robust
+            )
+        evidence = evidence_of(model, held_back, window, task.start, trained.parameters)
+        # What is published uses every sample; the held-back part only judged whether to.
+        final = fit_to_window(
+            model, window, trained.parameters, method="least_squares", robust=settings.robust
+        )
+        if task.known:
+            final = with_prior(
+                model, final, window, task.start, fastest=task.fastest, robust=settings.robust
+            )
+    except ValueError as error:
+        return FitResult(task, str(error))
+    final = replace(
+        final,
+        method=settings.method,
+        evaluations=trained.evaluations + final.evaluations,
+        success=trained.success,
+        message=trained.message,
+    )
+    begun = state_of(final, raw.end_ns) if settings.tracker == METHOD else None
+    return _fitted(task, window, final, evidence, begun)
+
+
+def _usable(task: FitTask, window: Window) -> FilterState | None:
+    """The state from which the filter can go on into a window, if there is one.
+
+    A jump in time, or to another operating point, is a new start.
+    """
+    state = task.state
+    if state is None or not state.stamp_ns < task.window.end_ns:
+        return None
+    same = nearest_same([state.operating_point], window.operating_point)
+    return None if same is None else state
+
+
+def _filtered(task: FitTask, window: Window, state: FilterState) -> FitResult | None:
+    """The filter's state after the samples of a window that it has not seen yet.
+
+    None where it has gone astray, as it may where it knew too little of the scales: then it is
+    started again from a fit.
+    """
+    raw, settings = task.window, task.settings
+    unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
+    new = window.part(slice(max(window.sample_count - unseen, 0), None))
+    held_back = held_back_samples(new.sample_count)
+    follower = UnscentedFilter(
+        state,
+        new,
+        task.start,
+        raw.end_ns,
+        drift_rate=settings.drift_rate,
+        robust=settings.robust,
+    )
+    follower.take_in(~held_back)
+    trained = as_fit(follower.state, new, task.start, follower.evaluations).parameters
+    evidence = evidence_of(task.model, held_back, new, task.start, trained)
+    if evidence.rmse_after > _ASTRAY * follower.noise_level:
+        return None
+    follower.take_in(held_back)
+    fit = as_fit(follower.state, window, task.start, follower.evaluations)
+    return _fitted(task, window, fit, evidence, follower.state)
+
+
+def _fitted(
+    task: FitTask, window: Window, fit: WindowFit, evidence: Evidence, state: FilterState | None
+) -> FitResult:
+    """The result of a fit: with its force scale, and a watch for changes from its window on."""
+    settled = ~unsettled_samples(task.model, window, fit.parameters)
+    predicted = model_force(task.model, window, fit.parameters)
+    watch = ChangeWatch.after_fit(
+        predicted[settled],
+        window.force[settled],
+        fit.operating_point,
+        task.settings.smallest_change,
+    )
+    scale = scale_of_force(task.model, window, fit, Baselines(task.baselines))
+    return FitResult(task, "", window, fit, evidence, state, watch, scale)
