@@ -82,14 +82,14 @@ METHODS: dict[str, Follow] = {
 
 
 @dataclass(frozen=True)
-class Case:
+class MotionCase:
     """A motion with exact derivatives, and the displacement (n,) [m] as measured."""
 
     truth: Motion
     measured: Array
 
     @classmethod
-    def of(cls, excitation: SineMotion | SampledMotion, duration: float) -> Case:
+    def of(cls, excitation: SineMotion | SampledMotion, duration: float) -> MotionCase:
         """``duration`` [s] of a motion, with the noise of the thesis' runs."""
         time: Array = np.arange(round(duration / PERIOD), dtype=float) * PERIOD
         u, v, a = excitation.at(time)
@@ -112,7 +112,7 @@ class Quality:
     start: float
 
 
-def quality(case: Case, follow: Follow) -> Quality:
+def quality(case: MotionCase, follow: Follow) -> Quality:
     """Errors after the first seconds; the force is that of the literature's set at 1 A."""
     truth = case.truth
     v, a = follow(case.measured)
@@ -167,13 +167,15 @@ def stream_nrmse_ratio(runs: int | None = None) -> float:
     return float(np.sqrt(streamed / exact_error))
 
 
-def cases() -> dict[str, Case]:
+def cases() -> dict[str, MotionCase]:
     """Sines at 0.5, 1 and 3 Hz, and where there are recordings the earthquake's motion."""
-    found = {f"{f:g} Hz": Case.of(SineMotion(5e-3, f, phase=1.0), 12.0) for f in (0.5, 1.0, 3.0)}
+    found = {
+        f"{f:g} Hz": MotionCase.of(SineMotion(5e-3, f, phase=1.0), 12.0) for f in (0.5, 1.0, 3.0)
+    }
     place = recordings.folder()
     if place is not None:
         record = records(place)[0]
-        found["earthquake"] = Case.of(SampledMotion(record.displacement, record.period), 60.0)
+        found["earthquake"] = MotionCase.of(SampledMotion(record.displacement, record.period), 60.0)
     return found
 
 
