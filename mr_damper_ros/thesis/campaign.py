@@ -21,7 +21,7 @@ import numpy as np
 
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 
-_CODE = ("damper", "damper/models", "kinematics", "identification", "rig", "thesis")
+_CODE = ("signals", "kinematics", "models", "models/sigmoid", "estimation", "rig", "thesis")
 
 
 @dataclass(frozen=True)
