@@ -6,8 +6,8 @@ import multiprocessing
 from collections.abc import Iterator
 from typing import Any
 
+import pool_tasks
 import pytest
-import tasks
 
 from mr_damper_ros.processes.process_pool import ProcessPool
 
@@ -22,8 +22,8 @@ def processes(request: pytest.FixtureRequest) -> Iterator[ProcessPool]:
 
 def test_results_come_in_the_order_of_the_tasks(processes: ProcessPool) -> None:
     seeds = [5, 3, 8, 1, 9, 2, 7]
-    expected = [tasks.sum_of_seed(seed, lambda news: True) for seed in seeds]
-    assert processes.map(tasks.sum_of_seed, seeds) == expected
+    expected = [pool_tasks.sum_of_seed(seed, lambda news: True) for seed in seeds]
+    assert processes.map(pool_tasks.sum_of_seed, seeds) == expected
 
 
 def test_what_tasks_tell_is_heard_with_their_index(processes: ProcessPool) -> None:
@@ -33,36 +33,36 @@ def test_what_tasks_tell_is_heard_with_their_index(processes: ProcessPool) -> No
         heard.append((index, news))
         return True
 
-    processes.map(tasks.sum_of_seed, [11, 12, 13, 14], listen)
+    processes.map(pool_tasks.sum_of_seed, [11, 12, 13, 14], listen)
     assert sorted(heard) == [(0, 11), (1, 12), (2, 13), (3, 14)]
 
 
 def test_every_result_is_handed_over_once(processes: ProcessPool) -> None:
     handed: dict[int, float] = {}
-    results = processes.map(tasks.sum_of_seed, [1, 2, 3, 4, 5], None, handed.__setitem__)
+    results = processes.map(pool_tasks.sum_of_seed, [1, 2, 3, 4, 5], None, handed.__setitem__)
     assert [handed[index] for index in range(5)] == results
 
 
 def test_an_error_of_a_task_is_raised(processes: ProcessPool) -> None:
     with pytest.raises(ValueError, match="two is not allowed"):
-        processes.map(tasks.failing, [1, 2, 3])
+        processes.map(pool_tasks.failing, [1, 2, 3])
 
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_an_error_ends_the_other_tasks(count: int) -> None:
     with ProcessPool(count) as several, pytest.raises(ValueError, match="not for long"):
-        several.map(tasks.patient, [60.0, -1.0, 60.0, 60.0])
+        several.map(pool_tasks.patient, [60.0, -1.0, 60.0, 60.0])
 
 
 def test_each_process_has_one_thread() -> None:
     with ProcessPool(2) as two:
-        assert two.map(tasks.threads, [1, 2]) == ["1", "1"]
+        assert two.map(pool_tasks.threads, [1, 2]) == ["1", "1"]
 
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_a_stop_ends_those_that_run_and_begins_no_other(count: int) -> None:
     with ProcessPool(count) as several:
-        results = several.map(tasks.patient, [60.0] * 8, lambda index, news: False)
+        results = several.map(pool_tasks.patient, [60.0] * 8, lambda index, news: False)
     begun = [result for result in results if result is not None]
     assert 1 <= len(begun) < 8
     assert set(begun) == {"stopped"}
@@ -76,8 +76,8 @@ def test_a_daemon_does_the_tasks_itself(monkeypatch: pytest.MonkeyPatch) -> None
     )
     with ProcessPool(3) as several:
         assert several.count == 1
-        assert several.map(tasks.sum_of_seed, [1, 2]) == ProcessPool(1).map(
-            tasks.sum_of_seed, [1, 2]
+        assert several.map(pool_tasks.sum_of_seed, [1, 2]) == ProcessPool(1).map(
+            pool_tasks.sum_of_seed, [1, 2]
         )
 
 

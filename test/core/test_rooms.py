@@ -45,7 +45,6 @@ LONG_FILES_TO_SPLIT = {
     "nodes/bridge_node.py",
     "nodes/identifier_node.py",
     "thesis/optimisers.py",
-    "tracking/tracker.py",
 }
 NAMES_TO_CHANGE = {"following.py"}
 

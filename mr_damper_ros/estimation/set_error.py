@@ -1,0 +1,24 @@
+"""The error of a parameter set on windows, as it would be in a prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from mr_damper_ros.estimation.model_fit import model_force
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.signals.error_sums import ErrorSums, pooled
+
+
+def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
+    """Error of a set of any model on the samples of all windows together.
+
+    As the set is used in a prediction: with the peak velocity held within its range.
+    """
+    return pooled(
+        ErrorSums.of(
+            model_force(found.law, window.held_within(*found.peak_velocity_range), found.values),
+            window.force,
+        )
+        for window in windows
+    )

@@ -1,0 +1,78 @@
+"""How far a prediction is from what was measured: RMSE, NRMSE and R², the same everywhere.
+
+NRMSE is the RMSE over the standard deviation of the measurement, both over the same samples. Of
+several records it is that of all their samples taken together, not a mean of the records' own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from mr_damper_ros.signals.arrays import Array
+
+_ROUNDING = 1e-12
+"""Part of the mean square that rounding leaves as variance in a constant."""
+
+
+@dataclass(frozen=True)
+class ErrorSums:
+    """Sums over samples: their ``count``, the measurement, its square and the squared error.
+
+    Sums of two sets of samples add up to those of both.
+    """
+
+    count: int = 0
+    measured: float = 0.0
+    measured_square: float = 0.0
+    squared_error: float = 0.0
+
+    @classmethod
+    def of(cls, predicted: Array, measured: Array) -> ErrorSums:
+        """The sums of a prediction and a measurement, arrays of shape (n,) in one unit."""
+        error = predicted - measured
+        return cls(
+            measured.size,
+            float(measured.sum()),
+            float(measured @ measured),
+            float(error @ error),
+        )
+
+    def __add__(self, other: ErrorSums) -> ErrorSums:
+        return ErrorSums(
+            self.count + other.count,
+            self.measured + other.measured,
+            self.measured_square + other.measured_square,
+            self.squared_error + other.squared_error,
+        )
+
+    @property
+    def rmse(self) -> float:
+        """Root of the mean squared error, in the unit of the measurement; NaN of no samples."""
+        return math.sqrt(self.squared_error / self.count) if self.count else math.nan
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the measurement; NaN of no samples, 0 where it does not vary."""
+        if not self.count:
+            return math.nan
+        mean_square = self.measured_square / self.count
+        variance = mean_square - (self.measured / self.count) ** 2
+        return math.sqrt(variance) if variance > _ROUNDING * mean_square else 0.0
+
+    @property
+    def nrmse(self) -> float:
+        """RMSE/std of the measurement; NaN where there is nothing to compare or no variation."""
+        spread = self.spread
+        return self.rmse / spread if spread > 0.0 else math.nan
+
+    @property
+    def r2(self) -> float:
+        """Part of the measurement's variance that is explained, 1 − NRMSE²."""
+        return 1.0 - self.nrmse**2
+
+
+def pooled(sums: Iterable[ErrorSums]) -> ErrorSums:
+    """The sums over several records together."""
+    return sum(sums, start=ErrorSums())

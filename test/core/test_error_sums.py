@@ -1,0 +1,41 @@
+"""RMSE, NRMSE and R² of records, alone and taken together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.signals.error_sums import ErrorSums, pooled
+
+ROUNDING = 1e-9
+"""Relative: sums for means and standard deviations of the samples."""
+
+RNG = np.random.default_rng(7)
+MEASURED = 300.0 + RNG.normal(0.0, 100.0, 1000)
+PREDICTED = MEASURED + RNG.normal(3.0, 10.0, 1000)
+
+
+def test_the_measures_are_those_of_numpy() -> None:
+    sums = ErrorSums.of(PREDICTED, MEASURED)
+    rmse = math.sqrt(np.mean((PREDICTED - MEASURED) ** 2))
+    assert sums.rmse == pytest.approx(rmse, rel=ROUNDING)
+    assert sums.nrmse == pytest.approx(rmse / np.std(MEASURED), rel=ROUNDING)
+    assert sums.r2 == pytest.approx(1.0 - np.mean((PREDICTED - MEASURED) ** 2) / np.var(MEASURED))
+
+
+@given(cuts=st.lists(st.integers(0, 1000), max_size=5))
+def test_records_taken_together_are_one_record(cuts: list[int]) -> None:
+    parts = np.split(np.arange(1000), sorted(cuts))
+    together = pooled(ErrorSums.of(PREDICTED[part], MEASURED[part]) for part in parts)
+    whole = ErrorSums.of(PREDICTED, MEASURED)
+    assert together.count == whole.count
+    assert together.nrmse == pytest.approx(whole.nrmse, rel=ROUNDING)
+
+
+@pytest.mark.parametrize("measured", [np.empty(0), np.full(10, 300.1)])
+def test_without_samples_or_variation_there_is_no_nrmse(measured: np.ndarray) -> None:
+    assert math.isnan(ErrorSums.of(measured + 1.0, measured).nrmse)
