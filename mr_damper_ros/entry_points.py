@@ -15,7 +15,7 @@ import signal
 from importlib import import_module
 from types import FrameType
 
-_WORK = "mr_damper_ros.processes.worker_preload"
+_WORK = "mr_damper_ros.tracking.worker_preload"
 """What the identifier's worker must load for its tasks."""
 
 

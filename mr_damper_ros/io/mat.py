@@ -16,16 +16,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mr_damper_ros.processes import child_process
+
 TIME_LIMIT = 60.0
 """Seconds that reading may take."""
 
 _VERSION_73, _NO_SCIPY, _DAMAGED = 3, 4, 5
 """Exit codes of the child."""
-
-_CHILD = (
-    "import sys; limit, *sys.path = sys.argv[1:]; "
-    f"from {__name__} import serve; serve(float(limit))"
-)
 
 Matrices = dict[str, NDArray[np.number]]
 """Real matrices (rows, columns) of numbers, by name."""
@@ -42,11 +39,9 @@ def read_matrices(path: Path) -> Matrices:
     :data:`TIME_LIMIT`, and OSError where there is no such file.
     """
     child = subprocess.run(
-        # Isolated: nothing is imported from the folder in which the program was called.
-        [sys.executable, "-I", "-c", _CHILD, str(TIME_LIMIT), *sys.path],
+        child_process.command(serve, str(TIME_LIMIT)),
         input=path.read_bytes(),
         capture_output=True,
-        # Ctrl-C goes to the whole group of the terminal; the child must not see it.
         start_new_session=True,
         check=False,
     )
@@ -67,10 +62,10 @@ def read_matrices(path: Path) -> Matrices:
     raise MatError("is not a MAT file that can be read: save it again, or export it as CSV")
 
 
-def serve(limit: float) -> None:
+def serve(limit: str) -> None:
     """Be the child, for at most ``limit`` seconds."""
     # Without a handler the signal ends a process also while it is in a call into C.
-    signal.setitimer(signal.ITIMER_REAL, limit)
+    signal.setitimer(signal.ITIMER_REAL, float(limit))
     try:
         from scipy.io import loadmat  # here: see mr_damper_ros.entry_points
     except ImportError:

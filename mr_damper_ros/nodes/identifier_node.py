@@ -43,7 +43,11 @@ from mr_damper_ros.nodes.results import (
 )
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.background_writer import BackgroundWriter
-from mr_damper_ros.processes.pipeline import (
+from mr_damper_ros.processes.worker import Worker
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.acceptance import AcceptanceSettings
+from mr_damper_ros.tracking.look_task import EARLY_METHOD
+from mr_damper_ros.tracking.pipeline import (
     Budget,
     Pipeline,
     Search,
@@ -51,10 +55,6 @@ from mr_damper_ros.processes.pipeline import (
     SearchProgress,
     WindowEnded,
 )
-from mr_damper_ros.processes.worker import Worker
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.acceptance import AcceptanceSettings
-from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.screening import Screening
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file

@@ -8,18 +8,16 @@ been started with one too (``OMP_NUM_THREADS=1``) for results that agree to the 
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import multiprocessing
 import os
-import signal
-import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from functools import partial
 from multiprocessing.queues import SimpleQueue
 from types import TracebackType
 from typing import Any, TypeVar
+
+from mr_damper_ros.processes import child_process
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -30,13 +28,8 @@ Tell = Callable[[Any], bool]
 Listen = Callable[[int, Any], bool]
 """Hears of the progress of the task of this index; returning False stops all tasks."""
 
-SINGLE_THREADED = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment in which BLAS computes with one thread."""
-
 _PATIENCE = 0.05
 """Seconds between two looks at what the processes tell."""
-
-_PR_SET_PDEATHSIG = 1
 
 
 class ProcessPool:
@@ -119,13 +112,15 @@ class ProcessPool:
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
-            os.environ.update({**SINGLE_THREADED, **os.environ})
-            # Nothing is forked: threads of the parent do not survive a fork.
+            os.environ.update({**child_process.SINGLE_THREADED, **os.environ})
             context = multiprocessing.get_context("spawn")
             self._stop = context.Event()
             self._told: SimpleQueue[tuple[int, Any]] = context.SimpleQueue()
             self._pool = ProcessPoolExecutor(
-                self.count, context, initializer=_begin, initargs=(self._stop, self._told)
+                self.count,
+                context,
+                initializer=_begin,
+                initargs=(os.getpid(), self._stop, self._told),
             )
         return self._pool
 
@@ -162,18 +157,10 @@ _channel: tuple[Any, SimpleQueue[tuple[int, Any]]] | None = None
 """In a process of a pool: whether to stop, and where to tell."""
 
 
-def _begin(stop: Any, told: SimpleQueue[tuple[int, Any]]) -> None:
+def _begin(parent: int, stop: Any, told: SimpleQueue[tuple[int, Any]]) -> None:
     global _channel
     _channel = stop, told
-    # Ctrl-C goes to all processes of a terminal; the first one decides.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError):
-            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    # The parent may have died before that was said.
-    parent = multiprocessing.parent_process()
-    if parent is not None and not parent.is_alive():
-        os._exit(1)
+    child_process.live_with(parent)
 
 
 def _call(function: Callable[[Task, Tell], Result], task: Task, index: int) -> Result:

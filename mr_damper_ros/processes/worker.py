@@ -14,15 +14,12 @@ child and load rclpy there. Tasks and answers are pickles over a private socket 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import math
 import os
 import pickle
 import queue
-import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -31,7 +28,7 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
 
-from mr_damper_ros.processes.process_pool import SINGLE_THREADED
+from mr_damper_ros.processes import child_process
 
 _GRACE = 1.0
 """Seconds that a task has for stopping by itself after it was asked to."""
@@ -51,8 +48,6 @@ with the whole computer perhaps, has not listened."""
 
 _RESTART_PAUSE = 1.0
 """Seconds between two starts where the process does not even come up."""
-
-_PR_SET_PDEATHSIG = 1
 
 _TASK, _STOP = b"t", b"s"
 """First byte of what the node sends: a pickled (number, call), or the number of one to stop."""
@@ -113,18 +108,10 @@ class _Process:
         ours, theirs = socket.socketpair()
         with theirs:
             self._child = subprocess.Popen(
-                [
-                    *(sys.executable, "-c"),
-                    f"from {__name__} import serve; serve({theirs.fileno()}, {module!r})",
-                ],
+                child_process.command(serve, str(theirs.fileno()), module),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                env={
-                    **os.environ,
-                    # The arrays are small: more threads would only take the node's time from it.
-                    **SINGLE_THREADED,
-                    "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
-                },
+                env={**os.environ, **child_process.SINGLE_THREADED},
                 # Ctrl-C goes to the whole group of the terminal; the worker must not see it.
                 start_new_session=True,
             )
@@ -332,14 +319,10 @@ class Worker:
         return [Failed(self._number, why)]
 
 
-def serve(descriptor: int, module: str) -> None:
+def serve(descriptor: str, module: str) -> None:
     """Be the worker on this socket, until it closes, for the tasks of a module."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if sys.platform == "linux":
-        # The end of the socket is noticed by a thread, which a long call into C could hold up.
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     import_module(module)
-    connection = Connection(descriptor)
+    connection = Connection(int(descriptor))
     tasks: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     stopped: set[int] = set()
 

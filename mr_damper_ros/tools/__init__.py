@@ -7,6 +7,6 @@ afterwards.
 
 import os
 
-from mr_damper_ros.processes.process_pool import SINGLE_THREADED
+from mr_damper_ros.processes.child_process import SINGLE_THREADED
 
 os.environ.update({**SINGLE_THREADED, **os.environ})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 
 import numpy as np
@@ -35,3 +36,17 @@ def failing(number: int, tell: Tell) -> int:
 
 def threads(number: int, tell: Tell) -> str:
     return os.environ["OMP_NUM_THREADS"]
+
+
+def told(*arguments: str) -> None:
+    print(list(arguments))
+
+
+def answering() -> None:
+    """Reads a line and prints it."""
+    print("ready", flush=True)
+    print(input(), flush=True)
+
+
+def crash(*arguments: str) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)

@@ -14,7 +14,9 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force
-from mr_damper_ros.processes.pipeline import (
+from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress
+from mr_damper_ros.tracking.look_task import EARLY_METHOD
+from mr_damper_ros.tracking.pipeline import (
     Budget,
     Event,
     Pipeline,
@@ -23,8 +25,6 @@ from mr_damper_ros.processes.pipeline import (
     SearchProgress,
     WindowEnded,
 )
-from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress
-from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow

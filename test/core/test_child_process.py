@@ -1,0 +1,91 @@
+"""Child processes: they find what their parent finds, heed no Ctrl-C, and die with their parent."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import tasks
+
+from mr_damper_ros.processes import child_process
+
+PATIENCE = 30.0
+
+
+def output(function: Callable[..., object], *arguments: str) -> str:
+    command = child_process.command(function, *arguments)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def gone(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return True
+    return state == "Z"
+
+
+def test_a_function_is_called_with_its_arguments() -> None:
+    assert output(tasks.told, "a b", "", "-c") == "['a b', '', '-c']\n"
+
+
+def test_nothing_is_imported_from_the_folder_where_it_was_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ctypes.py").write_text("raise SystemExit(1)", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
+    assert output(tasks.told) == "[]\n"
+
+
+def test_the_import_paths_of_the_environment_do_not_leak_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ctypes.py").write_text("raise SystemExit(1)", encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert output(tasks.told) == "[]\n"
+
+
+def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
+    command = child_process.command(tasks.answering)
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"ready\n"
+        child.send_signal(signal.SIGINT)
+        child.stdin.write(b"go on\n")
+        child.stdin.close()
+        assert child.stdout.read() == b"go on\n"
+
+
+def test_it_dies_with_its_parent() -> None:
+    parent = (
+        f"import sys; sys.path[:] = {sys.path!r}; import subprocess, tasks; "
+        "from mr_damper_ros.processes import child_process; "
+        "child = subprocess.Popen(child_process.command(tasks.answering), stdin=subprocess.PIPE, "
+        "stdout=subprocess.PIPE, start_new_session=True); child.stdout.readline(); "
+        "print(child.pid, flush=True); child.wait()"
+    )
+    with subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE) as middle:
+        assert middle.stdout is not None
+        child = int(middle.stdout.readline())
+        middle.kill()
+    deadline = time.monotonic() + PATIENCE
+    while not gone(child):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_one_whose_parent_has_died_before_ends_at_once() -> None:
+    command = child_process.command(tasks.told)
+    nobody = [str(os.getpid() + 1) if part == str(os.getpid()) else part for part in command]
+    done = subprocess.run(nobody, capture_output=True, timeout=PATIENCE, check=False)
+    assert (done.returncode, done.stdout) == (1, b"")
