@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import pool_tasks
 import pytest
-import tasks
 
 from mr_damper_ros.processes import child_process
 
@@ -34,7 +34,7 @@ def gone(pid: int) -> bool:
 
 
 def test_a_function_is_called_with_its_arguments() -> None:
-    assert output(tasks.told, "a b", "", "-c") == "['a b', '', '-c']\n"
+    assert output(pool_tasks.told, "a b", "", "-c") == "['a b', '', '-c']\n"
 
 
 def test_nothing_is_imported_from_the_folder_where_it_was_called(
@@ -43,7 +43,7 @@ def test_nothing_is_imported_from_the_folder_where_it_was_called(
     (tmp_path / "ctypes.py").write_text("raise SystemExit(1)", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
-    assert output(tasks.told) == "[]\n"
+    assert output(pool_tasks.told) == "[]\n"
 
 
 def test_the_import_paths_of_the_environment_do_not_leak_in(
@@ -51,11 +51,11 @@ def test_the_import_paths_of_the_environment_do_not_leak_in(
 ) -> None:
     (tmp_path / "ctypes.py").write_text("raise SystemExit(1)", encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    assert output(tasks.told) == "[]\n"
+    assert output(pool_tasks.told) == "[]\n"
 
 
 def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
-    command = child_process.command(tasks.answering)
+    command = child_process.command(pool_tasks.answering)
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
         assert child.stdin is not None
         assert child.stdout is not None
@@ -68,10 +68,11 @@ def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
 
 def test_it_dies_with_its_parent() -> None:
     parent = (
-        f"import sys; sys.path[:] = {sys.path!r}; import subprocess, tasks; "
+        f"import sys; sys.path[:] = {sys.path!r}; import subprocess, pool_tasks; "
         "from mr_damper_ros.processes import child_process; "
-        "child = subprocess.Popen(child_process.command(tasks.answering), stdin=subprocess.PIPE, "
-        "stdout=subprocess.PIPE, start_new_session=True); child.stdout.readline(); "
+        "child = subprocess.Popen(child_process.command(pool_tasks.answering), "
+        "stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True); "
+        "child.stdout.readline(); "
         "print(child.pid, flush=True); child.wait()"
     )
     with subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE) as middle:
@@ -85,7 +86,7 @@ def test_it_dies_with_its_parent() -> None:
 
 
 def test_one_whose_parent_has_died_before_ends_at_once() -> None:
-    command = child_process.command(tasks.told)
+    command = child_process.command(pool_tasks.told)
     nobody = [str(os.getpid() + 1) if part == str(os.getpid()) else part for part in command]
     done = subprocess.run(nobody, capture_output=True, timeout=PATIENCE, check=False)
     assert (done.returncode, done.stdout) == (1, b"")

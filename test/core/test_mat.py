@@ -7,8 +7,8 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pool_tasks
 import pytest
-import tasks
 from scipy.io import savemat
 
 from mr_damper_ros.io import mat
@@ -58,7 +58,7 @@ def test_a_file_that_crashes_the_reader_is_one_sentence(tmp_path: Path) -> None:
 def test_a_reader_that_is_killed_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mat, "serve", tasks.crash)
+    monkeypatch.setattr(mat, "serve", pool_tasks.crash)
     with pytest.raises(mat.MatError) as caught:
         mat.read_matrices(written(tmp_path / "run.mat", {"data": MATRIX}))
     assert str(caught.value) == UNREADABLE
