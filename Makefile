@@ -33,7 +33,7 @@ bench: setup ## Measure the figures of the identification; writes build/bench.js
 	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 	exec python -m benchmarks.bench $(ARGS)
 
-soak: setup ## Kill, stream for hours, feed what is hostile: an hour; writes build/soak.json
+soak: setup ## Kill, interrupt, stream for hours, feed what is hostile: 90 minutes; writes build/soak.json
 	@. ./env.bash
 	export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 	exec python -m benchmarks.soak $(ARGS)

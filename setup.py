@@ -1,12 +1,55 @@
 """Build of the package mr_damper_ros, called by colcon."""
 
+import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 
 from setuptools import find_packages, setup
+from setuptools.command.develop import develop
+from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
 NODES = ("bridge", "identifier", "model", "replay")
 TOOLS = ("identify", "import_record", "reproduce", "thesis_bags", "validate")
+
+
+HEAR = ["/usr/bin/env", "--block-signal=INT,TERM"]
+"""Starts a program with these signals held back until it says that it hears them."""
+
+NODE = """\
+#!{interpreter}
+# A signal that comes while Python starts is held back until the node hears it.
+import sys
+
+from {package}.entry_points import {name}
+
+sys.exit({name}())
+"""
+
+
+def interpreter() -> str:
+    """Return what runs a node's program; without holding signals back where `env` cannot."""
+    hears = subprocess.run([*HEAR, "true"], capture_output=True, check=False).returncode == 0
+    return f"{HEAR[0]} -S {' '.join(HEAR[1:])} {sys.executable}" if hears else sys.executable
+
+
+class Programs:
+    """Part of the commands that install programs: the nodes' are shorter, and hear signals."""
+
+    def write_script(self, script_name: str, contents: str, *arguments: object) -> None:
+        """Write a program; setuptools calls it."""
+        if script_name in NODES:
+            contents = NODE.format(interpreter=interpreter(), package=NAME, name=script_name)
+        super().write_script(script_name, contents, *arguments)  # type: ignore[misc]
+
+
+class Develop(Programs, develop):
+    """Programs of a build with --symlink-install."""
+
+
+class InstallScripts(Programs, install_scripts):
+    """Programs of any other build."""
 
 
 def data_files(*patterns: str) -> list[tuple[str, list[str]]]:
@@ -18,6 +61,14 @@ def data_files(*patterns: str) -> list[tuple[str, list[str]]]:
                 folders.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
     return list(folders.items())
 
+
+if {"develop", "install"} & set(sys.argv) and not importlib.util.find_spec("mr_damper_msgs"):
+    print(
+        "The messages, mr_damper_msgs, are not built, and no node starts without them: link their "
+        "folder beside this package (ln -s mr_damper_ros/msg_defs src/mr_damper_msgs) and build "
+        "again.",
+        file=sys.stderr,
+    )
 
 setup(
     name=NAME,
@@ -37,6 +88,7 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
+    cmdclass={"develop": Develop, "install_scripts": InstallScripts},
     entry_points={
         "console_scripts": [f"{name} = {NAME}.entry_points:{name}" for name in NODES]
         + [f"{name} = {NAME}.tools.{name}:main" for name in TOOLS]

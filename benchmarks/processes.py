@@ -130,6 +130,10 @@ class Process:
         """Ask it to end as Ctrl-C does and return its exit code; killed where it does not end."""
         if self.running:
             self._process.send_signal(signal.SIGINT)
+        return self.wait()
+
+    def wait(self) -> int:
+        """Wait until it has ended and return its exit code; killed where it does not end."""
         try:
             return self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:

@@ -1,4 +1,4 @@
-"""What takes longer than a test may: kills, hours of data, hostile input. ``make soak``.
+"""What takes longer than a test may: kills, Ctrl-C, hours of data, hostile input. ``make soak``.
 
 Writes ``build/soak.json`` and prints a table.
 """
@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks import endurance, fuzz, kills
+from benchmarks import endurance, fuzz, interrupts, kills
 from benchmarks.figure import Figure, table, write
 
 OUTPUT = Path("build/soak.json")
@@ -23,6 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parts: dict[str, Callable[[], list[Figure]]] = {
         "fuzz": lambda: fuzz.figures(options.cases, options.seed),
         "kills": lambda: kills.figures(options.kills, options.kills, options.seed),
+        "interrupts": lambda: interrupts.figures(options.interrupts, options.seed),
         "soak": lambda: endurance.figures(options.hours, min(1.0, 0.25 * options.hours)),
     }
     figures: list[Figure] = []
@@ -42,7 +43,10 @@ def _parser() -> argparse.ArgumentParser:
         prog="soak", description="Kill, stream for hours, and feed what is hostile."
     )
     parser.add_argument(
-        "--only", nargs="+", choices=("fuzz", "kills", "soak"), help="these parts alone"
+        "--only",
+        nargs="+",
+        choices=("fuzz", "kills", "interrupts", "soak"),
+        help="these parts alone",
     )
     parser.add_argument(
         "--hours", type=float, default=8.0, help="of data at 20 x (default %(default)s)"
@@ -52,6 +56,9 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         default=100,
         help="of nodes, and as many of the worker (default %(default)s)",
+    )
+    parser.add_argument(
+        "--interrupts", type=int, default=200, help="of each node (default %(default)s)"
     )
     parser.add_argument(
         "--cases", type=int, default=100_000, help="of hostile input (default %(default)s)"

@@ -1,7 +1,8 @@
 """Starts the nodes: loads them with a stop signal already heard.
 
 Loading rclpy and SciPy takes a second or two. A signal that comes meanwhile ends the program as it
-does later: with exit code 0, no traceback.
+does later: with exit code 0, no traceback. The installed programs hold signals back (see setup.py)
+while Python itself starts, and from the node's end on they are ignored.
 
 SciPy takes the most of it. A node that was killed should be back soon, so what a node loads
 imports SciPy only where it is called. The identifier's worker, which loads it before its first
@@ -12,11 +13,24 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from importlib import import_module
 from types import FrameType
 
 _WORK = "mr_damper_ros.tracking.worker_preload"
 """What the identifier's worker must load for its tasks."""
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+_NOT_INSTALLED = 2
+
+_MISSING = {
+    "mr_damper_msgs": "The package mr_damper_msgs is missing: build it too (in a workspace: ln -s "
+    "mr_damper_ros/msg_defs src/mr_damper_msgs, then colcon build) and source install/setup.bash.",
+    "rclpy": "ROS 2 is missing: source the setup.bash of ROS 2 Jazzy, or env.bash of this clone.",
+    "rosbags": "The Python package rosbags is missing: rosdep install installs it.",
+}
+"""What to do where a module cannot be imported."""
 
 
 def bridge() -> int:
@@ -48,13 +62,30 @@ def replay() -> int:
 
 def _run(name: str, *arguments: object) -> int:
     _hear_signals()
-    code: int = import_module(f"mr_damper_ros.nodes.{name}_node").main(*arguments)
+    try:
+        node = import_module(f"mr_damper_ros.nodes.{name}_node")
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing not in _MISSING:
+            raise
+        print(_MISSING[missing], file=sys.stderr)
+        return _NOT_INSTALLED
+    try:
+        code: int = node.main(*arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:  # who was reading has enough; Python must not try to flush again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    finally:
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
     return code
 
 
 def _hear_signals() -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _SIGNALS:
         signal.signal(number, _leave)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import signal
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -64,9 +63,9 @@ def run(
     # rclpy's own handlers shut the context down in the midst of whatever is being done: callbacks
     # fail, and the events executor may abort the process when that happens in its first spin. With
     # these the node ends in good order, and a signal before rclpy has started is not lost.
-    stop = threading.Event()
+    stop = _Stop()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+        signal.signal(number, stop)
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
@@ -81,7 +80,17 @@ def run(
         rclpy.try_shutdown()
 
 
-def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: threading.Event) -> int:
+class _Stop:
+    """Remembers a signal. An Event would not do: a second signal in its ``set`` locks it up."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __call__(self, *_: object) -> None:
+        self.requested = True
+
+
+def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: _Stop) -> int:
     try:
         node = factory()
     except rclpy_implementation.RCLError as error:
@@ -93,7 +102,7 @@ def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: thre
     gc.collect()
     gc.freeze()
     try:
-        while not stop.is_set():
+        while not stop.requested:
             executor.spin_once(timeout_sec=_WAKE_UP)
             code = ended(node)
             if code is not None:

@@ -1,4 +1,4 @@
-"""Short variants of ``make soak``: a few kills, and half a minute of streaming at twenty times."""
+"""Short variants of ``make soak``: kills, Ctrl-C, half a minute of streaming at twenty times."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="these tests need ROS")
 
-from benchmarks import endurance, kills
+from benchmarks import endurance, interrupts, kills
 
 GROWTH = 5.0
 """MB that a node may grow by in the second half of a minute; a leak of the blocks would be 8."""
@@ -18,6 +18,14 @@ def test_whatever_is_killed_the_state_stays() -> None:
         *("bridge", "identifier", "model", "worker")
     ]
     assert [kill.fault for kill in carried_out if kill.fault] == []
+
+
+def test_a_node_ends_cleanly_whenever_it_is_interrupted() -> None:
+    pressed = interrupts.campaign(count=5, seed=3)
+    assert {one.node for one in pressed} == set(interrupts.NODES)
+    assert {one.signals for one in pressed} == {1, 2}
+    assert any(one.age < interrupts.START for one in pressed)
+    assert [one for one in pressed if one.fault] == []
 
 
 def test_a_stream_at_speed_leaves_no_errors_and_no_leak() -> None:

@@ -1,0 +1,59 @@
+"""How a node's program starts: what it says where something is missing, or nobody reads it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from support import assert_one_sentence, installed_programs
+
+NODES = ("bridge", "identifier", "model", "replay")
+
+WITHOUT = """
+import sys
+
+sys.modules[{missing!r}] = None
+from mr_damper_ros.entry_points import {node}
+
+sys.exit({node}())
+"""
+"""A program in which a module cannot be imported."""
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_signals_are_held_back_from_the_first_moment(node: str) -> None:
+    first_line = (installed_programs() / node).read_text(encoding="utf-8").splitlines()[0]
+    assert first_line == f"#!/usr/bin/env -S --block-signal=INT,TERM {sys.executable}"
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize(
+    ("missing", "cure"), [("mr_damper_msgs", "colcon build"), ("rclpy", "setup.bash")]
+)
+def test_a_missing_package_is_one_sentence_with_the_cure(
+    node: str, missing: str, cure: str
+) -> None:
+    program = WITHOUT.format(missing=missing, node=node)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 2
+    assert_one_sentence(done.stderr)
+    assert cure in done.stderr
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_reader_that_has_enough_is_no_error(node: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "wb") as closed:
+        done = subprocess.run(
+            [installed_programs() / node, "--help"],
+            stdout=closed,
+            stderr=subprocess.PIPE,
+            timeout=60,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (0, b"")
