@@ -1,10 +1,13 @@
 """What is built and installed: both packages, their messages, programs and files."""
 
+import ast
 import json
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -45,6 +48,25 @@ def test_colcon_sees_both_packages():
         ["mr_damper_msgs", "msg_defs", "(ros.ament_cmake)"],
         ["mr_damper_ros", ".", "(ros.ament_python)"],
     ]
+
+
+def collected(*options: str) -> list[str]:
+    """Tests that pytest finds in this repository, with these options."""
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", *options],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONHASHSEED": "0"},  # the order of sets is part of some names
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    return [line for line in done.stdout.splitlines() if "::" in line]
+
+
+def test_all_tests_are_found_where_launch_testing_is_installed():
+    assert collected("-p", "prepending_plugin") == collected()
 
 
 @pytest.mark.parametrize("name", ["package.xml", "msg_defs/package.xml"])
@@ -99,6 +121,51 @@ def test_one_version_everywhere():
     )
     assert heading
     assert heading[1] == version
+
+
+KEYS = {
+    "matplotlib": "python3-matplotlib",
+    "mpl_toolkits": "python3-matplotlib",
+    "numpy": "python3-numpy",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "yaml": "python3-yaml",
+}
+"""Keys of rosdep for what is no ROS package; those are called like the modules they hold."""
+
+OPTIONAL = {"cma"}
+"""What is used where it is installed."""
+
+
+def imported_modules() -> set[str]:
+    """First names of what the package and its launch files import, from outside of Python."""
+    names: set[str] = set()
+    for folder in ("mr_damper_ros", "launch"):
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    names |= {alias.name.partition(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom):
+                    names.add((node.module or "").partition(".")[0])
+    return names - set(sys.stdlib_module_names) - {"mr_damper_ros"}
+
+
+def test_package_xml_names_everything_that_is_imported():
+    root = ElementTree.parse(ROOT / "package.xml").getroot()
+    named = {element.text for tag in ("depend", "exec_depend") for element in root.iter(tag)}
+    needed = {KEYS.get(module, module) for module in imported_modules() - OPTIONAL}
+    assert needed <= named
+    # ros2launch is the command that starts the launch files.
+    assert named - needed == {"ros2launch"}
+
+
+def test_a_link_to_the_messages_is_all_that_a_workspace_needs(tmp_path):
+    """What colcon and rosdep do: neither looks below a package, both follow links."""
+    packages = pytest.importorskip("catkin_pkg.packages")
+    (tmp_path / "mr_damper_ros").symlink_to(ROOT)
+    assert packages.find_package_paths(str(tmp_path)) == ["mr_damper_ros"]
+    (tmp_path / "mr_damper_msgs").symlink_to("mr_damper_ros/msg_defs")
+    assert sorted(packages.find_package_paths(str(tmp_path))) == ["mr_damper_msgs", "mr_damper_ros"]
 
 
 def typestore():
