@@ -1,1 +1,83 @@
-"""Identify a magnetorheological damper while it runs, and predict its force."""
+"""Identify a magnetorheological damper, and predict its force.
+
+The Python interface, which needs no ROS::
+
+    import mr_damper_ros as mr
+
+    run = mr.read_record("run.csv", "time:s,displacement:mm,force:N", current=0.5)
+    result = mr.identify(run)
+    print(result)
+    result.save("damper.yaml")
+    result.plot().savefig("damper.png")
+
+Names are loaded when they are used first. All numbers are in SI units; extension and tension are
+positive.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mr_damper_ros.interface.fit_result import Identification
+    from mr_damper_ros.interface.identification import identify
+    from mr_damper_ros.interface.validation import Validation, validate
+    from mr_damper_ros.io.bags import read_bag, write_bag
+    from mr_damper_ros.io.records import read_record
+    from mr_damper_ros.models import MODELS
+    from mr_damper_ros.models.parameter_set import ParameterSet
+    from mr_damper_ros.signals.blocks import SampleBlock
+    from mr_damper_ros.signals.recording import Recording
+    from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+    from mr_damper_ros.tracking.tracker import WindowTracker
+    from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+
+__all__ = [
+    "MODELS",
+    "ForcePredictor",
+    "Identification",
+    "ParameterSet",
+    "PredictorSettings",
+    "Recording",
+    "SampleBlock",
+    "TrackerSettings",
+    "Validation",
+    "WindowTracker",
+    "identify",
+    "read_bag",
+    "read_record",
+    "validate",
+    "write_bag",
+]
+
+_HOMES = {
+    "MODELS": "models",
+    "ForcePredictor": "tracking.predictor",
+    "Identification": "interface.fit_result",
+    "ParameterSet": "models.parameter_set",
+    "PredictorSettings": "tracking.predictor",
+    "Recording": "signals.recording",
+    "SampleBlock": "signals.blocks",
+    "TrackerSettings": "tracking.tracker_settings",
+    "Validation": "interface.validation",
+    "WindowTracker": "tracking.tracker",
+    "identify": "interface.identification",
+    "read_bag": "io.bags",
+    "read_record": "io.records",
+    "validate": "interface.validation",
+    "write_bag": "io.bags",
+}
+"""The module of each name."""
+
+if not TYPE_CHECKING:  # a type checker knows the names from the imports above, and no others
+
+    def __getattr__(name: str) -> object:
+        """Load a name of the interface when it is used first."""
+        if name not in _HOMES:
+            raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+        value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
+
+    def __dir__() -> list[str]:
+        """The names of the interface, loaded or not."""
+        return sorted({*globals(), *__all__})

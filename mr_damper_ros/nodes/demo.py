@@ -20,6 +20,8 @@ from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, Predicte
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
+from mr_damper_ros.interface.comparison import Comparison
+from mr_damper_ros.interface.figures import save_figures
 from mr_damper_ros.io.bags import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.published import LITERATURE
@@ -29,7 +31,6 @@ from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool
-from mr_damper_ros.tools.figures import loop_figures
 
 _NODES = ("identifier", "model")
 _START_LIMIT = 30.0
@@ -240,22 +241,18 @@ def _summary(watcher: Watcher, recording: Recording, folder: Path) -> int:
     print(f"evaluations of the force law:              {evaluations:10d}")
     first = both[0]
     chosen = slice(first, first + predicted.size)
-    figures = loop_figures(
-        folder,
-        motion.displacement[chosen],
-        motion.velocity[chosen],
-        seen,
-        predicted,
-        "\n".join((f"{recording.name}, predicted while it ran", *_provenance(recording))),
+    comparison = Comparison(
+        name=recording.name,
+        time=recording.time[chosen],
+        displacement=motion.displacement[chosen],
+        velocity=motion.velocity[chosen],
+        measured=seen,
+        predicted=predicted,
+        provenance=recording.details.get("provenance", ""),
     )
+    figures = save_figures([comparison], folder, ["png"], "predicted while it ran")
     print("figures: " + ", ".join(str(path) for path in figures))
     return 0
-
-
-def _provenance(recording: Recording) -> tuple[str, ...]:
-    """What a reader of the figure must know of the data, if the recording says so."""
-    text = recording.details.get("provenance", "")
-    return (text,) if text else ()
 
 
 def _nrmse(predicted: Array, measured: Array) -> float:

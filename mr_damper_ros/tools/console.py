@@ -1,12 +1,15 @@
-"""What command-line programs share: errors as sentences, Ctrl-C, files written whole."""
+"""What command-line programs share: errors as sentences, Ctrl-C, exit codes."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+
+from mr_damper_ros.interface.comparison import Comparison
+from mr_damper_ros.interface.figures import FORMATS, save_figures
 
 FAILED = 2
 """Exit code where the input or the options cannot be used."""
@@ -50,12 +53,22 @@ def _fail(parser: argparse.ArgumentParser, sentence: str) -> int:
     return FAILED
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all; missing folders are made. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        fresh.write_text(text, encoding="utf-8")
-        fresh.replace(path)
-    finally:
-        fresh.unlink(missing_ok=True)
+def add_plot_options(parser: argparse.ArgumentParser) -> None:
+    """The options that :func:`write_plots` heeds."""
+    parser.add_argument(
+        "--plot", type=Path, metavar="FOLDER", help="draw measured and predicted force of each run"
+    )
+    parser.add_argument(
+        "--plot-format",
+        choices=FORMATS,
+        nargs="+",
+        default=["png"],
+        help="of the figures (default png)",
+    )
+
+
+def write_plots(options: argparse.Namespace, comparisons: Iterable[Comparison]) -> None:
+    """Draw the figures that were asked for, and say where they are."""
+    if options.plot is not None:
+        written = save_figures(comparisons, options.plot, options.plot_format)
+        print("figures: " + ", ".join(map(str, written)))

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
-from mr_damper_ros.tools.bag_windows import bag_windows, metrics
-from mr_damper_ros.tools.console import run_tool, write_text
-from mr_damper_ros.tracking.state_directory import read_parameter_file
+from mr_damper_ros.interface.validation import validate
+from mr_damper_ros.io.whole_files import write_text
+from mr_damper_ros.tools.console import add_plot_options, run_tool, write_plots
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,19 +28,14 @@ def _parser() -> argparse.ArgumentParser:
         "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
+    add_plot_options(parser)
     return parser
 
 
 def _validate(options: argparse.Namespace) -> int:
-    found = read_parameter_file(options.parameters)
-    entries = []
-    for path in options.bags:
-        error = asdict(metrics(found, bag_windows(path).windows))
-        entries.append({"bag": str(path), "metrics": error})
-        print(
-            f"{path}: RMSE {error['rmse']:.4g} N, NRMSE {error['nrmse']:.2%}, "
-            f"R2 {error['r2']:.4f} ({error['n_samples']} samples)"
-        )
+    result = validate(options.parameters, options.bags)
+    print(result)
     if options.json is not None:
-        write_text(options.json, json.dumps({"bags": entries}, indent=2, allow_nan=False) + "\n")
+        write_text(options.json, json.dumps(result.document(), indent=2, allow_nan=False) + "\n")
+    write_plots(options, [run.comparison for run in result.runs])
     return 0

@@ -13,7 +13,7 @@ PACKAGE = ROOT / "mr_damper_ros"
 
 ROOMS = (
     *("processes", "signals", "kinematics", "models", "estimation", "tracking", "control"),
-    *("io", "rig", "nodes", "tools"),
+    *("io", "rig", "interface", "nodes", "tools"),
 )
 """A room knows those before it, and none after it. Processes know nothing of dampers."""
 

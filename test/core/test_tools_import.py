@@ -16,9 +16,10 @@ from scipy.io import savemat
 from mr_damper_ros.io.bags import read_bag
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.units import UNITS, ColumnError, parse_columns
+from mr_damper_ros.io.whole_files import write_text
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tools import import_record
-from mr_damper_ros.tools.console import run_tool, write_text
+from mr_damper_ros.tools.console import run_tool
 
 COLUMNS = "time:s,displacement:mm,force:N"
 TIME = np.arange(40) * 0.01

@@ -16,7 +16,7 @@ from mr_damper_ros.estimation.determination import (
     noise_level,
     parameter_spans,
 )
-from mr_damper_ros.estimation.differential_evolution import GlobalProgress
+from mr_damper_ros.estimation.differential_evolution import GlobalProgress, Report
 from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
 from mr_damper_ros.estimation.global_fit import (
     GlobalFit,
@@ -26,10 +26,10 @@ from mr_damper_ros.estimation.global_fit import (
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.profile_likelihood import Profile, ProfileLikelihood
+from mr_damper_ros.interface.estimates import as_json
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.models.sigmoid.scale_misfit import Window, longest_lag
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
-from mr_damper_ros.tools.progress import ProgressLine
 from mr_damper_ros.tracking.fluid_temperature import TemperatureMap
 
 _POLL = 0.2
@@ -41,10 +41,16 @@ _POINTS = 9
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What there is to say of a set besides the set."""
+    """What there is to say of a set besides the set.
+
+    ``lines`` are for a reader, one finding each; ``document`` holds the same for JSON.
+    """
 
     lines: list[str]
     document: dict[str, Any]
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
 
     def __add__(self, other: Findings) -> Findings:
         return Findings(self.lines + other.lines, self.document | other.document)
@@ -101,13 +107,13 @@ def _advice(observable: np.ndarray, runs: Sequence[ExtraRun], rig: RigRange) -> 
 def _determination_entry(result: Determination) -> dict[str, Any]:
     return {
         "rank": result.rank,
-        "condition": _number(result.condition),
+        "condition": as_json(result.condition),
         "singular_values": result.singular_values.tolist(),
         "open": [
             {
                 "words": combination.words,
                 "weights": dict(combination.weights),
-                "standard_error": _number(combination.standard_error),
+                "standard_error": as_json(combination.standard_error),
             }
             for combination in result.open
         ],
@@ -119,7 +125,7 @@ def profiles(
     windows: Sequence[Window],
     names: Sequence[str],
     processes: ProcessPool,
-    progress: ProgressLine,
+    report: Report | None = None,
 ) -> Findings:
     """Profile likelihoods of the named parameters; those not begun when stopped are left out.
 
@@ -131,10 +137,11 @@ def profiles(
             raise ValueError(f"there is no parameter '{name}' to profile: use {', '.join(law)}")
     misfit = search_misfit(fit, windows)
     ranges = parameter_ranges(windows, fit.parameter_set.values)
+    listen = None if report is None else lambda _, news: report(news)
     tasks = [
         (misfit, fit.parameter_set.values, fit.parameter_set.observable, ranges, n) for n in names
     ]
-    found = [p for p in processes.map(_profile, tasks, lambda _, news: progress(news)) if p]
+    found = [p for p in processes.map(_profile, tasks, listen) if p]
     lines = [
         f"profile of {p.name}: least at {p.best:.6g}, 95 % interval "
         f"{p.interval[0]:.6g} to {p.interval[1]:.6g}"
@@ -145,7 +152,7 @@ def profiles(
             "values": p.values.tolist(),
             "ratio": p.ratio.tolist(),
             "best": p.best,
-            "interval": [_number(end) for end in p.interval],
+            "interval": [as_json(end) for end in p.interval],
         }
         for p in found
     }
@@ -207,7 +214,7 @@ def searches(found: MultiStart) -> Findings:
         }
         for seed, fit in found.fits.items()
     ]
-    of_each = {name: _number(x) for name, x in zip(names, found.spread.tolist(), strict=True)}
+    of_each = {name: as_json(x) for name, x in zip(names, found.spread.tolist(), strict=True)}
     return Findings(lines, {"searches": entries, "spread": of_each})
 
 
@@ -237,8 +244,3 @@ def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
             }
         )
     return Findings(lines, {"temperature_maps": entries})
-
-
-def _number(value: float) -> float | None:
-    """The value as JSON can hold it: null where it is infinite or unknown."""
-    return value if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""How the force falls with temperature, from bags in which it was measured."""
+"""How the force falls with temperature, from runs in which it was measured."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.interface.measured_runs import MeasuredRun
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tools.bag_windows import BagWindows
 from mr_damper_ros.tracking.fluid_temperature import TemperatureMaps
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
 
@@ -26,15 +26,15 @@ _STEADY_CURRENT = 0.02
 """Change [A] of the current that a piece may have."""
 
 
-def temperature_maps(bags: Sequence[BagWindows], parameters: Array) -> TemperatureMaps:
-    """Maps from all bags together; ``parameters`` (p,) are the set identified from them.
+def temperature_maps(runs: Sequence[MeasuredRun], parameters: Array) -> TemperatureMaps:
+    """Maps from all runs together; ``parameters`` (p,) are the set identified from them.
 
-    Each bag is cut into pieces of a few cycles, whose fitted scales give the force scale. Pieces
+    Each run is cut into pieces of a few cycles, whose fitted scales give the force scale. Pieces
     whose force cannot be fitted are left out.
     """
     maps, baselines = TemperatureMaps(), Baselines()
-    for bag in bags:
-        for window, celsius in zip(bag.windows, bag.temperatures, strict=True):
+    for run in runs:
+        for window, celsius in zip(run.windows, run.temperatures, strict=True):
             if celsius is None:
                 continue
             for piece, mean in _pieces(window, celsius):

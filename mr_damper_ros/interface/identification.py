@@ -1,0 +1,202 @@
+"""One parameter set for all runs given."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, Report
+from mr_damper_ros.estimation.multi_start import (
+    MultiStart,
+    SearchRecord,
+    SearchRecordError,
+    identify_from_seeds,
+)
+from mr_damper_ros.interface.comparison import compare, error_over
+from mr_damper_ros.interface.estimates import COEFFICIENTS, Estimate
+from mr_damper_ros.interface.fit_result import FittedRun, Identification
+from mr_damper_ros.interface.measured_runs import (
+    MeasuredRun,
+    RunSource,
+    all_windows,
+    measured_runs,
+)
+from mr_damper_ros.io.whole_files import write_text
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, without_extension
+from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.state_directory import read_parameter_file
+
+IDENTIFIED_MODELS = (DEFAULT_MODEL, EXTENDED_MODEL)
+"""Laws that can be identified over many runs."""
+
+_EVOLUTION = EvolutionSettings()
+
+
+def identify(
+    *runs: RunSource,
+    displacement: ArrayLike | None = None,
+    force: ArrayLike | None = None,
+    current: ArrayLike | None = None,
+    period: float | None = None,
+    model: str = DEFAULT_MODEL,
+    method: str = "global",
+    start: ParameterSet | str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    strategy: str = _EVOLUTION.strategy,
+    generations: int = _EVOLUTION.generations,
+    starts: int = 1,
+    workers: int = 1,
+    resume: str | os.PathLike[str] | None = None,
+    report: Report | None = None,
+) -> Identification:
+    """Fit one parameter set to all runs given.
+
+    Parameters
+    ----------
+    *runs
+        Paths of bags, recordings (:func:`read_bag`, :func:`read_record`), or lists of these.
+    displacement, force, current, period
+        A run as arrays of shape (n,): displacement [m], extension positive; force [N], tension
+        positive; current [A], a number where it is constant; and the time between samples [s].
+    model
+        Name of the force law, a key of ``MODELS``.
+    method
+        "global": the laws of the coefficients by differential evolution, then least squares on the
+        samples; "nelder_mead" or "least_squares": local search on the samples;
+        "differential_evolution": over all free parameters at once.
+    start
+        Parameter set, or its file, whose values undetermined parameters keep; without it the set
+        from the literature.
+    seed, strategy, generations
+        Of differential evolution; ``generations`` at most.
+    starts
+        Search from so many seeds; the best is the result.
+    workers
+        Processes; the result does not depend on it. A script that asks for more than one needs the
+        usual ``if __name__ == "__main__":``.
+    resume
+        File that keeps what each search has found, to go on from.
+    report
+        Called with the progress; where it returns False, the best so far is the result.
+
+    Returns
+    -------
+    Identification
+        ``success`` is False where the search was stopped, or where the set leaves more than 30 %
+        of the force's standard deviation.
+
+    Raises
+    ------
+    ValueError
+        In one sentence that says what to change, where a run or an option cannot be used.
+    OSError
+        Where a file cannot be read or written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mr_damper_ros as mr
+    >>> time = np.arange(2000) * 1e-3
+    >>> displacement, velocity = 5e-3 * np.sin(20 * time), 0.1 * np.cos(20 * time)
+    >>> force = 900 * np.tanh(velocity / 0.02) + 1500 * velocity
+    >>> result = mr.identify(displacement=displacement, force=force, current=1.0, period=1e-3)
+    >>> result.success
+    True
+    >>> result.coefficients["alpha"].unit
+    's/m'
+    """
+    start_values = _start_values(start, model)
+    settings = EvolutionSettings(strategy=strategy, generations=generations, seed=seed)
+    with ProcessPool(workers) as processes:
+        measured = measured_runs(
+            runs,
+            displacement=displacement,
+            force=force,
+            current=current,
+            period=period,
+            processes=processes,
+        )
+        windows = all_windows(measured)
+        record = SearchRecord(windows, start_values, settings, method)
+        if resume is not None and Path(resume).exists():
+            _take(record, Path(resume))
+        began = time.monotonic()
+        searches = identify_from_seeds(
+            windows,
+            start_values,
+            settings,
+            starts,
+            report,
+            method=method,
+            processes=processes,
+            record=record,
+            keep=None if resume is None else partial(_keep, Path(resume)),
+        )
+        duration = time.monotonic() - began
+    fitted = _fitted(searches, measured)
+    nrmse = error_over(run.comparison for run in fitted).nrmse
+    return Identification(
+        parameter_set=replace(searches.best.parameter_set, nrmse=nrmse),
+        runs=fitted,
+        searches=searches,
+        method=method,
+        duration=duration,
+    )
+
+
+def _start_values(source: ParameterSet | str | os.PathLike[str] | None, model: str) -> Array:
+    known_model(model)
+    if model not in IDENTIFIED_MODELS:
+        raise ValueError(
+            f"model '{model}' is identified window by window only, by the identifier node: "
+            f"use {' or '.join(IDENTIFIED_MODELS)} here"
+        )
+    if source is None:
+        found = ParameterSet(LITERATURE)
+    else:
+        found = source if isinstance(source, ParameterSet) else read_parameter_file(Path(source))
+    if model == EXTENDED_MODEL and found.model == DEFAULT_MODEL:
+        return without_extension(found.values)
+    return found.of_model(model).values
+
+
+def _take(record: SearchRecord, path: Path) -> None:
+    try:
+        record.take(json.loads(path.read_text(encoding="utf-8")))
+    except ValueError as error:
+        detail = (
+            error if isinstance(error, SearchRecordError) else "it is not the record of a search"
+        )
+        raise ValueError(f"cannot resume from {path}: {detail}") from error
+
+
+def _keep(path: Path, record: SearchRecord) -> None:
+    write_text(path, json.dumps(record.document()) + "\n")
+
+
+def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRun, ...]:
+    fit = searches.best
+    fitted = []
+    for run in runs:
+        point = run.longest.operating_point
+        values, errors = fit.coefficients(point)
+        coefficients = {
+            name: Estimate(value, error if error > 0.0 else math.nan, unit, meaning=meaning)
+            for (name, (unit, meaning)), value, error in zip(
+                COEFFICIENTS.items(), values.tolist(), errors.tolist(), strict=True
+            )
+        }
+        comparison = compare(fit.parameter_set, run)
+        fitted.append(FittedRun(run, comparison, point, coefficients))
+    return tuple(fitted)

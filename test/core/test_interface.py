@@ -1,0 +1,243 @@
+"""The Python interface, as somebody with recordings and without ROS meets it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import known
+import numpy as np
+import pytest
+import yaml
+
+import mr_damper_ros as mr
+from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
+from mr_damper_ros.tools import identify as program
+
+ROOT = Path(__file__).parents[2]
+ONE_RUN = ROOT / "bags" / "5.0mm_1Hz_1.5A"
+ANOTHER = ROOT / "bags" / "5.0mm_1Hz_0.5A"
+RUN = mr.read_bag(ONE_RUN)[0]
+
+
+def alone(code: str) -> str:
+    """What a fresh Python prints that knows the paths of this one."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}\n{code}"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def result() -> mr.Identification:
+    return mr.identify(ONE_RUN, method="least_squares")
+
+
+# -- importing -----------------------------------------------------------------------------------
+
+
+def test_importing_loads_nothing_heavy() -> None:
+    heavy = ("numpy", "scipy", "matplotlib", "rosbags", "yaml", "rclpy")
+    said = alone(f"import mr_damper_ros\nprint([m for m in {heavy} if m in sys.modules])")
+    assert said.strip() == "[]"
+
+
+def test_using_every_name_changes_no_environment_variable_and_needs_no_ros() -> None:
+    said = alone(
+        "import os\n"
+        "before = dict(os.environ)\n"
+        "import mr_damper_ros as mr\n"
+        "for name in mr.__all__: getattr(mr, name)\n"
+        "print(dict(os.environ) == before, 'rclpy' in sys.modules)"
+    )
+    assert said.split() == ["True", "False"]
+
+
+def test_all_names_are_listed_and_no_other_is_made_up() -> None:
+    assert set(mr.__all__) <= set(dir(mr))
+    with pytest.raises(AttributeError, match="has no attribute 'identfy'"):
+        mr.identfy  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_a_type_checker_knows_the_names(tmp_path: Path) -> None:
+    mypy = pytest.importorskip("mypy.api")
+    script = tmp_path / "script.py"
+    script.write_text("import mr_damper_ros as mr\nreveal_type(mr.identify('bag').nrmse)\nmr.no\n")
+    said, _, _ = mypy.run(
+        ["--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(tmp_path), str(script)]
+    )
+    assert 'Revealed type is "float"' in said.replace("builtins.", "")
+    assert 'no attribute "no"' in said
+
+
+# -- what is accepted ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ([str(ONE_RUN)], {}),
+        ([RUN], {}),
+        ([[RUN]], {}),
+        (
+            [],
+            {
+                "displacement": RUN.displacement.tolist(),
+                "force": RUN.force.tolist(),
+                "current": 1.5,
+                "period": RUN.period,
+            },
+        ),
+    ],
+    ids=["path", "recording", "list", "arrays"],
+)
+def test_paths_recordings_and_arrays_give_the_same_set(
+    result: mr.Identification, given: list[Any], named: dict[str, Any]
+) -> None:
+    found = mr.identify(*given, method="least_squares", **named)
+    assert found.parameter_set.as_dict() == pytest.approx(result.parameter_set.as_dict())
+
+
+@pytest.mark.parametrize(
+    ("given", "named", "sentence"),
+    [
+        ([], {}, "there are no runs"),
+        ([RUN.displacement], {}, "cannot be of type ndarray"),
+        ([], {"displacement": [1.0, 2.0]}, "force and current and period missing"),
+        ([ROOT / "doc" / "example.csv"], {}, "no bag: its columns and units must be told"),
+        (["nowhere"], {}, "no bag at nowhere"),
+        ([RUN], {"model": "bouc-wen"}, "model 'bouc-wen' is unknown"),
+        ([RUN], {"method": "guess"}, "method 'guess' is unknown"),
+        (
+            [],
+            {"displacement": np.arange(50.0), "force": [1.0], "current": 0.0, "period": 1.0},
+            "50 displacements but 1 values of force",
+        ),
+    ],
+    ids=["nothing", "bare array", "half", "csv", "missing", "model", "method", "lengths"],
+)
+def test_what_cannot_be_used_is_one_sentence(
+    given: list[Any], named: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence) as caught:
+        mr.identify(*given, **named)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+# -- what is found -------------------------------------------------------------------------------
+
+
+def test_the_result_has_parameters_with_errors_and_flags(result: mr.Identification) -> None:
+    assert result.parameters["f0"].observable
+    assert result.parameters["f0"].standard_error > 0.0
+    assert result.parameters["k2"].unit == "1"
+    assert not result.parameters["k2"].observable
+    assert math.isnan(result.parameters["k2"].standard_error)
+
+
+def test_the_seven_coefficients_come_first_for_a_single_run(result: mr.Identification) -> None:
+    assert tuple(result.coefficients) == COEFFICIENT_NAMES
+    shown = str(result)
+    assert shown.index("yield force") < shown.index("not observable")
+    assert shown.index("f_t") < shown.index("f0")
+
+
+def test_of_several_runs_the_parameters_are_told() -> None:
+    found = mr.identify(ONE_RUN, ANOTHER, method="least_squares")
+    assert "f_t" not in str(found)
+    assert [run.name for run in found.runs] == [str(ONE_RUN), str(ANOTHER)]
+    assert found.runs[1].operating_point[1] == pytest.approx(0.5)
+
+
+def test_terminal_file_and_document_tell_one_nrmse(
+    result: mr.Identification, tmp_path: Path
+) -> None:
+    result.save(tmp_path / "set.yaml")
+    in_file = yaml.safe_load((tmp_path / "set.yaml").read_text())["nrmse"]
+    assert in_file == pytest.approx(result.nrmse)
+    assert result.document()["metrics"]["nrmse"] == pytest.approx(result.nrmse)
+    assert f"NRMSE {result.nrmse:.2%}" in str(result)
+    again = mr.validate(tmp_path / "set.yaml", ONE_RUN)
+    assert again.nrmse == pytest.approx(result.nrmse)
+
+
+def test_a_notebook_gets_tables_without_markup_from_names(result: mr.Identification) -> None:
+    import dataclasses
+
+    odd = dataclasses.replace(RUN, name="<b>run</b>")
+    page = mr.validate(result.parameter_set, odd)._repr_html_()
+    assert "&lt;b&gt;run" in page
+    assert "<td>f_t</td>" in result._repr_html_()
+
+
+def test_what_explains_little_is_no_success() -> None:
+    noise = np.random.default_rng(0).normal(0.0, 500.0, RUN.force.size)
+    found = mr.identify(
+        displacement=RUN.displacement,
+        force=noise,
+        current=1.5,
+        period=RUN.period,
+        method="least_squares",
+    )
+    assert not found.success
+    assert "EXPLAINS TOO LITTLE" in found.message
+
+
+def test_the_program_says_so_too_with_an_exit_code_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import dataclasses
+
+    noise = np.random.default_rng(0).normal(0.0, 500.0, RUN.force.size)
+    bag, file = tmp_path / "bag", tmp_path / "result.json"
+    mr.write_bag(bag, dataclasses.replace(RUN, force=noise))
+    code = program.main([str(bag), "--method", "least_squares", "--json", str(file)])
+    assert code == program.EXPLAINS_TOO_LITTLE
+    assert "EXPLAINS TOO LITTLE" in capsys.readouterr().out
+    assert json.loads(file.read_text())["success"] is False
+
+
+def test_a_run_out_of_the_range_of_the_set_is_remarked(result: mr.Identification) -> None:
+    inside, outside = mr.validate(result.parameter_set, ONE_RUN, ANOTHER).runs
+    assert inside.remark == ""
+    assert outside.remark == "OUT OF RANGE: current 0.5 A, and the set is for 1.5 to 1.5 A"
+
+
+def test_a_set_of_another_model_is_validated() -> None:
+    values = np.array([900.0, 10_000.0, 0.0])
+    found = mr.validate(mr.ParameterSet(values, model="bingham"), RUN)
+    assert found.runs[0].error.rmse == pytest.approx(
+        known.rms(found.runs[0].comparison.residual), rel=1e-12
+    )
+
+
+def test_the_workers_of_a_script_give_the_same(tmp_path: Path) -> None:
+    script = (
+        "import mr_damper_ros as mr\n"
+        "if __name__ == '__main__':\n"
+        f"    r = mr.identify({str(ONE_RUN)!r}, {str(ANOTHER)!r}, generations=5, workers=2)\n"
+        "    print(r.nrmse)\n"
+    )
+    path = tmp_path / "script.py"
+    path.write_text(script)
+    done = subprocess.run(
+        [sys.executable, str(path)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    here = mr.identify(ONE_RUN, ANOTHER, generations=5)
+    assert float(done.stdout) == pytest.approx(here.nrmse, rel=1e-3)
