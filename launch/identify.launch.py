@@ -3,105 +3,170 @@
 ros2 launch mr_damper_ros identify.launch.py
 ros2 launch mr_damper_ros identify.launch.py bag:=/path/to/bag rate:=2.0
 ros2 launch mr_damper_ros identify.launch.py namespace:=left bridge_config:=/path/to/bridge.yaml
+
+It ends some seconds after the bag, and as soon as a node fails, then with exit code 1.
 """
 
 import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
-from launch.substitutions import (
-    EqualsSubstitution,
-    LaunchConfiguration,
-    NotEqualsSubstitution,
-    PathJoinSubstitution,
-)
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown, TimerAction
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "mr_damper_ros"
+SHARE = Path(get_package_share_directory(PACKAGE))
 
-# Recorded names are absolute; made relative, they follow the namespace.
 RECORDED_TOPICS = ("mts/samples", "supply/current", "temperature")
+"""Recorded names are absolute; made relative, they follow the namespace."""
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Where either is set, it holds; Fast DDS of Jazzy reads the first."""
 
+LAST_FITS = 5.0
+"""Seconds after the end of the bag, in which the last windows are fitted."""
 
-def generate_launch_description() -> LaunchDescription:
-    bag = LaunchConfiguration("bag")
+YES_OR_NO = ["true", "false", "True", "False"]
 
-    def config(node: str) -> PathJoinSubstitution:
-        return PathJoinSubstitution([FindPackageShare(PACKAGE), "config", f"{node}.yaml"])
 
-    def value(name: str, kind: type) -> ParameterValue:
-        return ParameterValue(LaunchConfiguration(name), value_type=kind)
+def arguments() -> list[DeclareLaunchArgument]:
+    """What the user may set."""
 
-    arguments = [
-        DeclareLaunchArgument(
-            "bag", default_value="", description="Bag to play; empty starts the bridge instead."
+    def argument(
+        name: str, default: str, description: str, choices: list[str] | None = None
+    ) -> DeclareLaunchArgument:
+        return DeclareLaunchArgument(
+            name, default_value=default, description=description, choices=choices
+        )
+
+    return [
+        argument("bag", "", "Bag to play; empty starts the bridge instead."),
+        argument("rate", "1.0", "Speed; 0.0 is as fast as possible."),
+        argument("loop", "false", "Play the recording again and again.", YES_OR_NO),
+        argument(
+            "topics",
+            "inputs",
+            "Topics of the bag to play, as recorded, separated by blanks; inputs: those of the "
+            "test machine, not what an identifier and a model have published then.",
         ),
-        DeclareLaunchArgument(
-            "rate", default_value="1.0", description="Speed; 0.0 is as fast as possible."
+        argument(
+            "at_end",
+            "stop",
+            f"What to do at the end of the bag: stop, {LAST_FITS:g} s later, or stay. With a rate "
+            "of 0.0 many windows may still wait to be fitted then.",
+            ["stop", "stay"],
         ),
-        DeclareLaunchArgument(
-            "loop", default_value="false", description="Play the recording again and again."
-        ),
-        DeclareLaunchArgument(
-            "namespace", default_value="", description="Namespace; one for each damper."
-        ),
-        DeclareLaunchArgument(
+        argument("namespace", "", "Namespace; one for each damper."),
+        argument(
             "use_sim_time",
-            default_value=NotEqualsSubstitution(bag, ""),
-            description="Take the time from /clock, which a bag that is played provides.",
+            "auto",
+            "Take the time from the clock topic; auto: where a bag is played, which provides it.",
+            ["auto", *YES_OR_NO],
+        ),
+        argument(
+            "clock",
+            "/clock",
+            "Topic of that time. Where two bags are played at once, give each launch its own, such "
+            "as /left/clock.",
+        ),
+        argument(
+            "enclave",
+            "/mr_damper",
+            "Where the nodes' enclaves lie in the keystore, such as /mr_damper/model; used where "
+            "ROS_SECURITY_ENABLE is true.",
         ),
         *(
-            DeclareLaunchArgument(
+            argument(
                 f"{node}_config",
-                default_value=config(node),
-                description=f"Parameter file of the {node}.",
+                str(SHARE / "config" / f"{node}.yaml"),
+                f"Parameter file of the {node}.",
             )
             for node in ("bridge", "replay", "identifier", "model")
         ),
     ]
 
+
+def check(values: Mapping[str, str]) -> None:
+    """Raise RuntimeError, before anything is started, where a value cannot be used."""
+    try:
+        rate = float(values["rate"])
+    except ValueError:
+        rate = -1.0
+    if not rate >= 0.0:
+        raise RuntimeError(f"rate must be a number of at least 0, not {values['rate']!r}")
+    if values["bag"] and not Path(values["bag"]).exists():
+        raise RuntimeError(f"there is no bag {values['bag']}")
+    for name, value in values.items():
+        if name.endswith("_config") and not Path(value).is_file():
+            raise RuntimeError(f"{name}: there is no file {value}")
+
+
+def after(name: str, values: Mapping[str, str]) -> Callable[..., list[TimerAction] | None]:
+    """What follows the end of a node."""
+
+    def handle(event: object, context: LaunchContext) -> list[TimerAction] | None:
+        if context.is_shutdown:
+            return None
+        code = event.returncode  # type: ignore[attr-defined]
+        if code:
+            raise RuntimeError(f"{name} has ended with exit code {code}")
+        if name == "replay" and values["at_end"] == "stop":
+            return [TimerAction(period=LAST_FITS, actions=[Shutdown(reason="end of the bag")])]
+        return None
+
+    return handle
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """The nodes that the arguments ask for."""
+    values = {item.name: LaunchConfiguration(item.name).perform(context) for item in arguments()}
+    check(values)
+    played = bool(values["bag"])
+    source = {
+        "rate": float(values["rate"]),
+        "loop": values["loop"].lower() == "true",
+        # Identifier and model are there before the first sample.
+        "wait_for_subscribers": 2,
+    }
+    sim_time = played if values["use_sim_time"] == "auto" else values["use_sim_time"]
+    time = {"use_sim_time": str(sim_time).lower() == "true"}
+    clock = [("/clock", values["clock"])]
     # Nodes that are started again are found at once.
-    profiles = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "fastdds.xml"])
+    profiles = str(SHARE / "config" / "fastdds.xml")
     environment = {} if any(map(os.environ.get, PROFILES)) else {PROFILES[0]: profiles}
 
-    def node(name: str, **details: object) -> Node:
+    def text(name: str) -> ParameterValue:
+        return ParameterValue(values[name], value_type=str)
+
+    def node(
+        name: str, parameters: dict[str, object], remappings: list[tuple[str, str]] | None = None
+    ) -> Node:
         return Node(
             package=PACKAGE,
             executable=name,
             name=name,
-            namespace=LaunchConfiguration("namespace"),
-            output="screen",
+            namespace=values["namespace"],
+            parameters=[values[f"{name}_config"], parameters],
+            remappings=remappings or [],
+            ros_arguments=["--enclave", f"{values['enclave'].rstrip('/')}/{name}"],
             additional_env=environment,
-            **details,
+            output="screen",
+            on_exit=after(name, values),
         )
 
-    # Identifier and model are there before the first sample.
-    source = {
-        "rate": value("rate", float),
-        "loop": value("loop", bool),
-        "wait_for_subscribers": 2,
-    }
-    time = {"use_sim_time": value("use_sim_time", bool)}
-    nodes = [
-        node(
-            "replay",
-            condition=IfCondition(NotEqualsSubstitution(bag, "")),
-            parameters=[LaunchConfiguration("replay_config"), {**source, "bag": value("bag", str)}],
-            remappings=[(f"/{topic}", topic) for topic in RECORDED_TOPICS],
-        ),
-        node(
-            "bridge",
-            condition=IfCondition(EqualsSubstitution(bag, "")),
-            parameters=[LaunchConfiguration("bridge_config"), source],
-        ),
-        node("identifier", parameters=[LaunchConfiguration("identifier_config"), time]),
-        node("model", parameters=[LaunchConfiguration("model_config"), time]),
-    ]
-    return LaunchDescription([*arguments, *nodes])
+    if played:
+        recorded = [(f"/{topic}", topic) for topic in RECORDED_TOPICS]
+        play = {**source, "bag": text("bag"), "topics": text("topics")}
+        first = node("replay", play, recorded + clock)
+    else:
+        first = node("bridge", source)
+    return [first, node("identifier", time, clock), node("model", time, clock)]
+
+
+def generate_launch_description() -> LaunchDescription:
+    return LaunchDescription([*arguments(), OpaqueFunction(function=nodes)])

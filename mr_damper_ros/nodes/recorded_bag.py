@@ -15,6 +15,11 @@ from rosbags.rosbag2 import Reader
 
 from mr_damper_ros.nodes.parameter_table import ConfigurationError
 
+INPUTS = "inputs"
+"""Stands for the topics of a test machine: those of a bag that end in one of these names."""
+
+_INPUT_TOPICS = ("/mts/samples", "/supply/current", "/temperature")
+
 
 @dataclass(frozen=True)
 class RecordedTopic:
@@ -28,12 +33,13 @@ class RecordedTopic:
 class RecordedBag:
     """An open bag: its topics, its provenance, its messages in the order of recording.
 
-    ``wanted`` names the topics to read; all where it is empty. Raises ConfigurationError where the
-    bag cannot be read, or lacks a wanted topic. ``omitted`` says in sentences which topics cannot
-    be published here and why.
+    ``topics`` names the topics to read, separated by blanks: all where it is empty, those of the
+    test machine where it is ``INPUTS``. Raises ConfigurationError where the bag cannot be read, or
+    lacks a wanted topic. ``omitted`` says in sentences which topics cannot be published here and
+    why.
     """
 
-    def __init__(self, path: str, wanted: frozenset[str] = frozenset()) -> None:
+    def __init__(self, path: str, topics: str = "") -> None:
         self.path = path
         if not path:
             raise ConfigurationError("no bag is given: set the parameter bag to the path of one")
@@ -50,12 +56,17 @@ class RecordedBag:
         self.topics: list[RecordedTopic] = []
         self.omitted: list[str] = []
         self._connections: list[Connection] = []
-        missing = wanted - {connection.topic for connection in self._reader.connections}
+        recorded = {connection.topic for connection in self._reader.connections}
+        wanted = recorded - {"/clock"}  # two clocks would contradict each other
+        if topics == INPUTS:
+            wanted = {topic for topic in recorded if topic.endswith(_INPUT_TOPICS)}
+        elif topics:
+            wanted = set(topics.split())
+        missing = wanted - recorded
         if missing:
             raise ConfigurationError(f"the bag {path} has no topic {', '.join(sorted(missing))}")
         for connection in self._reader.connections:
-            # Two clocks would contradict each other.
-            if connection.topic != "/clock" and (not wanted or connection.topic in wanted):
+            if connection.topic in wanted:
                 self._add(connection)
         if not self._connections or not self._reader.message_count:
             reasons = "; ".join(self.omitted) or "it is empty"

@@ -12,7 +12,7 @@ from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Findin
 from mr_damper_ros.nodes.messages import to_stamp
 from mr_damper_ros.nodes.pacing import Outlet, Pacer, SendingThread, wait_for_subscribers
 from mr_damper_ros.nodes.parameter_table import NodeParameters, ParameterTable, option
-from mr_damper_ros.nodes.recorded_bag import RecordedBag
+from mr_damper_ros.nodes.recorded_bag import INPUTS, RecordedBag
 from mr_damper_ros.nodes.spinning import FAILURE, SUCCESS, run
 
 _CLOCK_PERIOD_NS = 10_000_000
@@ -26,7 +26,8 @@ class ReplayParameters(ParameterTable):
     bag: str = option("", "Path of the bag to play: a folder, or a single file.", read_only=True)
     topics: str = option(
         "",
-        "Topics to play, as recorded, separated by blanks; empty means all of them but /clock.",
+        f"Topics to play, as recorded, separated by blanks; {INPUTS}: those of the test machine "
+        "alone, in whatever namespace; empty: all of them but /clock.",
         read_only=True,
     )
     rate: float = option(
@@ -69,7 +70,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         super().__init__("replay")
         self.parameters = NodeParameters(self, ReplayParameters)
         values = self.parameters.values
-        self._bag = RecordedBag(values.bag, frozenset(values.topics.split()))
+        self._bag = RecordedBag(values.bag, values.topics)
         log = self.get_logger()
         for sentence in self._bag.omitted:
             log.warning(sentence)
@@ -95,6 +96,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         self._clock_step_ns = round(_CLOCK_PERIOD_NS * max(values.rate, 1.0))
         self._sent = 0
         self._rounds = 0
+        self._others: list[str] = []
         self._state = "waits for subscribers"
         self.create_service(Trigger, "~/pause", self._pause)
         self.create_service(Trigger, "~/resume", self._resume)
@@ -120,6 +122,7 @@ class ReplayNode(Node):  # type: ignore[misc]
                 f"fewer than {values.wait_for_subscribers} nodes subscribed within "
                 f"{values.wait_timeout:g} s: playing to those that are there"
             )
+        self._find_others()
         while True:
             self._state = "plays"
             if not self._play_once():
@@ -133,6 +136,19 @@ class ReplayNode(Node):  # type: ignore[misc]
         for outlet in self._outlets.values():
             outlet.wait_for_acknowledgement()
         self.get_logger().info(f"end of the bag: {self._sent} messages were sent")
+
+    def _find_others(self) -> None:
+        """Say which topics another node publishes too: who listens gets a mixture."""
+        own = self.get_fully_qualified_name()
+        for topic in (outlet.publisher.topic_name for outlet in self._outlets.values()):
+            names = {
+                f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                for info in self.get_publishers_info_by_topic(topic)
+            }
+            for name in sorted(names - {own}):
+                self._others.append(f"{topic} is published by {name} too: choose others to play")
+        for sentence in self._others:
+            self.get_logger().warning(sentence)
 
     def _play_once(self) -> bool:
         tick: int | None = None
@@ -190,8 +206,8 @@ class ReplayNode(Node):  # type: ignore[misc]
         figures = {"bag": self._bag.path, "messages sent": self._sent, "rounds": self._rounds}
         if self._sending.failure:
             return Finding(ERROR, self._sending.failure, figures)
-        if self._bag.omitted:
-            return Finding(WARN, "; ".join(self._bag.omitted), figures)
+        if self._others or self._bag.omitted:
+            return Finding(WARN, "; ".join(self._others + self._bag.omitted), figures)
         if self._pacer.paused:
             return Finding(OK, "paused: call ~/resume or ~/step", figures)
         return Finding(OK, self._state, figures)

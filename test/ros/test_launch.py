@@ -1,16 +1,17 @@
-"""The launch files; they run only where launch is installed."""
+"""The launch file: what it would start, by a stand-in for launch; with the real one where it is."""
 
 from __future__ import annotations
 
-import ast
-import importlib.util
 import signal
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import launch_stand_in
 import pytest
 from mr_damper_msgs.msg import DamperParameters, PredictedForce
+from rosgraph_msgs.msg import Clock
 from support import PATIENCE, Listener
 
 from mr_damper_ros.nodes import quality
@@ -22,34 +23,121 @@ ROOT = Path(__file__).parents[2]
 FILE = ROOT / "launch" / "identify.launch.py"
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"
 
-
-def description() -> Any:
-    pytest.importorskip("launch_ros", reason="launch is not installed")
-    spec = importlib.util.spec_from_file_location("identify_launch", FILE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.generate_launch_description()
+Arguments = dict[str, str]
 
 
-def test_it_is_python_and_sets_only_parameters_that_exist() -> None:
-    tree = ast.parse(FILE.read_text(encoding="utf-8"))
-    source = next(
-        node.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "source"
-    )
-    assert isinstance(source, ast.Dict)
-    names = {ast.literal_eval(key) for key in source.keys if key is not None}
-    for table in (BridgeParameters, ReplayParameters):
-        assert names <= {item.name for item in options(table)}
+@pytest.fixture
+def description(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What the launch file describes."""
+    loaded = launch_stand_in.load(FILE, monkeypatch)
+    made: list[Any] = loaded.generate_launch_description()
+    return made
 
 
-def test_its_arguments_are_described() -> None:
-    arguments = {argument.name: argument for argument in description().get_launch_arguments()}
-    assert {"bag", "rate", "loop", "namespace", "use_sim_time"} <= set(arguments)
-    assert all(argument.description for argument in arguments.values())
+def by_name(description: list[Any], **arguments: str) -> dict[str, Any]:
+    return {node.name: node for node in launch_stand_in.nodes(description, arguments)}
+
+
+def test_its_arguments_are_described(description: list[Any]) -> None:
+    arguments = [item for item in description if isinstance(item, launch_stand_in.Argument)]
+    assert len(arguments) >= 10
+    assert all(argument.description.endswith(".") for argument in arguments)
+
+
+def test_without_a_bag_the_bridge_gives_data_in_real_time(description: list[Any]) -> None:
+    nodes = by_name(description)
+    assert list(nodes) == ["bridge", "identifier", "model"]
+    assert nodes["model"].parameters[1] == {"use_sim_time": False}
+
+
+def test_a_bag_is_played_with_its_time(description: list[Any]) -> None:
+    nodes = by_name(description, bag=str(BAG))
+    assert list(nodes) == ["replay", "identifier", "model"]
+    assert nodes["replay"].parameters[1]["topics"].value == "inputs"
+    assert nodes["identifier"].parameters[1] == {"use_sim_time": True}
+
+
+@pytest.mark.parametrize("value", ["false", "False"])
+def test_the_time_can_be_chosen(description: list[Any], value: str) -> None:
+    nodes = by_name(description, bag=str(BAG), use_sim_time=value)
+    assert nodes["identifier"].parameters[1] == {"use_sim_time": False}
+
+
+def test_it_sets_only_parameters_that_exist(description: list[Any]) -> None:
+    for arguments, table in (({}, BridgeParameters), ({"bag": str(BAG)}, ReplayParameters)):
+        first = launch_stand_in.nodes(description, arguments)[0]
+        assert set(first.parameters[1]) <= {item.name for item in options(table)}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        ({"use_sim_time": "maybe"}, "maybe"),
+        ({"loop": "perhaps"}, "perhaps"),
+        ({"at_end": "explode"}, "explode"),
+        ({"rate": "fast"}, "rate must be a number"),
+        ({"rate": "-1"}, "rate must be a number"),
+        ({"rate": "nan"}, "rate must be a number"),
+        ({"bag": "/nowhere/at/all"}, "there is no bag /nowhere/at/all"),
+        ({"model_config": "/nowhere.yaml"}, "model_config: there is no file"),
+    ],
+)
+def test_a_wrong_argument_is_refused_before_anything_starts(
+    description: list[Any], arguments: Arguments, part: str
+) -> None:
+    with pytest.raises(RuntimeError, match=part):
+        launch_stand_in.nodes(description, arguments)
+
+
+def test_every_node_has_its_enclave(description: list[Any]) -> None:
+    nodes = by_name(description, enclave="/left/")
+    for name, node in nodes.items():
+        assert node.ros_arguments == ["--enclave", f"/left/{name}"]
+
+
+def end(node: Any, code: int, *, is_shutdown: bool = False) -> Any:
+    """What follows when a node has ended."""
+    return node.on_exit(SimpleNamespace(returncode=code), SimpleNamespace(is_shutdown=is_shutdown))
+
+
+def test_it_ends_after_the_bag(description: list[Any]) -> None:
+    (timer,) = end(by_name(description, bag=str(BAG))["replay"], 0)
+    assert timer.period > 0.0
+    assert len(timer.actions) == 1
+
+
+def test_it_stays_after_the_bag_where_that_is_asked_for(description: list[Any]) -> None:
+    assert end(by_name(description, bag=str(BAG), at_end="stay")["replay"], 0) is None
+
+
+@pytest.mark.parametrize("name", ["bridge", "identifier", "model"])
+def test_it_fails_with_any_node(description: list[Any], name: str) -> None:
+    node = by_name(description)[name]
+    with pytest.raises(RuntimeError, match=f"{name} has ended with exit code 2"):
+        end(node, 2)
+
+
+def test_what_ends_while_it_ends_is_no_failure(description: list[Any]) -> None:
+    assert end(by_name(description)["model"], -15, is_shutdown=True) is None
+
+
+def test_two_bags_in_two_namespaces_have_a_clock_each(
+    start: Any, listener: Listener, description: list[Any]
+) -> None:
+    # The samples have no listener here: each replay waits for two, identifier and model.
+    clocks = {}
+    for side in ("left", "right"):
+        clocks[side] = listener.listen(Clock, f"/{side}/clock")
+        arguments = {"bag": str(BAG), "namespace": side, "clock": f"/{side}/clock", "rate": "20.0"}
+        for node in launch_stand_in.nodes(description, arguments):
+            options_given, parameters = launch_stand_in.command_line(node)
+            start(node.executable, *options_given, **parameters)
+    left = listener.listen(PredictedForce, "/left/damper/predicted_force")
+    sets = listener.listen(DamperParameters, "/right/damper/parameters", quality.latched())
+    listener.until(lambda: left and len(sets) >= 2, "forces on the left, a new set on the right")
+    assert all(clocks.values())
+    assert listener.node.count_publishers("/clock") == 0
+    assert listener.node.count_subscribers("/clock") == 0
 
 
 def test_a_bag_is_identified_and_its_force_predicted(listener: Listener) -> None:
@@ -64,3 +152,17 @@ def test_a_bag_is_identified_and_its_force_predicted(listener: Listener) -> None
         launch.send_signal(signal.SIGINT)
         code = launch.wait(PATIENCE)
     assert code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        ((f"bag:={BAG}", "rate:=20.0"), 0),
+        (("bag:=/nowhere/at/all",), 1),
+        (("use_sim_time:=maybe",), 1),
+    ],
+)
+def test_it_ends_by_itself(arguments: tuple[str, ...], code: int) -> None:
+    pytest.importorskip("ros2launch", reason="ros2 launch is not installed")
+    launch = subprocess.run(["ros2", "launch", str(FILE), *arguments], timeout=60, check=False)
+    assert launch.returncode == code

@@ -207,6 +207,28 @@ def test_what_cannot_be_played_is_named_and_the_rest_is_played(
     assert "/supply/current is left out: it was recorded with another def" in replay.errors
 
 
+def test_the_inputs_of_a_full_recording_can_be_played_alone(
+    start: Any, listener: Listener, tmp_path: Path
+) -> None:
+    write_texts(tmp_path / "bag", ["said then"], foreign=True)
+    words = listener.listen(String, "/words")
+    replay = start("replay", bag=BAG, rate=0.0, topics="inputs")
+    samples = listener.listen(MtsSamples, SAMPLES)
+    listener.until(lambda: not replay.running, "the end of the bag")
+    assert len(samples) == len(recorded(BAG, SAMPLES))
+    refused = start("replay", bag=tmp_path / "bag", topics="inputs")
+    assert refused.wait() == 2
+    assert "has nothing to play" in refused.errors
+    assert words == []
+
+
+def test_topics_that_another_node_publishes_are_named(start: Any, listener: Listener) -> None:
+    listener.node.create_publisher(SupplyCurrent, CURRENT, 10)
+    start("replay", bag=BAG, loop=True, wait_for_subscribers=1, wait_timeout=2.0)
+    listener.listen(MtsSamples, SAMPLES)
+    listener.wait_for_finding("replay: replay", "/supply/current is published by /listener too")
+
+
 @pytest.mark.parametrize(
     ("parameters", "part"),
     [
