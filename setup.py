@@ -11,7 +11,7 @@ from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
 NODES = ("bridge", "identifier", "model", "replay")
-TOOLS = ("identify", "import_record", "reproduce", "thesis_bags", "validate")
+TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate")
 
 
 HEAR = ["/usr/bin/env", "--block-signal=INT,TERM"]
@@ -91,7 +91,6 @@ setup(
     cmdclass={"develop": Develop, "install_scripts": InstallScripts},
     entry_points={
         "console_scripts": [f"{name} = {NAME}.entry_points:{name}" for name in NODES]
-        + [f"{name} = {NAME}.tools.{name}:main" for name in TOOLS]
-        + [f"demo = {NAME}.nodes.demo:main"],
+        + [f"{name} = {NAME}.tools.{name}:main" for name in TOOLS],
     },
 )

@@ -12,8 +12,8 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
 from benchmarks.figure import Figure
-from benchmarks.processes import resident_bytes
 from benchmarks.three_nodes import ThreeNodes
+from mr_damper_ros.processes.programs import resident_bytes
 
 RATE = 20.0
 """Speed relative to the data's time."""

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.figure import Figure
-from benchmarks.processes import Domain, Process, start_node
+from benchmarks.processes import ProfiledDomain, start_node
+from mr_damper_ros.processes.programs import Program, node_arguments
+from mr_damper_ros.processes.ros_domain import RosDomain
 
 NODES = ("bridge", "identifier", "model", "replay")
 
@@ -82,7 +84,7 @@ def figures(count: int = 200, seed: int = 0) -> list[Figure]:
 def campaign(count: int, seed: int) -> list[Interrupt]:
     """All interrupts, each node in turn."""
     chance = random.Random(seed)
-    domain = Domain()
+    domain = ProfiledDomain()
     bridge = start_node("bridge", domain)
     try:
         return [_interrupt(node, domain, chance) for _ in range(count) for node in NODES]
@@ -91,13 +93,15 @@ def campaign(count: int, seed: int) -> list[Interrupt]:
         domain.close()
 
 
-def _interrupt(node: str, domain: Domain, chance: random.Random) -> Interrupt:
+def _interrupt(node: str, domain: RosDomain, chance: random.Random) -> Interrupt:
     early = chance.random() < 0.5
     age = chance.uniform(0.0, START) if early else chance.uniform(START, _LONGEST_LIFE)
     pauses = [chance.uniform(0.0, _PAUSE)] if chance.random() < 0.5 else []
     began = time.monotonic()
     namespace = _APART.get(node, "/")
-    process = start_node(node, domain, "-r", f"__ns:={namespace}", **_OPTIONS.get(node, {}))
+    process = start_node(
+        node, domain, *node_arguments({}, {"__ns": namespace}), **_OPTIONS.get(node, {})
+    )
     _wait_until_held_back(process)
     time.sleep(max(began + age - time.monotonic(), 0.0))
     pressed = time.monotonic()
@@ -115,7 +119,7 @@ def _interrupt(node: str, domain: Domain, chance: random.Random) -> Interrupt:
     return Interrupt(node, age, 1 + len(pauses), duration, fault)
 
 
-def _wait_until_held_back(process: Process) -> None:
+def _wait_until_held_back(process: Program) -> None:
     """Wait until a signal is held back or heard: from there on it is the package's business."""
     status = Path(f"/proc/{process.pid}/status")
     while process.running:

@@ -8,8 +8,10 @@ from contextlib import ExitStack, closing, contextmanager
 
 from benchmarks.figure import Figure
 from benchmarks.network import LossyLink, NetworkError
-from benchmarks.processes import PATIENCE, Domain, Observer, start_node
+from benchmarks.processes import ProfiledDomain, start_node
 from benchmarks.streaming_load import Tally
+from mr_damper_ros.nodes.observer import Observer
+from mr_damper_ros.processes.programs import PATIENCE
 
 DURATION = 60.0
 SAMPLE_RATE = 1000.0
@@ -17,7 +19,7 @@ LOSS = 0.05
 DELAY = 0.02
 
 
-class NetworkDomain(Domain):
+class NetworkDomain(ProfiledDomain):
     """A domain that spans the machines of a network.
 
     Processes on one computer would pass messages through its memory, not through the network.
@@ -44,7 +46,7 @@ def measure(duration: float, loss: float = LOSS, delay: float = DELAY) -> tuple[
         stack.enter_context(_same_environment_afterwards())
         # Here the observer hears what was sent, and the predictions after two ways over the link.
         with link.inside("left"):
-            observer = stack.enter_context(closing(Observer(domain)))
+            observer = stack.enter_context(closing(Observer(environment=domain.environment)))
         tally = Tally(observer)
         with link.inside("right"):
             for name in ("identifier", "model"):

@@ -19,13 +19,15 @@ from mr_damper_msgs.msg import FitReport, MtsSamples, PredictedForce, SupplyCurr
 
 from benchmarks import relay
 from benchmarks.figure import Figure
-from benchmarks.processes import PATIENCE, Domain, Observer, Process, start_node
+from benchmarks.processes import ProfiledDomain, start_node
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import current_message, samples_message
+from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.nodes.spinning import make_executor
+from mr_damper_ros.processes.programs import PATIENCE, Program
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 
@@ -67,26 +69,26 @@ class Tally:
         observer.listen(
             MtsSamples,
             "mts/samples",
-            lambda message: self._samples.take(message.seq, len(message.force)),
             quality.lossless(),
+            lambda message: self._samples.take(message.seq, len(message.force)),
         )
         observer.listen(
             PredictedForce,
             "damper/predicted_force",
-            lambda message: self._forces.take(message.seq, len(message.force)),
             quality.lossless(),
+            lambda message: self._forces.take(message.seq, len(message.force)),
         )
         observer.listen(
             FitReport,
             "damper/fit_report",
-            lambda message: self.fits.append(message.duration),
             quality.lossless(),
+            lambda message: self.fits.append(message.duration),
         )
         observer.listen(
             DiagnosticArray,
             "/diagnostics",
-            lambda message: self._in_nodes.update(_losses(message)),
             quality.stream(),
+            lambda message: self._in_nodes.update(_losses(message)),
         )
 
     def wait_for(self, samples: int, patience: float) -> None:
@@ -128,12 +130,12 @@ def measure_load(
     """
     with ExitStack() as stack:
         stack.enter_context(_two_cores())
-        domain = stack.enter_context(closing(Domain()))
+        domain = stack.enter_context(closing(ProfiledDomain()))
         nodes = {
             name: stack.enter_context(closing(start_node(name, domain)))
             for name in ("identifier", "model")
         }
-        observer = stack.enter_context(closing(Observer(domain)))
+        observer = stack.enter_context(closing(Observer(environment=domain.environment)))
         tally = Tally(observer)
         observer.wait_for_publishers("damper/predicted_force")
         observer.wait_for_publishers("damper/fit_report")
@@ -163,7 +165,7 @@ def _losses(message: DiagnosticArray) -> Iterator[tuple[str, int]]:
             yield f"at the {node}", int(values["lost"]) + int(values["rejected messages"])
 
 
-def _cpu(nodes: dict[str, Process]) -> dict[str, float]:
+def _cpu(nodes: dict[str, Program]) -> dict[str, float]:
     return {name: node.cpu_seconds for name, node in nodes.items()}
 
 
@@ -230,7 +232,7 @@ def measure_latency(sample_rate: float, block_size: int, duration: float) -> Lat
     """
     blocks = _blocks(sample_rate, block_size, duration)
     with ExitStack() as stack:
-        domain = stack.enter_context(closing(Domain()))
+        domain = stack.enter_context(closing(ProfiledDomain()))
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         file = Path(folder) / "parameters.yaml"
         known = ParameterSet(
@@ -241,7 +243,7 @@ def measure_latency(sample_rate: float, block_size: int, duration: float) -> Lat
         )
         file.write_text(known.to_yaml(), encoding="utf-8")
         for process in (
-            Process([sys.executable, relay.__file__], domain.environment),
+            Program([sys.executable, relay.__file__], domain.environment),
             start_node("model", domain, parameter_file=file),
         ):
             stack.callback(process.close)

@@ -9,8 +9,10 @@ from types import TracebackType
 
 from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
 
-from benchmarks.processes import Domain, Observer, Process, start_node
+from benchmarks.processes import ProfiledDomain, start_node
 from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.observer import Observer
+from mr_damper_ros.processes.programs import Program
 from mr_damper_ros.tracking.state_directory import StateDirectory
 
 NODES = ("bridge", "identifier", "model")
@@ -28,17 +30,17 @@ class ThreeNodes:
     def __init__(self, folder: Path, options: Mapping[str, Mapping[str, object]]) -> None:
         self.state = StateDirectory(folder)
         self._options = {**options, "identifier": {**options["identifier"], "state_dir": folder}}
-        self._domain = Domain()
+        self._domain = ProfiledDomain()
         self._ended: list[str] = []
         self.sets: list[DamperParameters] = []
         self.reports: list[FitReport] = []
-        self.observer = Observer(self._domain)
+        self.observer = Observer(environment=self._domain.environment)
         # More than the publisher's one message: none shall replace another on its way.
         latched = quality.latched()
         latched.depth = 100
-        self.observer.listen(DamperParameters, "damper/parameters", self.sets.append, latched)
-        self.observer.listen(FitReport, "damper/fit_report", self.reports.append, quality.stream())
-        self.nodes: dict[str, Process] = {}
+        self.observer.listen(DamperParameters, "damper/parameters", latched, self.sets.append)
+        self.observer.listen(FitReport, "damper/fit_report", quality.stream(), self.reports.append)
+        self.nodes: dict[str, Program] = {}
 
     def __enter__(self) -> ThreeNodes:
         for name in NODES:
@@ -60,14 +62,14 @@ class ThreeNodes:
         self.observer.close()
         self._domain.close()
 
-    def start(self, name: str) -> Process:
+    def start(self, name: str) -> Program:
         """Start a node, in place of the one of this name, which has ended."""
         if name in self.nodes:
             self._forget(self.nodes[name])
         self.nodes[name] = start_node(name, self._domain, **self._options[name])
         return self.nodes[name]
 
-    def _forget(self, node: Process) -> None:
+    def _forget(self, node: Program) -> None:
         self._ended.append(node.log)
         node.close()
 

@@ -35,7 +35,6 @@ IMPORTS_TO_MEND = {
     ("models/sigmoid/adaptation.py", "estimation"),
     ("models/sigmoid/coefficient_laws.py", "estimation"),
     ("nodes/bridge_node.py", "thesis"),
-    ("nodes/demo.py", "tools"),
 }
 LONG_FILES_TO_SPLIT = {
     "estimation/global_fit.py",

@@ -14,27 +14,28 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 pytest.importorskip("rclpy", reason="these tests need ROS")
 
-from support import DomainLock, Listener, Program, installed_programs
+from support import Listener, TriedProgram, installed_programs
 
-_DOMAIN = DomainLock()
+from mr_damper_ros.processes.ros_domain import RosDomain
+
+_DOMAIN = RosDomain()
 """Held while this process lives: tests that run at the same time must not hear each other."""
 
 # Before any context exists, and for all programs that the tests start.
-os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN.number)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.update(_DOMAIN.environment)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
-Start = Callable[..., Program]
+Start = Callable[..., TriedProgram]
 
 
 @pytest.fixture
 def start() -> Iterator[Start]:
     """Start installed programs: ``start("bridge", rate=0.0, remap={"a": "b"})``."""
     folder = installed_programs()
-    running: list[Program] = []
+    running: list[TriedProgram] = []
 
-    def starter(name: str, *arguments: str, **parameters: object) -> Program:
-        program = Program(folder / name, *arguments, **parameters)
+    def starter(name: str, *arguments: str, **parameters: object) -> TriedProgram:
+        program = TriedProgram(folder / name, *arguments, **parameters)
         running.append(program)
         return program
 

@@ -1,0 +1,98 @@
+"""A node that hears others, for demonstrations, figures and tests; deadlines instead of sleeps."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, TypeVar
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+
+from mr_damper_ros.processes.programs import PATIENCE
+
+Self = TypeVar("Self", bound="Observer")
+
+
+class Observer:
+    """A node in a context of its own: what it hears is kept, or given to who asks.
+
+    ``environment`` is that of a ROS domain; without it the node is where this process is.
+    """
+
+    def __init__(
+        self, name: str = "observer", environment: Mapping[str, str] | None = None
+    ) -> None:
+        self._context = rclpy.Context()
+        # It is read from there alone.
+        os.environ.update(environment or {})
+        self._context.init()
+        self.node = rclpy.create_node(name, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def listen(
+        self,
+        message_type: type,
+        topic: str,
+        quality: QoSProfile | int = 1000,
+        hear: Callable[[Any], None] | None = None,
+        *,
+        raw: bool = False,
+    ) -> list[Any]:
+        """Subscribe: each message goes to ``hear``, or into the list that is returned."""
+        heard: list[Any] = []
+        self.node.create_subscription(message_type, topic, hear or heard.append, quality, raw=raw)
+        return heard
+
+    def spin_once(self, timeout: float = 0.1) -> None:
+        """Take what comes next, if anything comes within ``timeout`` [s]."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def spin_for(self, duration: float) -> None:
+        """Take what comes in the next ``duration`` seconds."""
+        end = time.monotonic() + duration
+        while (left := end - time.monotonic()) > 0.0:
+            self.spin_once(left)
+
+    def until(
+        self, condition: Callable[[], Any], what: str, patience: float = PATIENCE, tick: float = 0.1
+    ) -> None:
+        """Spin until the condition holds; raises TimeoutError after ``patience`` [s]."""
+        deadline = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"in vain waited {patience:g} s for {what}")
+            self.spin_once(tick)
+
+    def wait_for_publishers(self, topic: str, count: int = 1) -> None:
+        """Wait until so many publishers of a topic are known: their nodes are ready."""
+        self.until(
+            lambda: self.node.count_publishers(topic) >= count, f"{count} publishers of {topic}"
+        )
+
+    def wait_for_subscribers(self, topic: str, count: int = 1) -> None:
+        """Wait until so many subscribers of a topic are known: their nodes are ready."""
+        self.until(
+            lambda: self.node.count_subscribers(topic) >= count, f"{count} subscribers of {topic}"
+        )

@@ -1,0 +1,177 @@
+"""``demo``: a bag through replay, identifier and model as three processes, with the outcome.
+
+A tool like the others, with the table and the figures of one: all that it knows of ROS is a
+watcher from the nodes, loaded when it runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from ament_index_python.packages import get_package_share_directory
+
+from mr_damper_ros.interface.comparison import Comparison
+from mr_damper_ros.interface.figures import save_figures
+from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.kinematics.motion import window_motion
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
+from mr_damper_ros.processes.programs import Program, node_arguments
+from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tools.console import run_tool
+
+if TYPE_CHECKING:
+    from mr_damper_ros.nodes.demo_watcher import DemoWatcher
+
+_NODES = ("identifier", "model")
+_START_LIMIT = 30.0
+_SETTLE = 2.0
+"""Seconds without a new report after which the identifier has finished."""
+
+
+class DemoError(ValueError):
+    """The demonstration cannot go on; the message says why."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code."""
+    return run_tool(_parser(), _demo, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="demo",
+        description="Play a bag to identifier and model, each a ROS 2 process of its own, watch "
+        "them, and draw measured and predicted force.",
+    )
+    parser.add_argument("--bag", type=Path, help="bag to play (default: 5 mm, 1 Hz, 1.5 A)")
+    parser.add_argument(
+        "--rate", type=float, default=1.0, help="speed of the replay (default 1: real time)"
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("build/demo"), help="folder of the figures"
+    )
+    return parser
+
+
+def _demo(options: argparse.Namespace) -> int:
+    share = Path(get_package_share_directory("mr_damper_ros"))
+    bag = options.bag or share / "bags" / "5.0mm_1Hz_1.5A"
+    recording = max(read_bag(bag), key=lambda part: part.sample_count)
+    print(f"bag: {bag}")
+    for key, text in recording.details.items():
+        print(f"  {key}: {text}")
+    folder = Path(sys.argv[0]).resolve().parent
+    with ExitStack() as stack:
+        # A domain of its own: nothing of a laboratory that is running is touched.
+        domain = stack.enter_context(RosDomain())
+        os.environ.update(domain.environment)
+        running = {name: stack.enter_context(_node(folder, name)) for name in _NODES}
+        from mr_damper_ros.nodes.demo_watcher import DemoWatcher
+
+        watcher = stack.enter_context(DemoWatcher())
+        _wait_for_nodes(watcher, running)
+        replay = stack.enter_context(
+            _node(folder, "replay", bag=bag, rate=options.rate, wait_for_subscribers=3)
+        )
+        _watch(watcher, {**running, "replay": replay})
+    if watcher.parameters is None or not watcher.reports:
+        raise DemoError("no window was identified: see the messages of the nodes above")
+    return _summary(watcher, recording, options.output)
+
+
+def _node(folder: Path, name: str, **parameters: object) -> closing[Program]:
+    program = folder / name
+    if not program.exists():
+        raise DemoError(f"{program} is not there: build the package with `make setup`")
+    return closing(Program([str(program), *node_arguments(parameters)]))
+
+
+def _check(running: Mapping[str, Program]) -> None:
+    """Raise DemoError where a node has failed, with the end of what it said."""
+    for name, program in running.items():
+        if program.exit_code:
+            raise DemoError(f"{name} ended with code {program.exit_code}: {program.last_words}")
+
+
+def _wait_for_nodes(watcher: DemoWatcher, running: Mapping[str, Program]) -> None:
+    deadline = time.monotonic() + _START_LIMIT
+    while not set(_NODES) <= set(watcher.node.get_node_names()):
+        _check(running)
+        if time.monotonic() > deadline:
+            raise DemoError(f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s")
+        watcher.spin_once()
+
+
+def _watch(watcher: DemoWatcher, running: Mapping[str, Program]) -> None:
+    print("\nwindow        held-back samples: before -> after the fit")
+    replay = running["replay"]
+    while replay.running or time.monotonic() - watcher.last_report < _SETTLE:
+        _check(running)
+        watcher.spin_once()
+
+
+def _summary(watcher: DemoWatcher, recording: Recording, folder: Path) -> int:
+    found = watcher.parameters
+    assert found is not None
+    values = dict(zip(found.names, found.values, strict=True))
+    print("\nparameter        value  standard error  unit")
+    for parameter, value, error, unit, observable in zip(
+        found.names,
+        found.values,
+        found.standard_errors,
+        found.units,
+        found.observable,
+        strict=True,
+    ):
+        shown = f"{error:14.3g}" if observable else "not observable"
+        print(f"{parameter:>9} {value:12.6g}  {shown}  {unit}")
+
+    displacement = np.concatenate(
+        [watcher.displacement[seq] for seq in sorted(watcher.displacement)]
+    )
+    measured = np.concatenate([watcher.measured[seq] for seq in sorted(watcher.measured)])
+    motion = window_motion(displacement, recording.period)
+    kinematics = (motion.displacement, motion.velocity, motion.acceleration)
+    identified = np.array([values[parameter] for parameter in PARAMETER_NAMES])
+    amperes = float(np.mean(recording.current))
+    before = _nrmse(force(LITERATURE, *kinematics, amperes), measured)
+    after = _nrmse(force(identified, *kinematics, amperes), measured)
+    print(f"\nNRMSE with the literature set, before:     {before:10.2%}")
+    print(f"NRMSE with the identified set, after:      {after:10.2%}")
+    both = [seq for seq in sorted(watcher.predicted) if seq in watcher.measured]
+    if not both:
+        raise DemoError("the model node predicted nothing valid: see /diagnostics")
+    predicted = np.concatenate([watcher.predicted[seq] for seq in both])
+    seen = np.concatenate([watcher.measured[seq] for seq in both])
+    print(f"NRMSE of the force predicted while it ran: {_nrmse(predicted, seen):10.2%}")
+    evaluations = sum(report.evaluations for report in watcher.reports)
+    print(f"evaluations of the force law:              {evaluations:10d}")
+    first = both[0]
+    chosen = slice(first, first + predicted.size)
+    comparison = Comparison(
+        name=recording.name,
+        time=recording.time[chosen],
+        displacement=motion.displacement[chosen],
+        velocity=motion.velocity[chosen],
+        measured=seen,
+        predicted=predicted,
+        provenance=recording.details.get("provenance", ""),
+    )
+    figures = save_figures([comparison], folder, ["png"], "predicted while it ran")
+    print("figures: " + ", ".join(str(path) for path in figures))
+    return 0
+
+
+def _nrmse(predicted: Array, measured: Array) -> float:
+    return float(np.sqrt(np.mean((predicted - measured) ** 2)) / np.std(measured))
