@@ -17,12 +17,10 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
-from mr_damper_ros.tracking.window_task import run_fit
 
 CURRENTS = (0.2, 0.6, 1.0)
 """[A], of the columns of force in earthquake.mat."""
@@ -102,10 +100,9 @@ def _learn(
     ready = assembler.add_block(block)
     ready += assembler.add_current(block.end_ns, current)
     for raw in ready:
-        result = run_fit(tracker.window_task(raw))
-        report = tracker.complete_look(result) if raw.look else tracker.complete(result)
+        report = tracker.follow(raw)
         if report is not None and report.global_due:
-            tracker.complete_global(run_global(tracker.global_task()))
+            tracker.identify()
 
 
 def fit_percent(record: Recording, force: Array) -> float:

@@ -21,7 +21,6 @@ from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
-from mr_damper_ros.tracking.window_task import run_fit
 
 WINDOW, HOP, LOOKS = 2.0, 1.0, 3
 """Defaults of the identifier node: [s], [s], looks between two windows."""
@@ -81,8 +80,7 @@ def follow(
         ready = assembler.add_block(block)
         ready += assembler.add_current(stamp, float(run.current[first]))
         for raw in ready:
-            result = run_fit(tracker.window_task(raw))
-            report = tracker.complete_look(result) if raw.look else tracker.complete(result)
+            report = tracker.follow(raw)
             if report is not None:
                 steps.append(Step(report, tracker.parameters.values))
     return steps

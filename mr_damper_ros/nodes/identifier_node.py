@@ -45,8 +45,7 @@ from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.background_writer import BackgroundWriter
 from mr_damper_ros.processes.worker import Worker
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.acceptance import AcceptanceSettings
-from mr_damper_ros.tracking.look_task import EARLY_METHOD
+from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict
 from mr_damper_ros.tracking.pipeline import (
     Budget,
     Pipeline,
@@ -431,7 +430,7 @@ class IdentifierNode(Node):
 
     def _publish_report(self, report: Report, duration: float) -> None:
         self._last_report = report
-        if report.method == EARLY_METHOD:
+        if report.verdict is Verdict.ACCEPTED_EARLY:
             self.get_logger().warning(report.reason)
         if not math.isnan(report.fluid.celsius):
             self._temperature_publisher.publish(
@@ -534,7 +533,7 @@ class IdentifierNode(Node):
             )
         fit = event.result.fit
         if fit is None:
-            return IdentifyGlobal.Result(message=event.result.fault, nrmse=math.nan)
+            return IdentifyGlobal.Result(message=event.report.reason, nrmse=math.nan)
         message = fit.message
         if event.report.reason:
             message += f"; not in use: {event.report.reason}"
@@ -686,7 +685,7 @@ class IdentifierNode(Node):
             "accepted windows": self._tracker.accepted_windows,
             "operating points": self._tracker.reservoir.operating_points,
         }
-        if report.method == EARLY_METHOD:
+        if report.verdict is Verdict.ACCEPTED_EARLY:
             return Finding(WARN, f"{report.reason} as {report.set_id}", values)
         if report.accepted:
             return Finding(OK, f"accepted as {report.set_id}", values)

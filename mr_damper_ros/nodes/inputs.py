@@ -14,6 +14,7 @@ from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.quality import overridable
 from mr_damper_ros.signals.blocks import BlockError, BlockSequence, SampleBlock
+from mr_damper_ros.signals.zero_order_hold import CurrentError
 
 SAMPLES_TOPIC = "mts/samples"
 CURRENT_TOPIC = "supply/current"
@@ -126,12 +127,13 @@ class Inputs:
         self._on_block(block)
 
     def _take_current(self, message: SupplyCurrent) -> None:
-        if not math.isfinite(message.current):
-            self._current.reject(f"the current is {message.current}")
+        try:
+            self._on_current(to_nanoseconds(message.header.stamp), message.current)
+        except CurrentError as error:
+            self._current.reject(str(error))
             return
         self._value = message.current
         self._current.accept(1)
-        self._on_current(to_nanoseconds(message.header.stamp), message.current)
 
     @property
     def silent(self) -> bool:

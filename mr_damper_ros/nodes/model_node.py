@@ -24,7 +24,6 @@ from mr_damper_ros.nodes.parameter_table import (
 from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.acceptance import NO_BETTER
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.running_error import RunningError
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
@@ -193,7 +192,7 @@ class ModelNode(Node):
         self.get_logger().debug(f"predicting with parameters {parameters.set_id}")
 
     def _take_report(self, message: FitReport) -> None:
-        if message.accepted or message.reason == NO_BETTER:
+        if message.confirms:
             self._predictor.confirm(message.parameter_set, to_nanoseconds(message.header.stamp))
 
     def _take_block(self, block: SampleBlock) -> None:

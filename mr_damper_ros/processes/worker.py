@@ -19,6 +19,7 @@ import os
 import pickle
 import queue
 import socket
+import struct
 import subprocess
 import threading
 import time
@@ -50,7 +51,9 @@ _RESTART_PAUSE = 1.0
 """Seconds between two starts where the process does not even come up."""
 
 _TASK, _STOP = b"t", b"s"
-"""First byte of what the node sends: a pickled (number, call), or the number of one to stop."""
+"""First byte of what the node sends; then the number of the task, and of one to do the call."""
+
+_NUMBER = struct.Struct("<Q")
 
 
 @dataclass(frozen=True)
@@ -205,9 +208,8 @@ class Worker:
         """
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
-        call = pickle.dumps((function, args))
         self._number += 1
-        self._task = _TASK + pickle.dumps((self._number, call))
+        self._task = _TASK + _NUMBER.pack(self._number) + pickle.dumps((function, args), -1)
         self._budget = budget
         self._retried = False
         self._stop_asked = None
@@ -219,7 +221,7 @@ class Worker:
         if self.busy and self._stop_asked is None:
             self._stop_asked = time.monotonic()
             if self._process is not None:
-                self._process.send(_STOP + pickle.dumps(self._number))
+                self._process.send(_STOP + _NUMBER.pack(self._number))
 
     def poll(self) -> list[Outcome]:
         """What has happened since the last call, and what is overdue. Never blocks."""
@@ -257,7 +259,7 @@ class Worker:
             return
         self._process.send(self._task)
         if self._stop_asked is not None:
-            self._process.send(_STOP + pickle.dumps(self._number))
+            self._process.send(_STOP + _NUMBER.pack(self._number))
         if self._process.ready:
             self._started = time.monotonic()
 
@@ -323,23 +325,24 @@ def serve(descriptor: str, module: str) -> None:
     """Be the worker on this socket, until it closes, for the tasks of a module."""
     import_module(module)
     connection = Connection(int(descriptor))
-    tasks: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    tasks: queue.SimpleQueue[tuple[int, memoryview]] = queue.SimpleQueue()
     stopped: set[int] = set()
 
     def receive() -> None:
         with contextlib.suppress(EOFError, OSError):
             while True:
                 message = connection.recv_bytes()
+                (number,) = _NUMBER.unpack_from(message, 1)
                 if message[:1] == _STOP:
-                    stopped.add(pickle.loads(message[1:]))
+                    stopped.add(number)
                 else:
-                    tasks.put(message[1:])
+                    tasks.put((number, memoryview(message)[1 + _NUMBER.size :]))
         os._exit(0)
 
     sending = threading.Lock()
 
     def send(message: Any) -> None:
-        data = message if isinstance(message, bytes) else pickle.dumps(message)
+        data = message if isinstance(message, bytes) else pickle.dumps(message, -1)
         with sending:
             connection.send_bytes(data)
 
@@ -353,13 +356,13 @@ def serve(descriptor: str, module: str) -> None:
     for work in (receive, beat):
         threading.Thread(target=work, daemon=True).start()
     while True:
-        number, call = pickle.loads(tasks.get())
+        number, call = tasks.get()
         send(_answer(number, call, Control(number, send, stopped)))
 
 
-def _answer(number: int, call: bytes, control: Control) -> bytes:
+def _answer(number: int, call: memoryview, control: Control) -> bytes:
     try:
         function, args = pickle.loads(call)
-        return pickle.dumps(("done", number, function(*args, control)))
+        return pickle.dumps(("done", number, function(*args, control)), -1)
     except Exception as error:
         return pickle.dumps(("failed", number, f"{type(error).__name__}: {error}"))

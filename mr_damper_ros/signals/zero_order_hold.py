@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 
 import numpy as np
@@ -15,6 +16,10 @@ come far ahead of the samples that it belongs to."""
 
 _LATE_NS = NANOSECONDS // 2
 """A stamp this much before the newest one is late; further back, time itself was set back."""
+
+
+class CurrentError(ValueError):
+    """A value of the current that cannot be used; the message says why."""
 
 
 class ZeroOrderHold:
@@ -37,8 +42,11 @@ class ZeroOrderHold:
     def add(self, stamp_ns: int, current: float) -> None:
         """Add a value [A]; one that jumps back in time takes the place of all that came after.
 
-        A value that is only late takes its place among the others.
+        A value that is only late takes its place among the others. Raises CurrentError for one
+        that is not finite.
         """
+        if not math.isfinite(current):
+            raise CurrentError(f"the current is {current}: it must be a finite number")
         place = bisect_left(self._stamps, stamp_ns)
         back_ns = self._stamps[-1] - stamp_ns if self._stamps else 0
         if back_ns > _LATE_NS:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -11,8 +12,46 @@ _NO_NOISE = 1e-4
 """An NRMSE below this is better than any load cell: smaller ones are not told apart."""
 
 
-NO_BETTER = "the running set predicts the held-back samples as well"
-"""The one reason for a refusal that is not the window's fault."""
+class Verdict(IntEnum):
+    """What became of a window or a global identification; the numbers are those of FitReport."""
+
+    ACCEPTED = 1
+    """The new set predicts better: it is in use."""
+    ACCEPTED_EARLY = 2
+    """The force had changed: the running set was brought up to date from a few samples."""
+    NO_BETTER = 3
+    """The running set predicts as well: it stays in use."""
+    FAULT_OF_DATA = 4
+    """The samples cannot be used: nothing was fitted."""
+    POOR_FIT = 5
+    """The fit leaves too much of the force unexplained."""
+    DISTURBED = 6
+    """The residual is far above the usual one."""
+    UNCONFIRMED = 7
+    """The force changed by so much at once that the next window must confirm it."""
+    FAILED = 8
+    """Nothing was computed, through no fault of the data."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a new set is in use."""
+        return self in (Verdict.ACCEPTED, Verdict.ACCEPTED_EARLY)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict and, for people, why: one sentence, empty where it needs none."""
+
+    verdict: Verdict
+    sentence: str = ""
+
+
+ACCEPTED = Judgement(Verdict.ACCEPTED)
+
+
+def fault_of_data(sentence: str) -> Judgement:
+    """The judgement of data that cannot be used."""
+    return Judgement(Verdict.FAULT_OF_DATA, sentence)
 
 
 @dataclass(frozen=True)
@@ -82,12 +121,12 @@ class Gatekeeper:
             tuple(self._residuals), self._refused_for_residual, self._pending_change
         )
 
-    def judge(self, evidence: Evidence) -> str:
-        """Why the new set is refused, in one sentence; empty where it is accepted."""
-        reason = self._judge(evidence)
-        if not reason:
+    def judge(self, evidence: Evidence) -> Judgement:
+        """Whether the new set is accepted, and why not."""
+        judgement = self._judge(evidence)
+        if judgement.verdict.accepted:
             self._residuals.append((evidence.rmse_after, evidence.nrmse_after))
-        return reason
+        return judgement
 
     def may_be_early(self, evidence: Evidence) -> bool:
         """Whether a fit to a few samples after a change may replace the running set.
@@ -119,15 +158,16 @@ class Gatekeeper:
             )
         )
 
-    def _judge(self, evidence: Evidence) -> str:
+    def _judge(self, evidence: Evidence) -> Judgement:
         settings = self._settings
         pending, self._pending_change = self._pending_change, None
         if not np.isfinite(evidence.nrmse_after):
-            return "the fit has no finite error: the window is refused"
+            return Judgement(Verdict.POOR_FIT, "the fit has no finite error: the window is refused")
         if evidence.nrmse_after > settings.maximum_nrmse:
-            return (
+            return Judgement(
+                Verdict.POOR_FIT,
                 f"the fit leaves {evidence.nrmse_after:.0%} of the force unexplained, more than "
-                f"maximum_nrmse ({settings.maximum_nrmse:.0%})"
+                f"maximum_nrmse ({settings.maximum_nrmse:.0%})",
             )
         known = bool(self._residuals)
         if known:
@@ -135,21 +175,25 @@ class Gatekeeper:
             if excess > settings.residual_factor:
                 self._refused_for_residual += 1
                 if self._refused_for_residual <= self._PATIENCE:
-                    return (
+                    return Judgement(
+                        Verdict.DISTURBED,
                         f"the residual is {excess:.1f} times the usual one: "
-                        "a disturbance or a sensor fault"
+                        "a disturbance or a sensor fault",
                     )
                 # It has lasted: the rig itself has become noisier.
                 self._residuals.clear()
         self._refused_for_residual = 0
         if not evidence.nrmse_after < evidence.nrmse_before:
-            return NO_BETTER
+            return Judgement(
+                Verdict.NO_BETTER, "the running set predicts the held-back samples as well"
+            )
         change = evidence.force_change
         confirmed = pending is not None and abs(change - pending) <= 0.2 * abs(pending)
         if known and abs(change) > settings.step_limit and not confirmed:
             self._pending_change = change
-            return (
+            return Judgement(
+                Verdict.UNCONFIRMED,
                 f"the force changed by {change:+.0%} at once: "
-                "waiting for the next window to confirm it"
+                "waiting for the next window to confirm it",
             )
-        return ""
+        return ACCEPTED

@@ -12,7 +12,7 @@ from mr_damper_ros.tracking.following import STRENGTH, lasting_force, scale_of_f
 from mr_damper_ros.tracking.force_scale import Baselines
 from mr_damper_ros.tracking.held_back import held_back_samples
 from mr_damper_ros.tracking.reservoir import nearest_same
-from mr_damper_ros.tracking.tasks import FitResult, FitTask
+from mr_damper_ros.tracking.tasks import FitResult, FitTask, WindowSummary
 from mr_damper_ros.tracking.unscented_filter import FilterState
 
 _FEWEST_EARLY = 40
@@ -26,16 +26,16 @@ def run_look(task: FitTask, window: Window) -> FitResult:
     """See whether the newest samples fit the running set; if not, fit the force scale to them."""
     raw, watch = task.window, task.watch
     if watch is None:
-        return FitResult(task, "")
+        return FitResult()
     newest = slice(window.sample_count - raw.look, None)
     here = window.part(newest).operating_point
     if nearest_same([watch.operating_point], here) is None:
-        return FitResult(task, "", watch=watch.quiet())
+        return FitResult(watch=watch.quiet())
     predicted = model_force(task.model, window, task.start)
     watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
     if not watch.changed or count < _FEWEST_EARLY:
-        return FitResult(task, "", watch=watch)
+        return FitResult(watch=watch)
     since = slice(window.sample_count - count, None)
     count -= change_point(predicted[since], window.force[since], _FEWEST_EARLY)
     since = slice(window.sample_count - count, None)
@@ -52,7 +52,7 @@ def run_look(task: FitTask, window: Window) -> FitResult:
     evidence = Evidence(before / spread, after / spread, after, trained - 1.0)
     found = fit_scale(own, measured)
     if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
-        return FitResult(task, "", watch=watch)  # a sensor has failed, no damper does that
+        return FitResult(watch=watch)  # a sensor has failed, no damper does that
     fit = strengthened(task.model, changed, task.start, found, EARLY_METHOD)
     state = task.state
     if state is not None:
@@ -64,4 +64,11 @@ def run_look(task: FitTask, window: Window) -> FitResult:
             here,
         )
     scale = scale_of_force(task.model, changed, fit, Baselines(task.baselines))
-    return FitResult(task, "", changed, fit, evidence, state, watch, scale)
+    return FitResult(
+        fit=fit,
+        evidence=evidence,
+        summary=WindowSummary.of(changed),
+        state=state,
+        watch=watch,
+        scale=scale,
+    )

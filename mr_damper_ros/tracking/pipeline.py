@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalProgress
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.worker import Control, Done, Progress, Worker
+from mr_damper_ros.processes.worker import Control, Done, Failed, Progress, Worker
+from mr_damper_ros.tracking.acceptance import Judgement, Verdict
 from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, GlobalResult, GlobalTask
@@ -68,10 +69,20 @@ Event = SearchProgress | SearchEnded | WindowEnded
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class _WindowJob:
+    """The window that the worker is at, with the number of its task there."""
+
     number: int
-    task: FitTask | GlobalTask
-    search: Search | None
+    task: FitTask
+
+
+@dataclass(frozen=True, eq=False)
+class _SearchJob:
+    """The search that the worker is at, with the number of its task there."""
+
+    number: int
+    task: GlobalTask
+    search: Search
 
 
 class Pipeline:
@@ -92,7 +103,7 @@ class Pipeline:
         self._windows: deque[RawWindow] = deque()
         self._searches: deque[Search] = deque()
         self._given_up: list[Event] = []
-        self._job: _Job | None = None
+        self._job: _WindowJob | _SearchJob | None = None
         self._overtaken = False
 
     @property
@@ -105,7 +116,7 @@ class Pipeline:
         """What runs now: "fit", "search", or "" for nothing."""
         if self._job is None:
             return ""
-        return "fit" if self._job.search is None else "search"
+        return "fit" if isinstance(self._job, _WindowJob) else "search"
 
     def add_window(self, window: RawWindow) -> None:
         """Queue a window or a look."""
@@ -125,7 +136,7 @@ class Pipeline:
 
     def cancel_search(self, search: Search) -> None:
         """End a search soon, with the best so far; it still ends with an event."""
-        if self._job is not None and self._job.search is search:
+        if isinstance(self._job, _SearchJob) and self._job.search is search:
             self._worker.cancel()
         elif search in self._searches:
             self._searches.remove(search)
@@ -139,7 +150,7 @@ class Pipeline:
 
     def replace(self, parameters: ParameterSet) -> None:
         """Run with this set from now on; a window that is being fitted starts again from it."""
-        if self._job is not None and isinstance(self._job.task, FitTask):
+        if isinstance(self._job, _WindowJob):
             self._windows.appendleft(self._job.task.window)
         self._overtake()
         self._tracker.replace(parameters)
@@ -152,16 +163,15 @@ class Pipeline:
             if job is None or job.number != outcome.task:
                 continue
             if isinstance(outcome, Progress):
-                if job.search is not None:
+                if isinstance(job, _SearchJob):
                     events.append(SearchProgress(job.search, outcome.value))
                 continue
             self._job = None
-            if isinstance(outcome, Done):
-                events += self._complete(job, *outcome.result)
-            elif isinstance(job.task, FitTask):
-                events += self._complete(job, FitResult(job.task, outcome.reason), math.nan)
+            overtaken, self._overtaken = self._overtaken, False
+            if isinstance(job, _WindowJob):
+                events += [] if overtaken else self._window_ended(job.task, outcome)
             else:
-                events += self._complete(job, GlobalResult(job.task, outcome.reason), math.nan)
+                events += self._search_ended(job, outcome, counts=not overtaken)
         self._next()
         return events
 
@@ -171,24 +181,27 @@ class Pipeline:
             self._overtaken = True
             self._worker.cancel()
 
-    def _complete(
-        self, job: _Job, result: FitResult | GlobalResult, duration: float
+    def _window_ended(self, task: FitTask, outcome: Done | Failed) -> list[Event]:
+        result, duration = FitResult(_failed(outcome)), math.nan
+        if isinstance(outcome, Done):
+            result, duration = outcome.result
+        if task.window.look:
+            early = self._tracker.complete_look(task, result)
+            return [] if early is None else [WindowEnded(early, duration)]
+        report = self._tracker.complete(task, result)
+        if report.global_due:
+            self._searches.append(Search())
+        return [WindowEnded(report, duration)]
+
+    def _search_ended(
+        self, job: _SearchJob, outcome: Done | Failed, *, counts: bool
     ) -> list[Event]:
-        overtaken, self._overtaken = self._overtaken, False
-        if isinstance(result, FitResult):
-            if overtaken:
-                return []
-            if result.task.window.look:
-                early = self._tracker.complete_look(result)
-                return [] if early is None else [WindowEnded(early, duration)]
-            report = self._tracker.complete(result)
-            if report.global_due:
-                self._searches.append(Search())
-            return [WindowEnded(report, duration)]
-        assert job.search is not None
-        if overtaken:
+        if not counts:
             return [SearchEnded(job.search)]
-        report = self._tracker.complete_global(result)
+        result, duration = GlobalResult(_failed(outcome)), math.nan
+        if isinstance(outcome, Done):
+            result, duration = outcome.result
+        report = self._tracker.complete_global(job.task, result)
         return [SearchEnded(job.search, result, report, duration)]
 
     def _next(self) -> None:
@@ -198,11 +211,15 @@ class Pipeline:
             search = self._searches.popleft()
             global_task = self._tracker.global_task(search.settings)
             number = self._worker.submit(_run_search, global_task, budget=self._budget.search)
-            self._job = _Job(number, global_task, search)
+            self._job = _SearchJob(number, global_task, search)
         elif self._windows:
             fit_task = self._tracker.window_task(self._windows.popleft())
             number = self._worker.submit(_run_fit, fit_task, budget=self._budget.fit)
-            self._job = _Job(number, fit_task, None)
+            self._job = _WindowJob(number, fit_task)
+
+
+def _failed(outcome: Done | Failed) -> Judgement | None:
+    return Judgement(Verdict.FAILED, outcome.reason) if isinstance(outcome, Failed) else None
 
 
 def _run_fit(task: FitTask, control: Control) -> tuple[FitResult, float]:

@@ -106,7 +106,7 @@ class ForcePredictor:
             self._confirmed_ns = stamp_ns
 
     def add_current(self, stamp_ns: int, current: float) -> None:
-        """Add a value of the supply current [A]."""
+        """Add a value of the supply current [A]; raises CurrentError for one that is not finite."""
         self._current.add(stamp_ns, current)
 
     def catch_up(self) -> None:

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.acceptance import Judgement, Verdict
 from mr_damper_ros.tracking.fluid_temperature import FluidTemperature
 from mr_damper_ros.tracking.force_scale import ForceScale
+from mr_damper_ros.tracking.tasks import FitResult, FitTask, GlobalResult, GlobalTask
+
+
+def _unknown() -> Array:
+    return np.full(7, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """Outcome of one window or one global identification, as published; SI units.
+    """Outcome of one window or one global identification, as published; SI units, NaN = unknown.
 
-    ``temperature`` is the measured one; where there is none, ``fluid`` is what the force tells of
-    it, once a map of force over temperature has been learnt at the operating point.
+    ``reason`` puts the ``verdict`` into words. ``confirms``: the samples up to the stamp fit the
+    set of ``set_id``, which is in use after this report. ``temperature`` is the measured one;
+    where there is none, ``fluid`` is what the force tells of it, once a map of force over
+    temperature has been learnt at the operating point.
     """
 
     window_start_ns: int
@@ -24,16 +35,77 @@ class Report:
     evaluations: int
     nrmse_before: float
     nrmse_after: float
-    accepted: bool
+    verdict: Verdict
     reason: str
+    confirms: bool
     set_id: str
-    scale: ForceScale
-    peak_velocity: float
-    amplitude: float
-    frequency: float
-    current: float
-    temperature: float
-    coefficients: Array
-    coefficient_errors: Array
-    global_due: bool
+    scale: ForceScale = field(default_factory=ForceScale)
+    peak_velocity: float = math.nan
+    amplitude: float = math.nan
+    frequency: float = math.nan
+    current: float = math.nan
+    temperature: float = math.nan
+    coefficients: Array = field(default_factory=_unknown)
+    coefficient_errors: Array = field(default_factory=_unknown)
+    global_due: bool = False
     fluid: FluidTemperature = field(default_factory=FluidTemperature)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a new set is in use since this report."""
+        return self.verdict.accepted
+
+
+def report_of_window(
+    task: FitTask, result: FitResult, judgement: Judgement, set_id: str, *, global_due: bool
+) -> Report:
+    """The report of a window; ``set_id`` names the set in use after it."""
+    raw, fit, evidence, summary = task.window, result.fit, result.evidence, result.summary
+    coefficients, errors = _unknown(), _unknown()
+    if fit and fit.coefficients.size:
+        coefficients = fit.coefficients
+        errors = np.sqrt(np.diag(fit.coefficient_covariance))
+    verdict = judgement.verdict
+    return Report(
+        window_start_ns=raw.start_ns,
+        stamp_ns=raw.end_ns,
+        sample_count=raw.force.size,
+        method=fit.method if fit else task.settings.method,
+        evaluations=fit.evaluations if fit else 0,
+        nrmse_before=evidence.nrmse_before if evidence else math.nan,
+        nrmse_after=evidence.nrmse_after if evidence else math.nan,
+        verdict=verdict,
+        reason=judgement.sentence,
+        confirms=verdict.accepted or verdict is Verdict.NO_BETTER,
+        set_id=set_id,
+        scale=result.scale,
+        peak_velocity=fit.operating_point[0] if fit else math.nan,
+        amplitude=summary.amplitude if summary else math.nan,
+        frequency=summary.frequency if summary else math.nan,
+        current=float(np.mean(raw.current)),
+        temperature=raw.temperature,
+        coefficients=coefficients,
+        coefficient_errors=errors,
+        global_due=global_due,
+    )
+
+
+def report_of_global(
+    task: GlobalTask, result: GlobalResult, judgement: Judgement, set_id: str
+) -> Report:
+    """The report of a global identification; ``set_id`` names the set in use after it."""
+    stamp_ns = task.start.stamp_ns
+    return Report(
+        window_start_ns=stamp_ns,
+        stamp_ns=stamp_ns,
+        sample_count=sum(window.sample_count for window in task.windows),
+        method="differential_evolution",
+        evaluations=result.fit.evaluations if result.fit else 0,
+        nrmse_before=result.nrmse_before,
+        nrmse_after=result.nrmse_after,
+        verdict=judgement.verdict,
+        reason=judgement.sentence,
+        # The windows are of the past: that the running set fits them as well confirms nothing new.
+        confirms=judgement.verdict.accepted,
+        set_id=set_id,
+    )

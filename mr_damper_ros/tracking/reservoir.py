@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 
 _SAME_VELOCITY = math.log(1.1)
@@ -32,8 +31,17 @@ def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> in
     return nearest
 
 
+def thinned_to_keep(window: Window, *, with_past: bool) -> Window:
+    """A window with the few hundred samples of which the reservoir keeps it.
+
+    The motion between the samples goes ``with_past`` only: a law without memory needs none.
+    """
+    few = window.thinned(_MOST_SAMPLES)
+    return few if with_past else Window(few.motion, few.force, few.current)
+
+
 class Reservoir:
-    """The newest accepted window of each operating point, thinned to a few hundred samples."""
+    """The newest accepted window of each operating point, see :func:`thinned_to_keep`."""
 
     def __init__(
         self, windows: Iterable[Window] = (), points: Iterable[OperatingPoint] = ()
@@ -57,12 +65,12 @@ class Reservoir:
         """Number of different operating points."""
         return len(self._windows)
 
-    def add(self, window: Window, fit: WindowFit) -> None:
+    def add(self, window: Window, point: OperatingPoint) -> None:
         """Keep a window in place of the older one at its operating point."""
-        older = nearest_same(self._points, fit.operating_point)
+        older = nearest_same(self._points, point)
         if older is None and len(self._windows) == _MOST_WINDOWS:
             older = 0
         if older is not None:
             del self._windows[older], self._points[older]
-        self._windows.append(window.thinned(_MOST_SAMPLES))
-        self._points.append(fit.operating_point)
+        self._windows.append(window)
+        self._points.append(point)

@@ -41,10 +41,10 @@ class Screening:
 
 
 def fault_of_samples(displacement: Array, force: Array, current: Array, limits: Screening) -> str:
-    """Why samples of shape (n,) [m, N, A] cannot be used, in one sentence; empty where they can."""
-    for name, array in (("displacement", displacement), ("force", force), ("current", current)):
-        if not np.all(np.isfinite(array)):
-            return f"the {name} holds NaN or infinite values: repair or cut them out"
+    """Why samples of shape (n,) [m, N, A] cannot be used, in one sentence; empty where they can.
+
+    Whether they are finite was asked where they came in: a recording, a block, a window is.
+    """
     span = float(np.ptp(displacement))
     if span > LARGEST_SPAN:
         return f"the displacement spans {span:.3g} m: is it in millimetres? give it in metres"

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.models import MODELS, Model
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import Evidence
+from mr_damper_ros.tracking.acceptance import Evidence, Judgement
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import ForceScale
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
@@ -46,15 +48,46 @@ class FitTask:
         return MODELS[self.settings.model]
 
 
+@dataclass(frozen=True)
+class WindowSummary:
+    """What is reported of a window that was fitted, and the range that it covers.
+
+    ``amplitude`` [m]; ``frequency`` [Hz], NaN where the motion is no sine; the ranges of the peak
+    velocity [m/s], without its outermost twentieths, and of the current [A].
+    """
+
+    amplitude: float
+    frequency: float
+    peak_velocity_range: tuple[float, float]
+    current_range: tuple[float, float]
+
+    @classmethod
+    def of(cls, window: Window) -> WindowSummary:
+        """The summary of a window."""
+        speed, current = window.motion.peak_velocity, window.current
+        return cls(
+            amplitude=window.motion.amplitude,
+            frequency=window.motion.frequency,
+            peak_velocity_range=(float(np.quantile(speed, 0.05)), float(np.quantile(speed, 0.95))),
+            current_range=(float(current.min()), float(current.max())),
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """What the fit of a task found: ``fault`` says why nothing was fitted, else it is empty."""
+    """What a task found; ``refusal`` says why nothing was fitted, None where something was.
 
-    task: FitTask
-    fault: str
-    window: Window | None = None
+    It takes home no sample that the tracker has: the task stays with who gave it. ``kept`` is the
+    window as the reservoir keeps it, thinned; None for a look. It is made where the window is,
+    next to the fit, because finding the motion of a window takes longer than sending what is kept
+    of it, and the process that receives the samples must stay free.
+    """
+
+    refusal: Judgement | None = None
     fit: WindowFit | None = None
     evidence: Evidence | None = None
+    summary: WindowSummary | None = None
+    kept: Window | None = None
     state: FilterState | None = None
     watch: ChangeWatch | None = None
     scale: ForceScale = field(default_factory=ForceScale)
@@ -62,20 +95,22 @@ class FitResult:
 
 @dataclass(frozen=True, eq=False)
 class GlobalTask:
-    """The reservoir's windows and the parameters (p,) of a model to start from."""
+    """The reservoir's windows and the running set to start from."""
 
     windows: tuple[Window, ...]
-    start: Array
+    start: ParameterSet
     settings: EvolutionSettings
-    stamp_ns: int
-    model: str = DEFAULT_MODEL
 
 
 @dataclass(frozen=True, eq=False)
 class GlobalResult:
-    """What a global identification found; ``fault`` says why nothing, else it is empty."""
+    """What a global identification found; ``refusal`` says why nothing, else it is None.
 
-    task: GlobalTask
-    fault: str
+    ``nrmse_before`` and ``nrmse_after`` are those of the set before and of that found, over the
+    samples of all windows together.
+    """
+
+    refusal: Judgement | None = None
     fit: GlobalFit | None = None
     nrmse_before: float = math.nan
+    nrmse_after: float = math.nan

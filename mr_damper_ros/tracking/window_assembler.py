@@ -132,10 +132,8 @@ class WindowAssembler:
     def add_current(self, stamp_ns: int, current: float) -> list[RawWindow]:
         """Add a value of the supply current [A]; returns the windows that became complete.
 
-        Raises ValueError where the current is not finite.
+        Raises CurrentError where the current is not finite.
         """
-        if not math.isfinite(current):
-            raise ValueError(f"the supply current is {current}: it must be a finite number")
         self._current.add(stamp_ns, current)
         return self._ready()
 

@@ -11,15 +11,15 @@ from mr_damper_ros.estimation.model_fit import model_force, unsettled_samples
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.tracking.acceptance import Evidence
+from mr_damper_ros.tracking.acceptance import Evidence, fault_of_data
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.following import fit_to_window, scale_of_force
 from mr_damper_ros.tracking.force_scale import Baselines
 from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples
 from mr_damper_ros.tracking.look_task import run_look
-from mr_damper_ros.tracking.reservoir import nearest_same
+from mr_damper_ros.tracking.reservoir import nearest_same, thinned_to_keep
 from mr_damper_ros.tracking.screening import fault_of_motion, fault_of_samples
-from mr_damper_ros.tracking.tasks import FitResult, FitTask
+from mr_damper_ros.tracking.tasks import FitResult, FitTask, WindowSummary
 from mr_damper_ros.tracking.unscented_filter import (
     METHOD,
     FilterState,
@@ -40,19 +40,21 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
     raw, settings = task.window, task.settings
     fault = fault_of_samples(raw.displacement, raw.force, raw.current, settings.screening)
     if fault:
-        return FitResult(task, fault)
+        return FitResult(fault_of_data(fault))
     try:
         window = Window.from_samples(
             raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
         )
         fault = fault_of_motion(window.motion.velocity, window.force)
         if fault:
-            return FitResult(task, fault)
+            return FitResult(fault_of_data(fault))
         if raw.look:
             return run_look(task, window)
         before_change = math.ceil((task.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))
         if before_change > 0.5 * window.sample_count:
-            return FitResult(task, "most of the window lies before the change of the force")
+            return FitResult(
+                fault_of_data("most of the window lies before the change of the force")
+            )
         window = window.part(slice(max(before_change, 0), None))
         state = _usable(task, window)
         filtered = None if state is None else _filtered(task, window, state)
@@ -83,7 +85,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
                 model, final, window, task.start, fastest=task.fastest, robust=settings.robust
             )
     except ValueError as error:
-        return FitResult(task, str(error))
+        return FitResult(fault_of_data(str(error)))
     final = replace(
         final,
         method=settings.method,
@@ -148,4 +150,12 @@ def _fitted(
         task.settings.smallest_change,
     )
     scale = scale_of_force(task.model, window, fit, Baselines(task.baselines))
-    return FitResult(task, "", window, fit, evidence, state, watch, scale)
+    return FitResult(
+        fit=fit,
+        evidence=evidence,
+        summary=WindowSummary.of(window),
+        kept=thinned_to_keep(window, with_past=task.model.remembers),
+        state=state,
+        watch=watch,
+        scale=scale,
+    )

@@ -26,7 +26,6 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
-from mr_damper_ros.tracking.window_task import run_fit
 
 NOISE = 5.53
 """Standard deviation of the force noise of the thesis [N]."""
@@ -209,8 +208,7 @@ def followed(
         ready += assembler.add_current(block.end_ns, current)
     reports = []
     for raw in ready:
-        result = run_fit(tracker.window_task(raw))
-        report = tracker.complete_look(result) if raw.look else tracker.complete(result)
+        report = tracker.follow(raw)
         if report is not None:
             reports.append(report)
     return reports

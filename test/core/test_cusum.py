@@ -19,7 +19,6 @@ from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.unscented_filter import METHOD
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
-from mr_damper_ros.tracking.window_task import run_fit
 
 POINT = (0.03, 1.0)
 
@@ -283,7 +282,7 @@ def test_a_change_of_the_operating_point_is_no_change_of_the_damper() -> None:
     before = tracked.parameters
     other = known.raw_window(known.run(frequency=3.0, current=0.3, samples=2000), number=20)
     look = dataclasses.replace(other, look=500)
-    assert tracked.complete_look(run_fit(tracked.window_task(look))) is None
+    assert tracked.follow(look) is None
     assert tracked.parameters is before
 
 
@@ -296,13 +295,13 @@ def test_a_large_change_waits_for_whole_windows_to_confirm_it() -> None:
 def test_a_look_before_the_first_set_says_nothing() -> None:
     tracked = WindowTracker(TrackerSettings(), ParameterSet(known.PLAUSIBLE))
     look = dataclasses.replace(known.raw_window(known.run()), look=500)
-    assert tracked.complete_look(run_fit(tracked.window_task(look))) is None
+    assert tracked.follow(look) is None
 
 
 def test_when_time_is_set_back_the_past_change_is_forgotten() -> None:
     tracked, _ = stream(0.9)
     past = dataclasses.replace(known.raw_window(known.run()), start_ns=known.T0 - 10**13)
-    report = tracked.complete(run_fit(tracked.window_task(past)))
+    report = tracked.follow(past)
     assert "before the change" not in report.reason
 
 

@@ -10,9 +10,7 @@ import pytest
 
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
-from mr_damper_ros.tracking.reservoir import Reservoir
 
 WEAKER = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
 
@@ -120,37 +118,3 @@ def test_an_operating_point_at_the_edge_of_a_cell_has_one_baseline(what: str) ->
         scale = force_scale(baselines, fit)
         baselines.add(fit)
     assert scale.value == pytest.approx(0.9, rel=ACROSS_THE_EDGE)
-
-
-# -- reservoir -------------------------------------------------------------------------------
-
-
-def kept(window: Window, reservoir: Reservoir) -> None:
-    reservoir.add(window, fit_window(window, known.PLAUSIBLE, method="least_squares"))
-
-
-def test_the_reservoir_keeps_the_newest_window_of_each_operating_point() -> None:
-    reservoir = Reservoir()
-    for seed in (1, 2):
-        for current in (0.5, 1.0):
-            kept(known.run(current=current, seed=seed, samples=500).window, reservoir)
-    assert reservoir.operating_points == 2
-    newest = known.run(current=0.5, seed=2, samples=500).force
-    np.testing.assert_array_equal(reservoir.windows[0].force, newest)
-
-
-def test_the_reservoir_thins_long_windows() -> None:
-    reservoir = Reservoir()
-    kept(known.run(samples=7001).window, reservoir)
-    assert 500 <= reservoir.windows[0].sample_count < 1000
-
-
-def test_the_reservoir_forgets_the_oldest_operating_point_when_it_is_full() -> None:
-    reservoir = Reservoir()
-    window = known.run(samples=200).window
-    for number in range(103):
-        current = 0.1 * number
-        shifted = Window(window.motion, window.force, np.full(200, current))
-        kept(shifted, reservoir)
-    currents = [float(w.current[0]) for w in reservoir.windows]
-    assert currents == pytest.approx([0.1 * number for number in range(3, 103)])

@@ -13,11 +13,10 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, force
-from mr_damper_ros.tracking.acceptance import AcceptanceSettings
+from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict
 from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.held_back import held_back_samples
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tasks import GlobalResult
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -79,7 +78,7 @@ def window(number: int = 0, strength: float = 1.0, **changes: object) -> RawWind
 
 
 def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
-    return [tracked.complete(run_fit(tracked.window_task(w))) for w in windows]
+    return [tracked.follow(w) for w in windows]
 
 
 def experienced(**settings: object) -> WindowTracker:
@@ -489,7 +488,7 @@ def test_one_operating_point_is_not_searched() -> None:
 
 def test_a_search_improves_the_set_on_the_reservoir() -> None:
     tracked = toured()
-    report = tracked.complete_global(run_global(tracked.global_task()))
+    report = tracked.identify()
     assert report.accepted, report.reason
     assert report.nrmse_after < report.nrmse_before
     assert tracked.parameters.set_id == report.set_id
@@ -500,26 +499,27 @@ def test_a_search_improves_the_set_on_the_reservoir() -> None:
 
 def test_a_search_over_nothing_is_a_sentence() -> None:
     tracked = tracker()
-    result = run_global(tracked.global_task())
-    report = tracked.complete_global(result)
+    report = tracked.identify()
     assert "no windows" in report.reason
     assert tracked.parameters.set_id == "start"
 
 
 def test_a_search_is_judged_against_the_running_set() -> None:
     tracked = toured()
-    result = run_global(tracked.global_task())
-    assert result.fit is not None
-    no_better = GlobalResult(result.task, "", result.fit, result.fit.median_nrmse)
+    task = tracked.global_task()
+    result = run_global(task)
     good = tracked.parameters
-    report = tracked.complete_global(no_better)
+    no_better = dataclasses.replace(result, nrmse_after=result.nrmse_before)
+    report = tracked.complete_global(task, no_better)
+    assert report.verdict is Verdict.NO_BETTER
+    assert not report.confirms, "its windows are of the past"
     assert "running set predicts the reservoir as well" in report.reason
     assert tracked.parameters is good
 
 
 def test_windows_after_a_search_keep_the_shape_and_its_errors() -> None:
     tracked = toured()
-    tracked.complete_global(run_global(tracked.global_task()))
+    tracked.identify()
     found = tracked.parameters
     assert fed(tracked, window(9, strength=0.8))[0].accepted
     shape = known.SHAPE

@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.tracking.acceptance import fault_of_data
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tasks import FitResult
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
 from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
-from mr_damper_ros.tracking.window_task import run_fit
 
 COUNT = 16
 
@@ -53,8 +53,9 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
             seed=number,
         )
         raw = known.raw_window(run, number=number, temperature=20.0 + number)
-        task = tracked.window_task(raw)
-        reports.append(tracked.complete(run_fit(task)))
+        report = tracked.follow(raw)
+        assert report is not None
+        reports.append(report)
     return reports
 
 
@@ -90,7 +91,7 @@ def test_an_unconfirmed_step_is_still_waiting() -> None:
     def stronger(tracked: WindowTracker, number: int) -> Report:
         twice = known.PLAUSIBLE * np.where(np.arange(COUNT) == known.index("f0"), 2.0, 1.0)
         raw = known.raw_window(known.run(twice, samples=SAMPLES, seed=number), number=number)
-        return tracked.complete(run_fit(tracked.window_task(raw)))
+        return tracked.follow(raw)
 
     tracked = tracker()
     feed(tracked, 0, 4)
@@ -226,5 +227,5 @@ def test_a_place_beyond_the_window_is_refused() -> None:
 def test_a_failed_window_is_counted() -> None:
     tracked = tracker()
     task = tracked.window_task(known.raw_window(known.run(samples=SAMPLES)))
-    tracked.complete(FitResult(task, "the machine stands still"))
+    tracked.complete(task, FitResult(fault_of_data("the machine stands still")))
     assert resumed(tracked).memory.windows == 1

@@ -14,7 +14,6 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
@@ -99,7 +98,7 @@ def tracker(model: str, start: ParameterSet | None = None, **settings: object) -
 
 
 def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
-    return [tracked.complete(run_fit(tracked.window_task(w))) for w in windows]
+    return [tracked.follow(w) for w in windows]
 
 
 @cache
@@ -168,7 +167,7 @@ def test_compliance_stiffness_and_offset_are_found_after_the_first_window() -> N
     tracked = tracker("sigmoid_lag", global_period=20)
     (first,) = fed(tracked, window("sigmoid_lag", 2))
     assert first.global_due
-    report = tracked.complete_global(run_global(tracked.global_task()))
+    report = tracked.identify()
     assert report.accepted, report.reason
     error = report.nrmse_after * np.std(damper("sigmoid_lag")[1])
     assert error < (1.0 + NOISE_ERROR) * NOISE
@@ -235,7 +234,7 @@ def test_a_model_of_one_current_has_no_global_identification() -> None:
     tracked = tracker("bingham", global_period=1)
     reports = fed(tracked, window("bingham", 2), window("bingham", 3))
     assert not any(report.global_due for report in reports)
-    report = tracked.complete_global(run_global(tracked.global_task(EvolutionSettings())))
+    report = tracked.identify(EvolutionSettings())
     assert not report.accepted
     assert "model 'bingham' does not tell how the force depends on the current" in report.reason
 
@@ -247,7 +246,7 @@ def test_a_tracker_goes_on_from_its_text(model: str) -> None:
     count = tracked.parameters.values.size
     again.resume(tracked.parameters, from_text(to_text(tracked.memory), count))
     task, other = (t.window_task(window(model, 6, 0.9)) for t in (tracked, again))
-    reports = [tracked.complete(run_fit(task)), again.complete(run_fit(other))]
+    reports = [tracked.complete(task, run_fit(task)), again.complete(other, run_fit(other))]
     assert reports[0].scale == reports[1].scale
     assert reports[0].nrmse_after == reports[1].nrmse_after
 

@@ -19,7 +19,6 @@ from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import from_text, to_text
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
-from mr_damper_ros.tracking.window_task import run_fit
 
 COLD, HOT = 28.0, 71.0
 SAMPLES = 1000
@@ -49,7 +48,7 @@ def warmed(number: int, celsius: float, *, thermometer: bool) -> RawWindow:
 
 
 def fed(tracked: WindowTracker, window: RawWindow) -> Report:
-    return tracked.complete(run_fit(tracked.window_task(window)))
+    return tracked.follow(window)
 
 
 def new() -> WindowTracker:
@@ -126,7 +125,7 @@ def leaked(tracked: WindowTracker, later: float) -> Report:
         force=0.8 * window.force,
         look=SAMPLES // 2,
     )
-    early = tracked.complete_look(run_fit(tracked.window_task(look)))
+    early = tracked.follow(look)
     assert early is not None
     return early
 

@@ -13,7 +13,6 @@ from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
-from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tasks import FitResult
 from mr_damper_ros.tracking.tracker import WindowTracker
@@ -105,7 +104,7 @@ def tracker(**settings: object) -> WindowTracker:
 
 
 def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
-    return [tracked.complete(run_fit(tracked.window_task(w))) for w in windows]
+    return [tracked.follow(w) for w in windows]
 
 
 # -- the filter itself -----------------------------------------------------------------------
@@ -304,8 +303,7 @@ def test_it_starts_again_from_a_fit_where_its_state_does_not_hold(change: str) -
         tracked.replace(ParameterSet(WEAK, set_id="loaded"))
     else:
         fed(tracked, window(3, current=0.2, frequency=3.0))
-        task = tracked.global_task(EvolutionSettings(generations=20, population=8))
-        assert tracked.complete_global(run_global(task)).accepted
+        assert tracked.identify(EvolutionSettings(generations=20, population=8)).accepted
     assert run(tracked, following).fit.method == "least_squares"  # type: ignore[union-attr]
 
 

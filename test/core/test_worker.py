@@ -46,6 +46,9 @@ def die_once(path, control):
         os.kill(os.getpid(), signal.SIGKILL)
     return "second try"
 
+def die_once_with(item, path, control):
+    return die_once(path, control)
+
 def hang_once(path, control):
     marker = pathlib.Path(path)
     if not marker.exists():
@@ -292,6 +295,27 @@ def test_a_task_that_kills_the_worker_twice_has_failed(
     assert worker.replaced == 2
     number = worker.submit(tasks.call, operator.add, 1, 1)
     assert ending(worker) == Done(number, 2)
+
+
+class Counted:
+    """Counts how often it is pickled."""
+
+    def __init__(self) -> None:
+        self.pickled = 0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        self.pickled += 1
+        return (int, ())
+
+
+def test_a_task_is_pickled_once_even_if_it_is_tried_again(
+    make_worker: Callable[[], Worker], tasks: Any, tmp_path: Path
+) -> None:
+    counted = Counted()
+    worker = make_worker()
+    worker.submit(tasks.die_once_with, counted, str(tmp_path / "marker"))
+    assert isinstance(ending(worker), Done)
+    assert counted.pickled == 1
 
 
 def test_an_idle_worker_that_dies_is_replaced(

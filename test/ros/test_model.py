@@ -29,7 +29,6 @@ from mr_damper_ros.nodes.parameter_table import options
 from mr_damper_ros.nodes.results import parameter_set, parameters_message
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.thesis.published_runs import CONDITIONS, parameters
-from mr_damper_ros.tracking.acceptance import NO_BETTER
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
 ROOT = Path(__file__).parents[2]
@@ -272,8 +271,8 @@ def test_parameters_that_no_window_confirms_make_the_force_invalid(
 
     listener.until(reports.get_subscription_count, "the model's subscription")
     stamp = to_stamp(recording.start_ns)
-    for accepted, reason, valid in ((False, "too noisy", False), (False, NO_BETTER, True)):
-        report = FitReport(accepted=accepted, reason=reason, parameter_set="true")
+    for confirms, valid in ((False, False), (True, True)):
+        report = FitReport(confirms=confirms, parameter_set="true")
         report.header.stamp = stamp
         reports.publish(report)
         assert reports.wait_for_all_acked(Duration(seconds=30))

@@ -1,0 +1,52 @@
+"""The reservoir keeps the newest window of each operating point, and not too many."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+import pytest
+from random_motion import BandLimitedRandom
+
+from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.tracking.reservoir import Reservoir, thinned_to_keep
+
+
+def keep(window: Window, reservoir: Reservoir) -> None:
+    reservoir.add(window, window.operating_point)
+
+
+def test_the_reservoir_keeps_the_newest_window_of_each_operating_point() -> None:
+    reservoir = Reservoir()
+    for seed in (1, 2):
+        for current in (0.5, 1.0):
+            keep(known.run(current=current, seed=seed, samples=500).window, reservoir)
+    assert reservoir.operating_points == 2
+    newest = known.run(current=0.5, seed=2, samples=500).force
+    np.testing.assert_array_equal(reservoir.windows[0].force, newest)
+
+
+def test_a_long_window_is_thinned() -> None:
+    window = known.run(samples=7001).window
+    assert 500 <= thinned_to_keep(window, with_past=True).sample_count < 1000
+
+
+def test_of_a_law_without_memory_only_the_samples_are_kept() -> None:
+    motion = BandLimitedRandom(3e-3, 0.5, 3.0).at(np.arange(2000) * known.PERIOD)
+    window = Window.from_samples(motion.displacement, motion.velocity, 1.0, known.PERIOD)
+    kept = thinned_to_keep(window, with_past=True)
+    bare = thinned_to_keep(window, with_past=False)
+    assert kept.whole is not None
+    assert bare.whole is None
+    np.testing.assert_array_equal(bare.motion.velocity, kept.motion.velocity)
+    np.testing.assert_array_equal(bare.force, kept.force)
+
+
+def test_the_reservoir_forgets_the_oldest_operating_point_when_it_is_full() -> None:
+    reservoir = Reservoir()
+    window = known.run(samples=200).window
+    for number in range(103):
+        current = 0.1 * number
+        shifted = Window(window.motion, window.force, np.full(200, current))
+        keep(shifted, reservoir)
+    currents = [float(w.current[0]) for w in reservoir.windows]
+    assert currents == pytest.approx([0.1 * number for number in range(3, 103)])

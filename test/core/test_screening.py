@@ -1,0 +1,97 @@
+"""What makes a window unfit is named before anything is fitted to it."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.screening import Screening, fault_of_samples
+
+Samples = dict[str, Array]
+
+
+def samples() -> Samples:
+    run = known.run(current=1.0, samples=1000)
+    return {
+        "displacement": run.displacement.copy(),
+        "force": run.force.copy(),
+        "current": np.full(1000, 1.0),
+    }
+
+
+def fault(data: Samples, **limits: float) -> str:
+    return fault_of_samples(**data, limits=Screening(**limits))
+
+
+def test_a_good_window_has_no_fault() -> None:
+    assert fault(samples()) == ""
+
+
+BAD: dict[str, tuple[dict[str, object], str]] = {
+    "millimetres": ({"displacement": lambda x: 1e3 * x}, "is it in millimetres"),
+    "force in a wrong unit": ({"force": lambda x: 1e5 * x}, "check its unit"),
+    "milliamperes": ({"current": lambda x: 1e3 * x}, "is it in milliamperes"),
+    "no motion": ({"displacement": lambda x: 0.0 * x + 0.01}, "move the damper"),
+    "hardly any motion": ({"displacement": lambda x: 0.05 * x}, "0.25 mm is below 0.5 mm"),
+    "no force": ({"force": lambda x: 0.0 * x}, "is the load cell connected"),
+    "current step": (
+        {"current": lambda x: np.where(np.arange(x.size) < 500, x, 1.5)},
+        "the current changes by 0.5 A within the window",
+    ),
+    "clipped above": (
+        {"force": lambda x: np.minimum(x, 0.8 * x.max())},
+        "the force is clipped",
+    ),
+    "clipped below": (
+        {"force": lambda x: np.maximum(x, 0.8 * x.min())},
+        "the force is clipped",
+    ),
+    "clipped displacement": (
+        {"displacement": lambda x: np.minimum(x, 0.9 * x.max())},
+        "the displacement is clipped",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "sentence"), BAD.values(), ids=BAD.keys())
+def test_a_fault_is_named(changes: dict[str, object], sentence: str) -> None:
+    data = samples()
+    for name, change in changes.items():
+        data[name] = change(data[name])  # type: ignore[operator]
+    assert sentence in fault(data)
+
+
+def test_the_limits_can_be_moved() -> None:
+    data = samples()
+    data["displacement"] *= 0.05
+    assert fault(data, minimum_amplitude=0.1e-3) == ""
+    data = samples()
+    data["current"][500:] = 1.5
+    assert fault(data, current_tolerance=0.6) == ""
+
+
+def test_a_clipped_force_is_seen_at_a_low_rate_too() -> None:
+    run = known.run(current=1.0, frequency=3.0, period=5e-3, samples=400)
+    clipped = np.clip(run.force, -0.8 * run.force.max(), 0.8 * run.force.max())
+    reason = fault_of_samples(run.displacement, clipped, np.full(400, 1.0), Screening())
+    assert "clipped" in reason
+
+
+@pytest.mark.parametrize("step", [1.0, 3.0, 5.0])
+def test_a_quantised_force_is_not_taken_for_clipped(step: float) -> None:
+    # 16 bits over a load cell of 100 kN are 3 N.
+    data = samples()
+    data["force"] = np.round(data["force"] / step) * step
+    assert fault(data) == ""
+
+
+def test_a_machine_that_dwells_at_its_ends_is_not_taken_for_clipped() -> None:
+    # A trapezoidal motion is driven that way: the command, not the sensor, stands still.
+    t = np.arange(1000) * 1e-3
+    swing = np.clip(2.0 * np.sin(2.0 * np.pi * 2.0 * t), -1.0, 1.0)
+    noise = np.random.default_rng(0).normal(0.0, 1e-6, 1000)
+    data = samples()
+    data["displacement"] = 5e-3 * swing + noise
+    assert fault(data) == ""
