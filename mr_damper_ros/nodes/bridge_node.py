@@ -21,14 +21,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import current_message, header, samples_message
+from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.pacing import Outlet, Pacer, SendingThread, wait_for_subscribers
-from mr_damper_ros.nodes.parameter_table import (
-    ConfigurationError,
-    NodeParameters,
-    ParameterTable,
-    group,
-    option,
-)
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.emulator import (
     Damper,
@@ -41,6 +35,7 @@ from mr_damper_ros.rig.emulator import (
 )
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.rig.sources import Meter, Reading, emulated_blocks, recorded_blocks
+from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.thesis import published_runs as thesis
 

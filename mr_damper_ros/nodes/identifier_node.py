@@ -29,13 +29,7 @@ from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterError, Pa
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
-from mr_damper_ros.nodes.parameter_table import (
-    ConfigurationError,
-    NodeParameters,
-    ParameterTable,
-    group,
-    option,
-)
+from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import (
     fluid_temperature_message,
     parameters_message,
@@ -44,6 +38,7 @@ from mr_damper_ros.nodes.results import (
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.background_writer import BackgroundWriter
 from mr_damper_ros.processes.worker import Worker
+from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict
 from mr_damper_ros.tracking.pipeline import (

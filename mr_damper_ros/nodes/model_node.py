@@ -15,14 +15,10 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
 from mr_damper_ros.nodes.messages import header, to_nanoseconds
-from mr_damper_ros.nodes.parameter_table import (
-    ConfigurationError,
-    NodeParameters,
-    ParameterTable,
-    option,
-)
+from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
 from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.running_error import RunningError

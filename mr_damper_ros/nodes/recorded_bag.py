@@ -13,7 +13,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_share_
 from rosbags.interfaces import Connection, QosDurability
 from rosbags.rosbag2 import Reader
 
-from mr_damper_ros.nodes.parameter_table import ConfigurationError
+from mr_damper_ros.nodes.node_parameters import ConfigurationError
 
 INPUTS = "inputs"
 """Stands for the topics of a test machine: those of a bag that end in one of these names."""

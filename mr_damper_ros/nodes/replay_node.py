@@ -10,10 +10,11 @@ from std_srvs.srv import Trigger
 
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.pacing import Outlet, Pacer, SendingThread, wait_for_subscribers
-from mr_damper_ros.nodes.parameter_table import NodeParameters, ParameterTable, option
 from mr_damper_ros.nodes.recorded_bag import INPUTS, RecordedBag
 from mr_damper_ros.nodes.spinning import FAILURE, SUCCESS, run
+from mr_damper_ros.settings.option_table import ParameterTable, option
 
 _CLOCK_PERIOD_NS = 10_000_000
 """Time between two /clock messages, of the computer's time, or of the bag's where that is less."""

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from mr_damper_ros.nodes.parameter_table import (
+from mr_damper_ros.settings.option_table import (
     Option,
     ParameterTable,
     build,

@@ -12,10 +12,10 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "mr_damper_ros"
 
 ROOMS = (
-    *("processes", "signals", "kinematics", "models", "estimation", "tracking", "control"),
-    *("io", "rig", "interface", "nodes", "tools"),
+    *("settings", "processes", "signals", "kinematics", "models", "estimation", "tracking"),
+    *("control", "io", "rig", "interface", "nodes", "tools"),
 )
-"""A room knows those before it, and none after it. Processes know nothing of dampers."""
+"""A room knows those before it, and none after it. The first two know nothing of dampers."""
 
 UNDER_THE_THESIS = ROOMS[: ROOMS.index("nodes")]
 """What the reproduction of the thesis may use."""

@@ -30,8 +30,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.identifier_node import IdentifierParameters
-from mr_damper_ros.nodes.parameter_table import options
 from mr_damper_ros.nodes.results import parameter_set
+from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.state_directory import StateDirectory
 

@@ -16,8 +16,8 @@ from support import PATIENCE, Listener
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.bridge_node import BridgeParameters
-from mr_damper_ros.nodes.parameter_table import options
 from mr_damper_ros.nodes.replay_node import ReplayParameters
+from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "launch" / "identify.launch.py"

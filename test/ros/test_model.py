@@ -25,8 +25,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
 from mr_damper_ros.nodes.model_node import ModelParameters
-from mr_damper_ros.nodes.parameter_table import options
 from mr_damper_ros.nodes.results import parameter_set, parameters_message
+from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.thesis.published_runs import CONDITIONS, parameters
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings

@@ -1,0 +1,134 @@
+"""The parameters of a running node, from a table of options.
+
+A node says ``self.parameters = NodeParameters(self, ModelParameters, changed=self._changed)`` and
+reads ``self.parameters.values.staleness`` (not ``_parameters``, which is rclpy's own name). Every
+option that is not read-only must be applied when it changes: read it where it is used, or apply it
+in ``changed``.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from mr_damper_ros.settings.option_table import Option, ParameterTable, build, options
+
+_NOT_OURS = ("qos_overrides.", "use_sim_time", "start_type_description_service")
+"""Overrides that rclpy itself declares, some of them only with the publisher they belong to."""
+
+T = TypeVar("T", bound=ParameterTable)
+
+
+class ConfigurationError(ValueError):
+    """The node cannot start as it is configured; the message is a sentence that says why."""
+
+
+class NodeParameters(Generic[T]):
+    """The parameters of a running node, declared, validated and kept up to date.
+
+    Raises ConfigurationError where a value given at the start is unknown, of the wrong type or
+    not allowed. Later changes are accepted or rejected with a sentence as the reason; ``changed``
+    is called after each accepted change of a value that is not read-only.
+    """
+
+    def __init__(
+        self, node: Node, table: type[T], changed: Callable[[T], None] | None = None
+    ) -> None:
+        self._table = table
+        self._options = {item.name: item for item in options(table)}
+        self._changed = changed
+        given = self._given(node)
+        objections = [self._options[name].objection(value) for name, value in given.items()]
+        defaults = {name: item.default for name, item in self._options.items()}
+        self._raise_first(objections)
+        self._values = build(table, defaults | given)
+        self._raise_first([self._values.objection()])
+        for name, item in self._options.items():
+            node.declare_parameter(
+                name, (defaults | given)[name], _descriptor(item), ignore_override=True
+            )
+        self._node = node
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._apply)
+
+    @property
+    def values(self) -> T:
+        """The present values."""
+        return self._values
+
+    @staticmethod
+    def _raise_first(objections: list[str]) -> None:
+        for objection in objections:
+            if objection:
+                raise ConfigurationError(objection)
+
+    def _given(self, node: Node) -> dict[str, Any]:
+        """Values from the command line and from parameter files, by name."""
+        # rclpy ignores values for undeclared parameters without a word, so that a misspelt name
+        # would leave the default in force; the values given are not public in rclpy.
+        given: dict[str, Any] = {}
+        for name, parameter in node._parameter_overrides.items():
+            if name.startswith(_NOT_OURS):
+                continue
+            if name not in self._options:
+                close = difflib.get_close_matches(name, self._options, n=1)
+                hint = f"did you mean {close[0]}?" if close else "--help lists all there are"
+                raise ConfigurationError(f"there is no parameter {name}: {hint}")
+            given[name] = self._options[name].normalised(parameter.value)
+        return given
+
+    def _merged(self, parameters: list[Parameter]) -> T:
+        """The table after a change; other parameters, such as use_sim_time, are not in it."""
+        present = {name: self._node.get_parameter(name).value for name in self._options}
+        new = {p.name: p.value for p in parameters if p.name in self._options}
+        return build(self._table, present | new)
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            item = self._options.get(parameter.name)
+            objection = item.objection(parameter.value) if item else ""
+            if objection:
+                return SetParametersResult(successful=False, reason=objection)
+        objection = self._merged(parameters).objection()
+        return SetParametersResult(successful=not objection, reason=objection)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        if not any(parameter.name in self._options for parameter in parameters):
+            return
+        self._values = self._merged(parameters)
+        if self._changed is not None:
+            self._changed(self._values)
+
+
+def _descriptor(item: Option) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        name=item.name,
+        description=item.description,
+        read_only=item.read_only,
+        additional_constraints=f"one of {', '.join(item.choices)}" if item.choices else "",
+    )
+    if item.range_text:
+        if item.kind is int:
+            limit = 2**63 - 1
+            low = -limit if item.minimum is None else int(item.minimum)
+            high = limit if item.maximum is None else int(item.maximum)
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+        else:
+            descriptor.floating_point_range = [
+                FloatingPointRange(
+                    from_value=-math.inf if item.minimum is None else float(item.minimum),
+                    to_value=math.inf if item.maximum is None else float(item.maximum),
+                )
+            ]
+    return descriptor

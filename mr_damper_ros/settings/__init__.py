@@ -1,0 +1,1 @@
+"""What may be set: options with their defaults, descriptions and ranges, and tables of them."""
