@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
+from mr_damper_ros.models.published_conditions import CONDITIONS, Condition, is_clean
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.thesis.published_runs import (
-    CONDITIONS,
-    DISPLACEMENT_NOISE,
-    PHASE,
-    Condition,
-    is_clean,
-    synthesise,
-)
+from mr_damper_ros.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise
 
 
 def window_of(recording: Recording) -> Window:

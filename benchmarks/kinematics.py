@@ -15,18 +15,18 @@ from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
-from mr_damper_ros.models import MODELS
+from mr_damper_ros.models import MODELS, published_conditions
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import force
 from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.thesis import published_runs as thesis
+from mr_damper_ros.thesis import published_runs
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
 PERIOD = 1e-3
-NOISE = thesis.DISPLACEMENT_NOISE
+NOISE = published_runs.DISPLACEMENT_NOISE
 _BLOCK = 10
 _SETTLED = 5.0
 """Seconds of a motion after which it is judged."""
@@ -143,9 +143,11 @@ def _force(velocity: Array, truth: Motion, acceleration: Array | None = None) ->
 def stream_nrmse_ratio(runs: int | None = None) -> float:
     """Error of the predicted force on the clean thesis runs, over that with exact kinematics."""
     errors = []
-    for condition in [c for c in thesis.CONDITIONS if thesis.is_clean(c)][:runs]:
-        run = thesis.synthesise(condition)
-        values = thesis.parameters(condition)
+    for condition in [
+        c for c in published_conditions.CONDITIONS if published_conditions.is_clean(c)
+    ][:runs]:
+        run = published_runs.synthesise(condition)
+        values = published_conditions.parameters(condition)
         predictor = ForcePredictor(PredictorSettings())
         predictor.set_parameters(ParameterSet(values))
         made, valid = np.empty(run.force.size), np.zeros(run.force.size, dtype=bool)
@@ -158,7 +160,7 @@ def stream_nrmse_ratio(runs: int | None = None) -> float:
             )
             made[part], valid[part] = prediction.force, prediction.valid
         time: Array = np.arange(run.force.size, dtype=float) * run.period
-        sine = SineMotion(condition.amplitude, condition.frequency, phase=thesis.PHASE)
+        sine = SineMotion(condition.amplitude, condition.frequency, phase=published_runs.PHASE)
         exact = force(values, *sine.at(time), condition.current)
         errors.append(
             [np.mean((f - run.force)[valid] ** 2) / np.var(run.force) for f in (made, exact)]

@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.dampers import steady_window
 from benchmarks.figure import Figure
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models.published_conditions import Condition, find, parameters
 from mr_damper_ros.models.sigmoid.law import (
     Coefficients,
     coefficient_jacobian,
@@ -17,7 +18,7 @@ from mr_damper_ros.models.sigmoid.law import (
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.thesis.published_runs import PHASE, Condition, find, parameters
+from mr_damper_ros.thesis.published_runs import PHASE
 
 CONDITION = "5.0mm_1Hz_1.5A"
 REALISATIONS = 500

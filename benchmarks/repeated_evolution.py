@@ -9,9 +9,9 @@ from multiprocessing import get_context
 import numpy as np
 
 from benchmarks.figure import Figure
+from mr_damper_ros.models.published_conditions import find
 from mr_damper_ros.thesis.de import evolve
 from mr_damper_ros.thesis.facts import SEARCH_HIGH, SEARCH_LOW
-from mr_damper_ros.thesis.published_runs import find
 from mr_damper_ros.thesis.runs import cycle
 
 CONDITION = "5.0mm_1Hz_0.0A"

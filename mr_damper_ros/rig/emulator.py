@@ -24,6 +24,7 @@ from mr_damper_ros.models.sigmoid.law import (
     peak_velocity,
 )
 from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
@@ -196,23 +197,6 @@ class ForceStep:
 
     time: float
     factor: float
-
-
-@dataclass(frozen=True, eq=False)
-class RigBlock:
-    """Samples that follow those before: ``displacement`` [m], ``force`` [N], ``current`` [A].
-
-    Arrays have shape (n,), ``period`` [s] apart; ``start_ns`` is the stamp of sample 0,
-    ``sequence`` its index since the start. ``temperature`` [°C] has shape (n,) too.
-    """
-
-    start_ns: int
-    sequence: int
-    period: float
-    displacement: Array
-    force: Array
-    current: Array
-    temperature: Array
 
 
 @dataclass(frozen=True)

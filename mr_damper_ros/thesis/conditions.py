@@ -11,17 +11,17 @@ import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.errata import METHOD_TITLES, find_errata
-from mr_damper_ros.thesis.published_runs import (
+from mr_damper_ros.models.published_conditions import (
     CONDITIONS,
     PUBLISHED_METHODS,
     Condition,
     find,
     parameters,
 )
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.thesis.campaign import Campaign
+from mr_damper_ros.thesis.errata import METHOD_TITLES, find_errata
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text, to_error, with_error
 from mr_damper_ros.thesis.runs import coefficients, loop, title, window
 from mr_damper_ros.thesis.style import DASHES, INK, legend_above, panels

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.published_conditions import CONDITIONS, Condition, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.conditions import identified
 from mr_damper_ros.thesis.errata import find_errata
-from mr_damper_ros.thesis.published_runs import CONDITIONS, Condition, find, parameters
 from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison
 from mr_damper_ros.thesis.runs import loop
 from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels

@@ -18,11 +18,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
-from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.thesis import facts
-from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.published_runs import (
+from mr_damper_ros.models.published_conditions import (
     CONDITIONS,
     PUBLISHED_METHODS,
     ROW_ERRATA,
@@ -30,6 +26,10 @@ from mr_damper_ros.thesis.published_runs import (
     find,
     parameters,
 )
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.thesis import facts
+from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import loop, title
 from mr_damper_ros.thesis.style import DASHES, INK, panels

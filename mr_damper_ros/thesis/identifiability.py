@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
+from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts, one_set
 from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.published_runs import find, parameters
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import coefficients, cycle
 from mr_damper_ros.thesis.style import GREY, INK, MARKS, panels

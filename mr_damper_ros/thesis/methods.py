@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.published_conditions import PUBLISHED_METHODS, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
@@ -17,7 +18,6 @@ from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.de import evolve
 from mr_damper_ros.thesis.errata import METHOD_TITLES
 from mr_damper_ros.thesis.nelder_mead import fminsearch
-from mr_damper_ros.thesis.published_runs import PUBLISHED_METHODS, find, parameters
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import cycle, loop
 from mr_damper_ros.thesis.style import DASHES, INK, MARKS, legend_above, panels

@@ -18,6 +18,7 @@ from scipy.optimize import basinhopping, dual_annealing, least_squares
 
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
@@ -25,7 +26,6 @@ from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.de import STRATEGIES, evolve
 from mr_damper_ros.thesis.nelder_mead import fminsearch
-from mr_damper_ros.thesis.published_runs import find, parameters
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import CycleMisfit, cycle, loop, window
 from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels

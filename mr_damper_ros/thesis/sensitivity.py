@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.published_runs import find, parameters
 from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison
 from mr_damper_ros.thesis.runs import Loop, loop, window
 from mr_damper_ros.thesis.style import DASHES, INK, MARKS, legend_above, panels

@@ -8,15 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mr_damper_ros.io.bags import BagError, write_bag
-from mr_damper_ros.thesis.published_runs import (
-    CONDITIONS,
-    ERRATA,
-    Condition,
-    find,
-    is_clean,
-    recording_name,
-    synthesise,
-)
+from mr_damper_ros.models.published_conditions import CONDITIONS, ERRATA, Condition, find, is_clean
+from mr_damper_ros.thesis.published_runs import recording_name, synthesise
 from mr_damper_ros.tools.console import run_tool
 
 

@@ -29,9 +29,9 @@ from benchmarks.figure import Figure, table
 from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import scaled
-from mr_damper_ros.thesis.published_runs import find, parameters
 from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
 
 CONDITION = "5.0mm_1Hz_1.5A"

@@ -1,4 +1,4 @@
-"""What the nodes load: not SciPy, which takes longer than all the rest."""
+"""What the nodes load: not SciPy, which takes longer than all the rest, and nothing unused."""
 
 from __future__ import annotations
 
@@ -15,10 +15,24 @@ import pytest
         "mr_damper_ros.tracking.tracker, mr_damper_ros.tracking.tracker_memory",
         "mr_damper_ros.tracking.pipeline, mr_damper_ros.processes.worker",
         "mr_damper_ros.io.bags, mr_damper_ros.io.records, mr_damper_ros.rig.emulator",
+        "mr_damper_ros.rig.sources",
     ],
 )
 def test_a_node_starts_without_scipy(modules: str) -> None:
-    code = f"import sys, {modules}; sys.exit('scipy' in sys.modules)"
+    assert "scipy" not in loaded_by(modules)
+
+
+def test_what_a_source_alone_needs_is_loaded_when_it_is_opened() -> None:
+    loaded = loaded_by("mr_damper_ros.rig.sources")
+    assert not loaded & {"rosbags", "csv", "mr_damper_ros.thesis", "mr_damper_ros.io"}
+
+
+def loaded_by(modules: str) -> set[str]:
+    """All modules of a fresh interpreter that has imported these."""
     # With all paths of this process, but without what it has loaded.
     path = f"import sys; sys.path[:] = {sys.path!r}; "
-    assert subprocess.run([sys.executable, "-c", path + code], check=False).returncode == 0
+    code = f"import {modules}; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", path + code], capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.split())

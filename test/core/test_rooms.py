@@ -34,13 +34,11 @@ IMPORTS_TO_MEND = {
     ("kinematics/motion_follower.py", "models"),
     ("models/sigmoid/adaptation.py", "estimation"),
     ("models/sigmoid/coefficient_laws.py", "estimation"),
-    ("nodes/bridge_node.py", "thesis"),
 }
 LONG_FILES_TO_SPLIT = {
     "estimation/global_fit.py",
     "io/bags.py",
     "io/records.py",
-    "nodes/bridge_node.py",
     "nodes/identifier_node.py",
     "thesis/optimisers.py",
 }

@@ -11,7 +11,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from mr_damper_ros.models import published_conditions as thesis
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.published_conditions import Condition
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     DEPENDENCES,
@@ -30,8 +32,6 @@ from mr_damper_ros.models.sigmoid.law import (
     secant_damping_jacobian,
 )
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.thesis import published_runs as thesis
-from mr_damper_ros.thesis.published_runs import Condition
 
 ROUNDING = 1e-9
 """Relative: the routine and the law round differently, no more."""

@@ -13,12 +13,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import facts, identifiability, one_set, optimisers, repeated, sensitivity
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.de import STRATEGIES, evolve
-from mr_damper_ros.thesis.published_runs import find, parameters
 from mr_damper_ros.thesis.report import (
     Chapter,
     Compared,

@@ -10,6 +10,13 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from known import fixed
 
+from mr_damper_ros.models.published_conditions import (
+    CONDITIONS,
+    PUBLISHED_METHODS,
+    ROW_ERRATA,
+    find,
+    parameters,
+)
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import (
@@ -23,13 +30,6 @@ from mr_damper_ros.thesis import (
 )
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.conditions import identified
-from mr_damper_ros.thesis.published_runs import (
-    CONDITIONS,
-    PUBLISHED_METHODS,
-    ROW_ERRATA,
-    find,
-    parameters,
-)
 from mr_damper_ros.thesis.runs import CycleMisfit, cycle, window
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")

@@ -21,6 +21,7 @@ from mr_damper_ros.io.bags import read_bag, write_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.published_conditions import CONDITIONS, is_clean, parameters
 from mr_damper_ros.models.sigmoid.extension import without_extension
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
@@ -29,7 +30,7 @@ from mr_damper_ros.models.sigmoid.law import (
     SHAPE_PARAMETER_NAMES,
     operating_point_coefficients,
 )
-from mr_damper_ros.thesis.published_runs import CONDITIONS, is_clean, parameters, synthesise
+from mr_damper_ros.thesis.published_runs import synthesise
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.progress import ProgressLine
 

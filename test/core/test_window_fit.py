@@ -14,7 +14,9 @@ from random_motion import BandLimitedRandom
 from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit, fit_window
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
+from mr_damper_ros.models import published_conditions as thesis
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.published_conditions import Condition
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     SCALE_INDICES,
@@ -25,8 +27,7 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.thesis import published_runs as thesis
-from mr_damper_ros.thesis.published_runs import Condition
+from mr_damper_ros.thesis.published_runs import synthesise
 
 AT_THE_NOISE = 1.0001
 """RMSE of a fit over that of the truth: the minimum lies no higher, and the search ends in it."""
@@ -172,7 +173,7 @@ def test_the_errors_have_the_size_that_the_fits_claim(cases: dict[Condition, Cas
 def test_the_recordings_of_the_rig_are_fitted_down_to_the_noise_too() -> None:
     # The rig adds noise to the displacement, as a transducer does.
     condition = thesis.find("7.5mm_3Hz_1.0A")
-    recording = thesis.synthesise(condition, seed=1)
+    recording = synthesise(condition, seed=1)
     window = Window.from_samples(
         recording.displacement, recording.force, recording.current, recording.period
     )

@@ -22,13 +22,13 @@ from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models import Model as ForceModel
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published_conditions import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
 from mr_damper_ros.nodes.model_node import ModelParameters
 from mr_damper_ros.nodes.results import parameter_set, parameters_message
 from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.thesis.published_runs import CONDITIONS, parameters
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
 ROOT = Path(__file__).parents[2]

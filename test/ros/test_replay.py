@@ -30,6 +30,7 @@ from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
 from mr_damper_ros.io.bags import write_bag
+from mr_damper_ros.models.published_conditions import find
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.thesis import published_runs as thesis
@@ -87,7 +88,7 @@ def test_as_fast_as_possible_a_slow_subscriber_loses_nothing(
 ) -> None:
     bag = tmp_path / "bag"
     # More messages than the queues of the middleware hold.
-    recording = thesis.synthesise(thesis.find("5.0mm_1Hz_1.5A"), seed=1)
+    recording = thesis.synthesise(find("5.0mm_1Hz_1.5A"), seed=1)
     write_bag(bag, recording, block_size=1)
     heard: list[bytes] = []
 

@@ -1,0 +1,164 @@
+"""The stream of the bridge: blocks of a source become messages on topics, each at its time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
+from rclpy.node import Node
+from sensor_msgs.msg import JointState, Temperature
+
+from mr_damper_ros.nodes.messages import current_message, header, samples_message
+from mr_damper_ros.nodes.pacing import Outlet, Pacer, wait_for_subscribers
+from mr_damper_ros.rig.meter import Meter, Reading
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+
+_TOPICS = {
+    "mts/samples": MtsSamples,
+    "supply/current": SupplyCurrent,
+    "temperature": Temperature,
+    "joint_states": JointState,
+}
+
+_CURRENT_STEP = 0.005
+"""Change [A] of the current that is published at once; smaller ones wait for the next reading."""
+
+_TEMPERATURE_PERIOD = 1.0
+
+
+@dataclass(frozen=True)
+class SubscriberWait:
+    """Number of ``nodes`` that must have subscribed first, and how long they are waited for [s]."""
+
+    nodes: int
+    timeout: float
+
+
+class BridgeStream:
+    """The topics of the bridge, from its configuration to its clean-up.
+
+    ``current_rate`` and ``mirror_rate`` are messages per second [Hz] of the data's time; without a
+    mirror rate there are no joint states.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        pacer: Pacer,
+        *,
+        frame_id: str,
+        current_rate: float,
+        mirror_rate: float,
+        unpaced: bool,
+    ) -> None:
+        self._node = node
+        self._pacer = pacer
+        self._frame_id = frame_id
+        self._current_period = 1.0 / current_rate
+        self._mirror_rate = mirror_rate
+        self.sent = 0
+        self.state = ""
+        self._outlets = {
+            topic: Outlet(node, kind, topic, pacer, unpaced=unpaced)
+            for topic, kind in _TOPICS.items()
+            if topic != "joint_states" or mirror_rate > 0.0
+        }
+
+    def close(self) -> None:
+        """Withdraw the topics."""
+        for outlet in self._outlets.values():
+            self._node.destroy_publisher(outlet.publisher)
+
+    def send(self, blocks: Iterator[RigBlock], wait: SubscriberWait) -> None:
+        """Publish all blocks, each when its last sample is due, or until the pacer is stopped."""
+        self.sent = 0
+        self._wait_for(wait)
+        self.state = "streams"
+        supply = Meter(self._current_period, step=_CURRENT_STEP)
+        thermometer = Meter(_TEMPERATURE_PERIOD)
+        mirror = _Mirror(self._mirror_rate, self._frame_id) if self._mirror_rate else None
+        block = None
+        for block in blocks:
+            if block.sample_count == 0:
+                if self._pacer.stopped:
+                    return
+                continue
+            if not self._pacer.wait_until(_last_stamp(block)):
+                return
+            # What belongs to the samples goes first, so that it is known when they arrive.
+            for reading in supply.read(block, block.current):
+                self._publish_current(reading)
+            for reading in thermometer.read(block, block.temperature):
+                self._outlets["temperature"].publish(
+                    Temperature(
+                        header=header(reading.stamp_ns, self._frame_id), temperature=reading.value
+                    )
+                )
+            self._outlets["mts/samples"].publish(samples_message(_samples(block), self._frame_id))
+            for message in mirror.messages(block) if mirror else ():
+                self._outlets["joint_states"].publish(message)
+            self.sent += block.sample_count
+        if block is not None and block.sample_count > 0:
+            # The current is now known up to the last sample.
+            self._publish_current(Reading(_last_stamp(block), float(block.current[-1])))
+        for outlet in self._outlets.values():
+            outlet.wait_for_acknowledgement()
+        self.state = "the recording is at its end: nothing more comes"
+        self._node.get_logger().info(f"end of the recording: {self.sent} samples were sent")
+
+    def _wait_for(self, wait: SubscriberWait) -> None:
+        self.state = "waits for subscribers"
+        publishers = [outlet.publisher for outlet in self._outlets.values()]
+        if wait.nodes > 0 and not wait_for_subscribers(
+            self._node, publishers, wait.nodes, wait.timeout, self._pacer
+        ):
+            self._node.get_logger().warning(
+                f"fewer than {wait.nodes} nodes subscribed within {wait.timeout:g} s: streaming to "
+                "those that are there"
+            )
+
+    def _publish_current(self, reading: Reading) -> None:
+        self._outlets["supply/current"].publish(
+            current_message(reading.stamp_ns, reading.value, self._frame_id)
+        )
+
+
+class _Mirror:
+    """The samples as joint states, thinned out; velocity is the mean since the one before."""
+
+    def __init__(self, rate: float, joint: str) -> None:
+        self._rate = rate
+        self._joint = joint
+        self._last: tuple[int, float] | None = None
+
+    def messages(self, block: RigBlock) -> Iterator[JointState]:
+        every = max(round(1.0 / (self._rate * block.period)), 1)
+        for index in range(-block.sequence % every, block.force.size, every):
+            stamp_ns = block.stamp_ns(index)
+            position = float(block.displacement[index])
+            if self._last is not None:
+                elapsed = (stamp_ns - self._last[0]) / NANOSECONDS
+                yield JointState(
+                    header=header(stamp_ns, self._joint),
+                    name=[self._joint],
+                    position=[position],
+                    velocity=[(position - self._last[1]) / elapsed],
+                    effort=[float(block.force[index])],
+                )
+            self._last = (stamp_ns, position)
+
+
+def _last_stamp(block: RigBlock) -> int:
+    return block.stamp_ns(block.sample_count - 1)
+
+
+def _samples(block: RigBlock) -> SampleBlock:
+    return SampleBlock(
+        start_ns=block.start_ns,
+        sequence=block.sequence,
+        period=block.period,
+        displacement=block.displacement,
+        force=block.force,
+    )

@@ -1,0 +1,177 @@
+"""The emulated rig as a source."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.rig.emulator import (
+    CurrentSchedule,
+    Damper,
+    EmulatedRig,
+    ModelDamper,
+    RigSettings,
+    TemperatureDependentDamper,
+    ThermalModel,
+    scaled,
+)
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.settings.option_table import ParameterTable, option
+
+_THESIS_TEMPERATURES = "thesis_temperatures"
+
+
+@dataclass(frozen=True)
+class EmulatedOptions(ParameterTable):
+    """The emulated rig of ``source: emulated``."""
+
+    damper: str = option(
+        _THESIS_TEMPERATURES,
+        f"The damper in the machine: {_THESIS_TEMPERATURES} (the thesis' at 28 °C and 71 °C, its "
+        "force in between by the emulated temperature), a condition of the thesis such as "
+        "5.0mm_1Hz_1.5A, or the path of a parameter file (YAML) of any model.",
+        read_only=True,
+    )
+    hot_force: float = option(
+        1.0,
+        "Factor on the force at 71 °C, for a damper that gets weaker (below 1) as it heats; "
+        "between 28 °C and 71 °C the force changes linearly.",
+        minimum=0.0,
+        maximum=10.0,
+        read_only=True,
+    )
+    amplitude: float = option(
+        0.005, "Amplitude of the sine [m].", minimum=1e-6, maximum=0.5, read_only=True
+    )
+    frequency: float = option(
+        1.0, "Frequency of the sine [Hz].", minimum=1e-3, maximum=100.0, read_only=True
+    )
+    current: float = option(
+        1.5,
+        "Supply current [A]. It may be changed while the rig runs: this is the knob of the supply.",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    force_noise: float = option(
+        5.53,
+        "Standard deviation [N] of the noise of the force.",
+        minimum=0.0,
+        maximum=1e6,
+        read_only=True,
+    )
+    displacement_noise: float = option(
+        0.0,
+        "Standard deviation [m] of the noise of the displacement.",
+        minimum=0.0,
+        maximum=0.1,
+        read_only=True,
+    )
+    sample_rate: float = option(
+        1000.0, "Samples per second [Hz].", minimum=1.0, maximum=100_000.0, read_only=True
+    )
+    initial_temperature: float = option(
+        28.0,
+        "Temperature of the damper at the start [°C].",
+        minimum=-50.0,
+        maximum=200.0,
+        read_only=True,
+    )
+    ambient_temperature: float = option(
+        22.0, "Temperature of the air [°C].", minimum=-50.0, maximum=200.0, read_only=True
+    )
+    heat_capacity: float = option(
+        430.0,
+        "Heat capacity of the damper [J/K]: smaller drifts faster.",
+        minimum=0.1,
+        maximum=1e6,
+        read_only=True,
+    )
+    conductance: float = option(
+        0.5,
+        "Heat lost to the air per kelvin [W/K]; 0 for none.",
+        minimum=0.0,
+        maximum=1e4,
+        read_only=True,
+    )
+    seed: int = option(
+        0,
+        "Seed of the noise; the same seed gives the same samples.",
+        minimum=0,
+        maximum=2**31 - 1,
+        read_only=True,
+    )
+
+
+class EmulatedSource(Source):
+    """An emulated rig, for ever; the current is the knob of its supply."""
+
+    options = EmulatedOptions
+    prefix = "emulated."
+
+    def __init__(self, settings: EmulatedOptions, stream: StreamSettings) -> None:
+        super().__init__(settings, stream)
+        self._damper: Damper | None = None
+
+    def open(self) -> list[str]:
+        """Read the parameters of the damper."""
+        self._damper = _damper(self.settings)
+        return []
+
+    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
+        """The samples of a rig that starts now."""
+        assert self._damper is not None
+        given = self.settings
+        settings = RigSettings(
+            sample_rate=given.sample_rate,
+            force_noise=given.force_noise,
+            displacement_noise=given.displacement_noise,
+            seed=given.seed,
+            start_ns=start_ns,
+        )
+        # The schedule is a list that grows while the rig reads it: this is the supply being turned.
+        times, currents = [0.0], [given.current]
+        rig = EmulatedRig(
+            self._damper,
+            SineMotion(given.amplitude, given.frequency),
+            CurrentSchedule(times, currents),
+            settings=settings,
+            thermal=ThermalModel(
+                ambient=given.ambient_temperature,
+                initial=given.initial_temperature,
+                capacity=given.heat_capacity,
+                conductance=given.conductance,
+            ),
+        )
+        taken = 0
+        while True:
+            current = self.settings.current
+            if current != currents[-1]:
+                times.append(max(taken * settings.period, math.nextafter(times[-1], math.inf)))
+                currents.append(current)
+            yield rig.next_block(self.stream.block_size)
+            taken += self.stream.block_size
+
+    def close(self) -> None:
+        """Take the damper out."""
+        self._damper = None
+
+
+def _damper(rig: EmulatedOptions) -> Damper:
+    """Return the damper of the parameters; raises ValueError or OSError."""
+    if rig.damper == _THESIS_TEMPERATURES:
+        return TemperatureDependentDamper(
+            THESIS_28_CELSIUS, scaled(THESIS_71_CELSIUS, rig.hot_force)
+        )
+    if rig.damper.endswith((".yaml", ".yml")):
+        given = ParameterSet.from_yaml(Path(rig.damper).read_text(encoding="utf-8"))
+        return ModelDamper(given, 1.0 / rig.sample_rate, rig.hot_force)
+    from mr_damper_ros.models.published_conditions import find, parameters
+
+    values = parameters(find(rig.damper))
+    return TemperatureDependentDamper(values, scaled(values, rig.hot_force))

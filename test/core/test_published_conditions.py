@@ -1,0 +1,90 @@
+"""The thesis' table of parameter sets: its conditions, and the rows that must not be used."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.models.published_conditions import (
+    CONDITIONS,
+    ERRATA,
+    PUBLISHED_METHODS,
+    ROW_ERRATA,
+    Condition,
+    ConditionError,
+    find,
+    is_clean,
+    parameters,
+)
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
+from mr_damper_ros.rig.excitation import SineMotion
+
+PHASE = 1.0
+
+
+def steady_force(condition: Condition, method: str) -> np.ndarray:
+    time = np.arange(1000) / 1000.0 / condition.frequency
+    motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(time)
+    return force(parameters(condition, method), *motion, condition.current)
+
+
+def difference(condition: Condition) -> float:
+    """Relative norm of the difference between the loops of the two methods."""
+    one, two = (steady_force(condition, method) for method in PUBLISHED_METHODS)
+    return float(np.linalg.norm(one - two) / np.linalg.norm(one))
+
+
+def test_there_are_34_conditions_of_which_30_are_clean() -> None:
+    assert len(CONDITIONS) == 34
+    assert sum(map(is_clean, CONDITIONS)) == 30
+    assert {condition.name for condition in ERRATA} == {
+        "5.0mm_1Hz_1.0A",
+        "5.0mm_3Hz_1.0A",
+        "5.0mm_5Hz_1.0A",
+        "7.5mm_3Hz_1.5A",
+    }
+
+
+def test_the_two_methods_agree_where_neither_row_is_an_erratum() -> None:
+    marked = {condition for condition, _ in ROW_ERRATA}
+    differences = [difference(condition) for condition in CONDITIONS if condition not in marked]
+    assert len(differences) == 27
+    assert max(differences) <= 0.075
+    assert np.median(differences) == pytest.approx(0.012, abs=0.002)
+
+
+def test_the_copied_tables_are_copies() -> None:
+    for frequency in (1, 3, 5):
+        for method in PUBLISHED_METHODS:
+            np.testing.assert_array_equal(
+                parameters(find(f"5.0mm_{frequency}Hz_1.0A"), method),
+                parameters(find(f"5.0mm_{frequency}Hz_0.0A"), method),
+            )
+
+
+def test_the_loop_of_the_lost_sign_runs_the_wrong_way_round() -> None:
+    k4 = PARAMETER_NAMES.index("k4")
+    positive = {
+        condition.name
+        for condition in CONDITIONS
+        if parameters(condition, PUBLISHED_METHODS[0])[k4] > 0.0
+    }
+    assert positive == {"7.5mm_3Hz_1.5A"}
+
+
+@pytest.mark.parametrize("name", ["2.5mm_5Hz_0.0A", "7.5mm_5Hz_1.0A", "7.5mm_1Hz_1.5A"])
+def test_rows_marked_as_errata_contradict_the_other_method(name: str) -> None:
+    assert (find(name), "differential_evolution") in ROW_ERRATA
+    assert is_clean(find(name))
+    assert difference(find(name)) > 0.075
+
+
+@pytest.mark.parametrize(
+    "call",
+    [lambda: find("2.5mm_2Hz_0.0A"), lambda: parameters(Condition(0.0, 0.0025, 2.0))],
+)
+def test_unknown_conditions_are_refused(call: Any) -> None:
+    with pytest.raises(ConditionError, match=r"2.5mm_2Hz_0.0A"):
+        call()

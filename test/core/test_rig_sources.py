@@ -1,0 +1,181 @@
+"""The sources of samples: what they open, the blocks they give, and what they refuse."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.io.bags import BagError, read_bag
+from mr_damper_ros.io.records import RecordError
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.models.published_conditions import ConditionError
+from mr_damper_ros.rig.meter import Meter
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources import SOURCES
+from mr_damper_ros.rig.sources.recorded_blocks import recorded_blocks
+from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.settings.option_table import build
+from mr_damper_ros.signals.recording import Recording
+
+BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
+START = 1_700_000_000_000_000_000
+SECOND = 1_000_000_000
+
+
+def source(name: str, block_size: int = 10, **settings: Any) -> Source:
+    kind = SOURCES[name]
+    return kind(build(kind.options, settings), StreamSettings(block_size))
+
+
+def joined(blocks: list[RigBlock], quantity: str) -> np.ndarray:
+    return np.concatenate([getattr(block, quantity) for block in blocks])
+
+
+def recording(count: int, name: str = "part") -> Recording:
+    values = np.arange(count, dtype=float)
+    return Recording(name, START, 1e-3, values * 1e-6, values, np.full(count, 0.5))
+
+
+def test_the_recordings_of_a_bag_come_as_they_are() -> None:
+    bag = source("bag", bag=str(BAG))
+    assert "provenance: re-synthesised" in bag.open()[0]
+    blocks = list(bag.blocks(START))
+    expected = read_bag(BAG)[0]
+    for quantity in ("displacement", "force", "current"):
+        np.testing.assert_array_equal(joined(blocks, quantity), getattr(expected, quantity))
+    assert np.isnan(joined(blocks, "temperature")).all()
+    assert blocks[0].start_ns == START
+    bag.close()
+
+
+def test_each_start_is_from_the_beginning() -> None:
+    bag = source("bag", bag=str(BAG))
+    bag.open()
+    first, again = (next(iter(bag.blocks(start))) for start in (START, START + SECOND))
+    np.testing.assert_array_equal(first.force, again.force)
+    assert (first.sequence, again.sequence) == (0, 0)
+    assert again.start_ns - first.start_ns == SECOND
+
+
+def test_a_record_comes_in_si_units(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("".join(f"{k % 7},{k % 5}\n" for k in range(100)), encoding="utf-8")
+    record = source(
+        "record", file=str(path), columns="displacement:mm,force:kN", current=0.5, period=0.002
+    )
+    assert record.open() == [
+        "run: 100 samples, 0.2 s; provenance: imported from run.csv; "
+        "columns: displacement:mm,force:kN"
+    ]
+    blocks = list(record.blocks(START))
+    np.testing.assert_allclose(joined(blocks, "displacement"), 1e-3 * (np.arange(100) % 7))
+    assert {block.period for block in blocks} == {0.002}
+    assert set(joined(blocks, "current")) == {0.5}
+
+
+def test_recordings_are_counted_through_with_a_second_between_them() -> None:
+    parts = [recording(15), recording(7)]
+    blocks = list(islice(recorded_blocks(parts, StreamSettings(10, loop=True), START), 6))
+    assert [block.sequence for block in blocks] == [0, 10, 15, 22, 32, 37]
+    assert [block.sample_count for block in blocks] == [10, 5, 7, 10, 5, 7]
+    offsets = [(block.start_ns - START) // 1_000_000 for block in blocks]
+    assert offsets == [0, 10, 1015, 2022, 2032, 3037]
+
+
+def test_without_a_loop_recordings_end() -> None:
+    blocks = list(recorded_blocks([recording(15)], StreamSettings(10), START))
+    assert sum(block.sample_count for block in blocks) == 15
+
+
+def test_the_knob_of_the_supply_works_between_two_blocks() -> None:
+    rig = source("emulated", block_size=50, current=0.5)
+    rig.open()
+    blocks = rig.blocks(START)
+    before = next(blocks)
+    rig.settings = dataclasses.replace(rig.settings, current=1.0)
+    after = list(islice(blocks, 3))
+    assert set(before.current) == {0.5}
+    assert after[-1].current[-1] == 1.0
+
+
+def test_the_emulated_rig_heats_from_its_initial_temperature() -> None:
+    rig = source("emulated", block_size=1000, initial_temperature=40.0, heat_capacity=20.0)
+    rig.open()
+    block = next(rig.blocks(START))
+    assert block.temperature[0] == 40.0
+    assert block.temperature[-1] > 40.0
+
+
+@pytest.mark.parametrize("damper", ["thesis_temperatures", "5.0mm_1Hz_0.5A", "file"])
+def test_the_emulated_damper_is_the_one_that_was_named(damper: str, tmp_path: Path) -> None:
+    if damper == "file":
+        damper = str(tmp_path / "set.yaml")
+        Path(damper).write_text(ParameterSet(THESIS_28_CELSIUS).to_yaml(), encoding="utf-8")
+    rig = source("emulated", block_size=1000, damper=damper, current=0.5, force_noise=0.0)
+    assert rig.open() == []
+    force = next(rig.blocks(START)).force
+    assert np.isfinite(force).all()
+    assert np.ptp(force) > 100.0
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "error", "part"),
+    [
+        ("bag", {"bag": "/nowhere"}, BagError, "there is no bag at /nowhere"),
+        (
+            "record",
+            {"file": "/nowhere", "columns": "displacement:mm,force:N", "period": 1e-3},
+            RecordError,
+            "current is not known",
+        ),
+        ("emulated", {"damper": "5mm"}, ConditionError, "no condition '5mm'"),
+        ("emulated", {"damper": "/nowhere.yaml"}, OSError, "No such file"),
+    ],
+)
+def test_what_cannot_be_opened_is_refused(
+    name: str, settings: dict[str, Any], error: type[Exception], part: str
+) -> None:
+    with pytest.raises(error, match=part):
+        source(name, **settings).open()
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "part"),
+    [
+        ("bag", {}, "no bag is given"),
+        ("record", {}, "no file is given"),
+        ("record", {"file": "x"}, "record.columns is empty"),
+        ("emulated", {}, ""),
+    ],
+)
+def test_what_is_missing_is_said(name: str, settings: dict[str, Any], part: str) -> None:
+    objection = build(SOURCES[name].options, settings).objection()
+    assert part in objection
+    assert bool(objection) == bool(part)
+
+
+def block_of(values: np.ndarray, sequence: int = 0) -> RigBlock:
+    nothing = np.zeros(values.size)
+    return RigBlock(START, sequence, 1e-3, nothing, nothing, values, nothing)
+
+
+def test_a_meter_reads_at_its_own_rate_whatever_the_blocks() -> None:
+    meter = Meter(0.01)
+    readings = []
+    for first in range(0, 35, 7):
+        block = block_of(np.arange(first, first + 7.0), first)
+        readings += [reading.value for reading in meter.read(block, block.current)]
+    assert readings == [0.0, 10.0, 20.0, 30.0]
+
+
+def test_a_meter_reports_a_step_at_once_and_unknown_values_not_at_all() -> None:
+    values = np.array([0.5, 0.5, 0.502, 0.6, 0.6, math.nan])
+    readings = Meter(1.0, step=0.005).read(block_of(values), values)
+    assert [(r.stamp_ns - START, r.value) for r in readings] == [(0, 0.5), (3_000_000, 0.6)]
