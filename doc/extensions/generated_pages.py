@@ -136,7 +136,7 @@ def _fields(head: str, section: str) -> Iterator[str]:
         rest = [line for line in lines if not line.startswith("#")]
         constants = [found for line in rest if (found := _CONSTANT.match(line))]
         fields = [line.split()[:2] for line in rest if not _CONSTANT.match(line)]
-        comment += "".join(f" `{c[1]}` = {c[2]}: {c[3]}" for c in constants)
+        comment += "".join(f"\n\n  - `{c[1]}` = {c[2]}: {c[3]}" for c in constants)
         if fields:
             term = ", ".join(f"`{name}`" for _, name in fields)
             entries.append((term, f"`{fields[0][0]}`", comment))

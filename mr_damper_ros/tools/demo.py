@@ -168,7 +168,7 @@ def _summary(watcher: DemoWatcher, recording: Recording, folder: Path) -> int:
         predicted=predicted,
         provenance=recording.details.get("provenance", ""),
     )
-    figures = save_figures([comparison], folder, ["png"], "predicted while it ran")
+    figures = save_figures([comparison], folder, ["png"], "predicted while the bag was playing")
     print("figures: " + ", ".join(str(path) for path in figures))
     return 0
 

@@ -1,0 +1,97 @@
+"""What the README, the documentation and the docstrings show is run, as a reader would."""
+
+from __future__ import annotations
+
+import doctest
+import re
+import runpy
+import shlex
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from mr_damper_ros.tools import identify, import_record, validate
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "doc").glob("**/*.md"))]
+PROGRAMS = {"identify": identify, "import_record": import_record, "validate": validate}
+
+
+def blocks(language: str) -> list[tuple[Path, str]]:
+    """The code of a language on all pages that are kept, not made."""
+    return [
+        (page, code)
+        for page in PAGES
+        if page.parent.name != "generated"
+        for code in re.findall(rf"```{language}\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    ]
+
+
+def examples() -> list[str]:
+    """Modules without ROS whose docstrings have examples."""
+    folder = ROOT / "mr_damper_ros"
+    return [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for path in sorted(folder.rglob("*.py"))
+        if ">>> " in path.read_text("utf-8") and "nodes" not in path.parts
+    ]
+
+
+def named(block: tuple[Path, str]) -> str:
+    return block[0].stem
+
+
+WITHOUT_ROS = [(page, code) for page, code in blocks("python") if "mr.identify" in code]
+COMMANDS = [block for block in blocks("bash") if any(f"{name} " in block[1] for name in PROGRAMS)]
+
+
+@pytest.fixture
+def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which paths of the clone are right, and files may be written."""
+    for name in ("bags", "doc"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("module", examples())
+def test_the_examples_of_the_docstrings_are_right(module: str) -> None:
+    failed, tried = doctest.testmod(import_module(module))
+    assert tried > 0
+    assert failed == 0
+
+
+def test_the_readme_goes_from_a_file_to_a_figure_in_six_lines(clone: Path) -> None:
+    (code,) = [code for page, code in WITHOUT_ROS if page.name == "README.md"]
+    assert len(code.splitlines()) == 6
+    (clone / "shown.py").write_text(code)
+    found = runpy.run_path("shown.py")
+    assert found["result"].success
+    assert (clone / "damper.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("block", [b for b in WITHOUT_ROS if b[0].name != "README.md"], ids=named)
+def test_the_python_of_the_pages_runs(clone: Path, block: tuple[Path, str]) -> None:
+    (clone / "shown.py").write_text(block[1])
+    runpy.run_path("shown.py")
+
+
+@pytest.mark.parametrize("page", sorted({page for page, _ in COMMANDS}), ids=lambda p: p.stem)
+def test_the_commands_of_the_pages_run(clone: Path, page: Path) -> None:
+    for _, code in (block for block in COMMANDS if block[0] == page):
+        for line in code.replace("\\\n", " ").replace("/tmp/", f"{clone}/").splitlines():
+            program, *arguments = shlex.split(line)
+            if program in PROGRAMS:
+                assert PROGRAMS[program].main(arguments) == 0, line
+
+
+def test_pages_link_to_what_is_there() -> None:
+    missing = [
+        f"{page.relative_to(ROOT)}: {target}"
+        for page in PAGES
+        if page.parent.name != "generated"
+        for target in re.findall(r"\]\(([^)#:]+)[^)]*\)", page.read_text("utf-8"))
+        if "generated/" not in target and not (page.parent / target).exists()
+    ]
+    assert missing == []
