@@ -23,6 +23,9 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from mr_damper_ros.nodes.node_parameters import ConfigurationError
+from mr_damper_ros.nodes.quality import OVERRIDES
+from mr_damper_ros.settings.option_table import ParameterTable, describe
 
 SUCCESS = 0
 FAILURE = 1
