@@ -11,7 +11,7 @@ from press import block_message
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from support import Listener, assert_one_sentence
 
-from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.nodes import quality
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
