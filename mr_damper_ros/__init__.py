@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from mr_damper_ros.interface.fit_result import Identification
     from mr_damper_ros.interface.identification import identify
     from mr_damper_ros.interface.validation import Validation, validate
-    from mr_damper_ros.io.bag_reader import read_bag
-    from mr_damper_ros.io.bag_writer import write_bag
+    from mr_damper_ros.io.bags import read_bag, write_bag
     from mr_damper_ros.io.records import read_record
     from mr_damper_ros.models import MODELS
     from mr_damper_ros.models.parameter_set import ParameterSet
@@ -62,10 +61,10 @@ _HOMES = {
     "Validation": "interface.validation",
     "WindowTracker": "tracking.tracker",
     "identify": "interface.identification",
-    "read_bag": "io.bag_reader",
+    "read_bag": "io.bags",
     "read_record": "io.records",
     "validate": "interface.validation",
-    "write_bag": "io.bag_writer",
+    "write_bag": "io.bags",
 }
 """The module of each name."""
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
 STRATEGIES = ("rand1bin", "best1bin", "currenttobest1bin", "rand2bin")
@@ -21,37 +22,25 @@ _REPORT_PERIOD = 0.2
 
 
 @dataclass(frozen=True)
-class EvolutionSettings:
+class EvolutionSettings(CheckedSettings):
     """Settings of differential evolution; the defaults are the thesis' (2.7.2 and 4.6).
-
-    ``strategy``: one of ``STRATEGIES``; ``mutation``: F; ``recombination``: CR; ``generations``:
-    at most so many; ``population``: individuals per unknown; ``seed``: of the random numbers.
 
     Raises ValueError, in one sentence, for values out of range.
     """
 
-    strategy: str = "rand1bin"
-    mutation: float = 0.8
-    recombination: float = 0.8
-    generations: int = 500
-    population: int = 15
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.strategy not in STRATEGIES:
-            raise ValueError(
-                f"strategy '{self.strategy}' is unknown: use one of {', '.join(STRATEGIES)}"
-            )
-        if not 0.0 < self.mutation < 2.0:
-            raise ValueError(f"mutation is {self.mutation}: it must lie between 0 and 2")
-        if not 0.0 <= self.recombination <= 1.0:
-            raise ValueError(f"recombination is {self.recombination}: it must lie in 0 to 1")
-        if self.generations < 1:
-            raise ValueError(f"generations is {self.generations}: at least 1 is needed")
-        if self.population < 5:
-            raise ValueError(f"population is {self.population}: at least 5 per unknown are needed")
-        if self.seed < 0:
-            raise ValueError(f"seed is {self.seed}: it must not be negative")
+    strategy: str = option(
+        "rand1bin", "How differential evolution makes new individuals.", choices=STRATEGIES
+    )
+    mutation: float = option(0.8, "Differential weight F.", minimum=0.01, maximum=1.99)
+    recombination: float = option(0.8, "Crossover probability CR.", minimum=0.0, maximum=1.0)
+    generations: int = option(500, "At most so many generations.", minimum=1, maximum=1_000_000)
+    population: int = option(15, "Individuals per unknown.", minimum=5, maximum=1000)
+    seed: int = option(
+        0,
+        "Seed of the random numbers: the same seed and data give the same result.",
+        minimum=0,
+        maximum=2**32 - 1,
+    )
 
 
 @dataclass(frozen=True)

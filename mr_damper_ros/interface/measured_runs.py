@@ -10,20 +10,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bags import read_bag
 from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
-from mr_damper_ros.tracking.screening import Screening, fault_of_samples, fault_of_sign
+from mr_damper_ros.tracking.screening import (
+    LARGEST_CURRENT,
+    Screening,
+    fault_of_samples,
+    fault_of_sign,
+)
 
 RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 """A bag's path, a recording, or any number of these."""
 
 _RECORD_ENDINGS = frozenset({".txt", ".csv", ".tsv", ".dat", ".asc", ".mat"})
 
-_LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=np.inf)
+_LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from mr_damper_ros.nodes.messages import header, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.running_error import RunningError
@@ -48,53 +48,7 @@ class ModelParameters(ParameterTable):
         "damper/parameters; empty for none.",
         read_only=True,
     )
-    bandwidth: float = option(
-        PredictorSettings.bandwidth,
-        "Bandwidth [Hz] of the observer of velocity and acceleration: wider follows faster "
-        "motion, narrower passes less noise.",
-        minimum=0.1,
-        maximum=10_000.0,
-        read_only=True,
-    )
-    centre_memory: float = option(
-        PredictorSettings.centre_memory,
-        "Time [s] over which the centre of the motion is taken; a whole cycle must fit in.",
-        minimum=0.01,
-        maximum=3600.0,
-        read_only=True,
-    )
-    current_timeout: float = option(
-        PredictorSettings.current_timeout,
-        "Age [s] of the supply current beyond which the force is marked invalid.",
-        minimum=0.0,
-        maximum=3600.0,
-        read_only=True,
-    )
-    parameters_timeout: float = option(
-        PredictorSettings.parameters_timeout,
-        "Time [s] for which no window has confirmed the parameters, beyond which the force is "
-        "marked invalid: a damper that heats may change by a quarter in ten minutes. 0: no limit. "
-        "Those of parameter_file have none either.",
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
-    )
-    velocity_margin: float = option(
-        PredictorSettings.velocity_margin,
-        "Part by which the peak velocity may leave the identified range before the force is "
-        "marked invalid (0.25 = 25 %).",
-        minimum=0.0,
-        maximum=100.0,
-        read_only=True,
-    )
-    current_margin: float = option(
-        PredictorSettings.current_margin,
-        "How far [A] the current may leave the identified range before the force is marked "
-        "invalid.",
-        minimum=0.0,
-        maximum=100.0,
-        read_only=True,
-    )
+    predictor: PredictorSettings = group(PredictorSettings, flat=True, read_only=True)
     error_memory: float = option(
         10.0,
         "Time [s] over which the error against the measured force is taken for the diagnostics.",
@@ -121,16 +75,7 @@ class ModelNode(Node):
     def __init__(self) -> None:
         super().__init__("model")
         self._options = NodeParameters(self, ModelParameters).values
-        self._predictor = ForcePredictor(
-            PredictorSettings(
-                bandwidth=self._options.bandwidth,
-                centre_memory=self._options.centre_memory,
-                current_timeout=self._options.current_timeout,
-                parameters_timeout=self._options.parameters_timeout,
-                velocity_margin=self._options.velocity_margin,
-                current_margin=self._options.current_margin,
-            )
-        )
+        self._predictor = ForcePredictor(self._options.predictor)
         self._error = RunningError(self._options.error_memory)
         self._message = PredictionMessage(self._options.frame_id)
         self._last: Prediction | None = None

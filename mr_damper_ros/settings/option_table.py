@@ -2,15 +2,20 @@
 
 A table is a frozen dataclass. Each field is an :func:`option` with its default, its description
 and what values it takes, or a :func:`group` of options, another such dataclass, whose names are
-prefixed by the group's and a dot::
+prefixed by the group's and a dot unless it is flat::
+
+    @dataclass(frozen=True)
+    class PredictorSettings(CheckedSettings):
+        timeout: float = option(1.0, "Age [s] of the oldest usable current.", minimum=0.0)
 
     @dataclass(frozen=True)
     class ModelParameters(ParameterTable):
+        predictor: PredictorSettings = group(PredictorSettings, flat=True, read_only=True)
         frame_id: str = option("damper", "Frame of the published forces.")
-        staleness: float = option(0.5, "Oldest usable current [s].", minimum=0.0, read_only=True)
 
-A node makes parameters of it (:mod:`mr_damper_ros.nodes.node_parameters`); a source of samples
-brings a table of its own.
+What works in the core has :class:`CheckedSettings`: they cannot be made with values that are not
+allowed. A node makes parameters of its table (:mod:`mr_damper_ros.nodes.node_parameters`) and takes
+the settings of the core into it; a source of samples brings a table of its own.
 """
 
 from __future__ import annotations
@@ -41,7 +46,6 @@ class Option:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
-    start_only: bool = False
 
     @property
     def kind(self) -> type[Value]:
@@ -58,6 +62,10 @@ class Option:
         """Why a value is not allowed, in a sentence; empty where it is."""
         if type(value) is not self.kind:
             return f"parameter {self.name} must be {_TYPE_NAMES[self.kind]}, not {value!r}"
+        return self.out_of_range(value)
+
+    def out_of_range(self, value: Any) -> str:
+        """Why a value of the right type is not allowed, in a sentence; empty where it is."""
         if isinstance(value, float) and not math.isfinite(value):
             if math.isnan(value) and self.default != self.default:
                 return ""
@@ -77,10 +85,14 @@ class Option:
         if self.minimum is None and self.maximum is None:
             return ""
         if self.maximum is None:
-            return f"at least {self.minimum:g}"
+            return f"at least {_shown(self.minimum)}"
         if self.minimum is None:
-            return f"at most {self.maximum:g}"
-        return f"from {self.minimum:g} to {self.maximum:g}"
+            return f"at most {_shown(self.maximum)}"
+        return f"from {_shown(self.minimum)} to {_shown(self.maximum)}"
+
+
+def _shown(limit: float | None) -> str:
+    return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
 
 @dataclass(frozen=True)
@@ -92,7 +104,22 @@ class ParameterTable:
         return ""
 
 
-T = TypeVar("T", bound=ParameterTable)
+class CheckedSettings:
+    """Base of the settings of something in the core: a table that is checked when it is made.
+
+    Raises ValueError, in a sentence, for a value that is not allowed.
+    """
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            if "option" in field.metadata:
+                item = dataclasses.replace(field.metadata["option"], name=field.name)
+                objection = item.out_of_range(getattr(self, field.name))
+                if objection:
+                    raise ValueError(objection)
+
+
+T = TypeVar("T")
 
 
 def option(
@@ -103,21 +130,32 @@ def option(
     maximum: float | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
-    start_only: bool = False,
 ) -> Any:
-    """A field of a parameter table: one parameter.
-
-    ``read_only``: fixed while the node works. ``start_only``: fixed even where a managed node does
-    not work yet.
-    """
-    read_only = read_only or start_only
-    details = Option("", default, description, minimum, maximum, choices, read_only, start_only)
+    """A field of a parameter table: one parameter."""
+    details = Option("", default, description, minimum, maximum, choices, read_only)
     return dataclasses.field(default=default, metadata={"option": details})
 
 
-def group(table: type) -> Any:
-    """A field of a parameter table: further options, prefixed by its name."""
-    return dataclasses.field(default_factory=table, metadata={"group": table})
+@dataclass(frozen=True)
+class _Group:
+    """What a field holds that is a group of options."""
+
+    table: type
+    flat: bool
+    read_only: bool
+
+    def prefix(self, name: str) -> str:
+        """What goes before the options' names where the field has this name."""
+        return "" if self.flat else f"{name}."
+
+
+def group(table: type, *, flat: bool = False, read_only: bool = False) -> Any:
+    """A field of a parameter table: further options, prefixed by its name unless ``flat``.
+
+    ``read_only`` fixes all of them while the node runs.
+    """
+    details = _Group(table, flat, read_only)
+    return dataclasses.field(default_factory=table, metadata={"group": details})
 
 
 def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
@@ -129,25 +167,37 @@ def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
     return dataclasses.field(default_factory=defaults, metadata={"groups": tables})
 
 
-def options(table: type, prefix: str = "") -> Iterator[Option]:
-    """All parameters of a table, groups included, by their full names."""
+def options(table: type, prefix: str = "", *, read_only: bool = False) -> Iterator[Option]:
+    """All parameters of a table, groups included, by their full names.
+
+    ``read_only`` fixes them all, whatever they say.
+    """
     for field in dataclasses.fields(table):
         if "group" in field.metadata:
-            yield from options(field.metadata["group"], f"{prefix}{field.name}.")
+            inner: _Group = field.metadata["group"]
+            name = prefix + inner.prefix(field.name)
+            yield from options(inner.table, name, read_only=read_only or inner.read_only)
         elif "groups" in field.metadata:
             for own_prefix, part in field.metadata["groups"].values():
-                yield from options(part, prefix + own_prefix)
+                yield from options(part, prefix + own_prefix, read_only=read_only)
         else:
-            yield dataclasses.replace(field.metadata["option"], name=prefix + field.name)
+            item: Option = field.metadata["option"]
+            yield dataclasses.replace(
+                item, name=prefix + field.name, read_only=read_only or item.read_only
+            )
 
 
 def build(table: type[T], values: Mapping[str, Value], prefix: str = "") -> T:
-    """The table filled from values by full name; what is missing keeps its default."""
+    """The table filled from values by full name; what is missing keeps its default.
+
+    Raises ValueError, in a sentence, where settings of the core do not go together.
+    """
     filled: dict[str, Any] = {}
-    for field in dataclasses.fields(table):
+    for field in dataclasses.fields(table):  # type: ignore[arg-type]
         name = prefix + field.name
         if "group" in field.metadata:
-            filled[field.name] = build(field.metadata["group"], values, f"{name}.")
+            inner: _Group = field.metadata["group"]
+            filled[field.name] = build(inner.table, values, prefix + inner.prefix(field.name))
         elif "groups" in field.metadata:
             filled[field.name] = {
                 key: build(part, values, prefix + own_prefix)
@@ -168,7 +218,7 @@ def describe(table: type) -> str:
         if item.range_text:
             notes.append(item.range_text)
         if item.read_only:
-            notes.append("fixed while the node works")
+            notes.append("fixed while the node runs")
         text = f"{item.description} ({'; '.join(notes)})"
         parts.append(f"  {item.name}\n{textwrap.indent(textwrap.fill(text, 88), '      ')}")
     return "\n".join(parts)

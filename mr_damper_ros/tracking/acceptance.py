@@ -8,6 +8,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from mr_damper_ros.settings.option_table import CheckedSettings, option
+
 _NO_NOISE = 1e-4
 """An NRMSE below this is better than any load cell: smaller ones are not told apart."""
 
@@ -55,18 +57,24 @@ def fault_of_data(sentence: str) -> Judgement:
 
 
 @dataclass(frozen=True)
-class AcceptanceSettings:
-    """Limits of acceptance.
+class AcceptanceSettings(CheckedSettings):
+    """Limits that a fit must keep to be accepted."""
 
-    ``maximum_nrmse`` (RMSE/std on held-back samples): a fit worse than this explains too little.
-    ``residual_factor``: a residual this many times the usual one is a disturbance, not the
-    damper. ``step_limit``: a relative change of the force beyond this needs a second window in a
-    row that says the same.
-    """
-
-    maximum_nrmse: float = 0.5
-    residual_factor: float = 3.0
-    step_limit: float = 0.5
+    maximum_nrmse: float = option(
+        0.5, "Largest RMSE/std of the force on held-back samples.", minimum=0.0, maximum=10.0
+    )
+    residual_factor: float = option(
+        3.0,
+        "A residual so many times the usual one is taken for a disturbance.",
+        minimum=1.0,
+        maximum=1e6,
+    )
+    step_limit: float = option(
+        0.5,
+        "A relative change of the force beyond this must be confirmed by the next window.",
+        minimum=0.0,
+        maximum=1e6,
+    )
 
 
 @dataclass(frozen=True)

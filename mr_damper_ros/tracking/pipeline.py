@@ -15,6 +15,7 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalProgress
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Control, Done, Failed, Progress, Worker
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.tracking.acceptance import Judgement, Verdict
 from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.reports import Report
@@ -25,11 +26,28 @@ from mr_damper_ros.tracking.window_task import run_fit
 
 
 @dataclass(frozen=True)
-class Budget:
-    """Time [s] that the fit of a window and a search may take; then the best so far counts."""
+class PipelineSettings(CheckedSettings):
+    """How long the work may take, and how much of it may wait."""
 
-    fit: float
-    search: float
+    fit_time_budget: float = option(
+        30.0,
+        "Time [s] after which the fit of a window is cut, with the best so far.",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+    waiting_windows: int = option(
+        1000,
+        "At most so many windows wait for their fit; then the oldest one makes room. 1: the "
+        "newest window replaces the waiting one.",
+        minimum=1,
+        maximum=1_000_000,
+    )
+    search_time_budget: float = option(
+        600.0,
+        "Time [s] after which a global identification is cut, with the best so far.",
+        minimum=0.01,
+        maximum=86_400.0,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,18 +106,14 @@ class _SearchJob:
 class Pipeline:
     """Windows and searches that wait, and the one that runs.
 
-    At most ``waiting_windows`` windows wait; when one more comes the oldest is dropped, and with
-    it the looks before the next.
+    When more windows wait than may, the oldest is dropped, and with it the looks before the next.
     """
 
-    def __init__(
-        self, tracker: WindowTracker, worker: Worker, *, waiting_windows: int, budget: Budget
-    ) -> None:
+    def __init__(self, tracker: WindowTracker, worker: Worker, settings: PipelineSettings) -> None:
         self.dropped_windows = 0
         self._tracker = tracker
         self._worker = worker
-        self._limit = waiting_windows
-        self._budget = budget
+        self._settings = settings
         self._windows: deque[RawWindow] = deque()
         self._searches: deque[Search] = deque()
         self._given_up: list[Event] = []
@@ -121,7 +135,7 @@ class Pipeline:
     def add_window(self, window: RawWindow) -> None:
         """Queue a window or a look."""
         self._windows.append(window)
-        if self.waiting_windows > self._limit:
+        if self.waiting_windows > self._settings.waiting_windows:
             while self._windows.popleft().look:
                 pass
             self.dropped_windows += 1
@@ -210,11 +224,13 @@ class Pipeline:
         if self._searches:
             search = self._searches.popleft()
             global_task = self._tracker.global_task(search.settings)
-            number = self._worker.submit(_run_search, global_task, budget=self._budget.search)
+            number = self._worker.submit(
+                _run_search, global_task, budget=self._settings.search_time_budget
+            )
             self._job = _SearchJob(number, global_task, search)
         elif self._windows:
             fit_task = self._tracker.window_task(self._windows.popleft())
-            number = self._worker.submit(_run_fit, fit_task, budget=self._budget.fit)
+            number = self._worker.submit(_run_fit, fit_task, budget=self._settings.fit_time_budget)
             self._job = _WindowJob(number, fit_task)
 
 

@@ -10,29 +10,57 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.models.force_model import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 
 
 @dataclass(frozen=True)
-class PredictorSettings:
-    """How the prediction follows the stream.
+class PredictorSettings(CheckedSettings):
+    """How the prediction follows the stream, and when it is no longer valid."""
 
-    ``bandwidth`` [Hz] of the observer of velocity and acceleration: wider follows faster motion,
-    narrower passes less noise. ``centre_memory`` [s] must hold a whole cycle of the motion.
-    ``current_timeout`` [s]: an older supply current makes the force invalid; so do parameters that
-    no window has confirmed for ``parameters_timeout`` [s], 0 for no such limit.
-    ``velocity_margin`` (relative) and ``current_margin`` [A]: how far outside of what the
-    parameters were identified from a prediction still counts as valid.
-    """
-
-    bandwidth: float = 40.0
-    centre_memory: float = 10.0
-    current_timeout: float = 1.0
-    parameters_timeout: float = 600.0
-    velocity_margin: float = 0.25
-    current_margin: float = 0.1
+    bandwidth: float = option(
+        40.0,
+        "Bandwidth [Hz] of the observer of velocity and acceleration: wider follows faster "
+        "motion, narrower passes less noise.",
+        minimum=0.1,
+        maximum=10_000.0,
+    )
+    centre_memory: float = option(
+        10.0,
+        "Time [s] over which the centre of the motion is taken; a whole cycle must fit in.",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+    current_timeout: float = option(
+        1.0,
+        "Age [s] of the supply current beyond which the force is marked invalid.",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    parameters_timeout: float = option(
+        600.0,
+        "Time [s] for which no window has confirmed the parameters, beyond which the force is "
+        "marked invalid: a damper that heats may change by a quarter in ten minutes. 0: no limit. "
+        "Those of parameter_file have none either.",
+        minimum=0.0,
+        maximum=1e9,
+    )
+    velocity_margin: float = option(
+        0.25,
+        "Part by which the peak velocity may leave the identified range before the force is "
+        "marked invalid (0.25 = 25 %).",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    current_margin: float = option(
+        0.1,
+        "How far [A] the current may leave the identified range before the force is marked "
+        "invalid.",
+        minimum=0.0,
+        maximum=100.0,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
 LARGEST_SPAN = 0.5
@@ -29,15 +30,15 @@ _DRIVING = 0.1
 
 
 @dataclass(frozen=True)
-class Screening:
-    """Limits that a window must keep.
+class Screening(CheckedSettings):
+    """Limits that a window must keep to be fitted at all."""
 
-    ``minimum_amplitude`` [m]: half the span of the displacement; ``current_tolerance`` [A]: how
-    far the current may change within a window.
-    """
-
-    minimum_amplitude: float = 0.5e-3
-    current_tolerance: float = 0.05
+    minimum_amplitude: float = option(
+        0.5e-3, "Least half span of the displacement [m] in a window.", minimum=0.0, maximum=1.0
+    )
+    current_tolerance: float = option(
+        0.05, "Largest change of the current [A] within a window.", minimum=0.0, maximum=100.0
+    )
 
 
 def fault_of_samples(displacement: Array, force: Array, current: Array, limits: Screening) -> str:

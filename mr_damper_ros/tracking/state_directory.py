@@ -46,6 +46,11 @@ class StateDirectory:
         except RuntimeError as error:
             raise StateError(f"{path} cannot be used as state_dir: {error}") from error
 
+    @property
+    def keeps(self) -> bool:
+        """Whether there is a folder to keep anything in."""
+        return self._path is not None
+
     def file(self, name: str) -> Path:
         """Where the set ``name`` is kept. Raises StateError for anything but a plain name."""
         if self._path is None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, known_model
+from mr_damper_ros.estimation.window_fit import WINDOW_METHODS
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings
 from mr_damper_ros.tracking.screening import Screening
 from mr_damper_ros.tracking.unscented_filter import METHOD
@@ -15,44 +18,49 @@ TRACKERS = ("window", METHOD)
 
 
 @dataclass(frozen=True)
-class TrackerSettings:
+class TrackerSettings(CheckedSettings):
     """Settings of the identification of windows.
 
-    ``model``: name of the force law; ``tracker``: "window" fits every window; "unscented" is an
-    unscented Kalman filter, which uses every sample once and starts from the fit of a window.
-    ``method`` of that fit: "nelder_mead" or "least_squares"; ``robust``: bound the influence of
-    outliers;
-    ``drift_rate`` [1/sqrt(s)]: how fast the filter expects the force to change, see
-    :class:`UnscentedFilter`; ``smallest_change`` [1]: a relative change of the force between two
-    windows that is worth an early fit; ``global_period``: a global identification after this
-    many accepted windows, 0 for never.
-
-    Raises ValueError for an unknown model or tracker, a filter for another model than the sigmoid
-    law, or a drift rate or smallest change that is not positive.
+    Raises ValueError, in one sentence, for values out of range and for a recursive filter with
+    another model than the sigmoid law.
     """
 
-    model: str = DEFAULT_MODEL
-    tracker: str = "window"
-    method: str = "nelder_mead"
-    robust: bool = False
-    drift_rate: float = 1e-3
-    smallest_change: float = 0.02
-    global_period: int = 20
-    screening: Screening = field(default_factory=Screening)
-    acceptance: AcceptanceSettings = field(default_factory=AcceptanceSettings)
-    evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
+    model: str = option(DEFAULT_MODEL, "Force law that is identified.", choices=tuple(MODELS))
+    smallest_change: float = option(
+        0.02,
+        "Relative change of the force between two windows that is worth an early fit.",
+        minimum=0.001,
+        maximum=1.0,
+    )
+    tracker: str = option(
+        "window",
+        "How the damper is followed: by the fit of each window, or by a recursive filter.",
+        choices=TRACKERS,
+    )
+    drift_rate: float = option(
+        1e-3,
+        "Random walk of the force [1/sqrt(s)] that the recursive filter reckons with.",
+        minimum=1e-9,
+        maximum=1.0,
+    )
+    method: str = option("nelder_mead", "How a window is fitted.", choices=WINDOW_METHODS)
+    robust: bool = option(
+        False, "Whether the influence of outliers in the force is bounded (Huber)."
+    )
+    global_period: int = option(
+        20,
+        "A global identification follows every so many accepted windows; 0 for never.",
+        minimum=0,
+        maximum=1_000_000,
+    )
+    evolution: EvolutionSettings = group(EvolutionSettings)
+    screening: Screening = group(Screening)
+    acceptance: AcceptanceSettings = group(AcceptanceSettings)
 
     def __post_init__(self) -> None:
-        if self.tracker not in TRACKERS:
-            raise ValueError(
-                f"tracker '{self.tracker}' is unknown: use one of {', '.join(TRACKERS)}"
-            )
-        known_model(self.model)
+        super().__post_init__()
         if self.tracker == METHOD and self.model != DEFAULT_MODEL:
             raise ValueError(
                 f"tracker '{METHOD}' follows model '{DEFAULT_MODEL}' only: "
                 f"choose tracker 'window' for model '{self.model}'"
             )
-        for name in ("drift_rate", "smallest_change"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be positive")

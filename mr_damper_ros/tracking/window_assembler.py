@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.kinematics.peak_velocity import StreamPeakVelocity
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
@@ -40,6 +41,39 @@ class RawWindow:
         return self.start_ns + round((self.force.size - 1) * self.period * NANOSECONDS)
 
 
+@dataclass(frozen=True)
+class WindowSettings(CheckedSettings):
+    """How a stream is cut; raises ValueError where the hop is longer than the window, too."""
+
+    window: float = option(
+        2.0,
+        "Length of a window [s]; at least one cycle of the motion must fit in.",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+    hop: float = option(
+        1.0,
+        "Time [s] from the start of a window to the start of the next, at most the window's "
+        "length.",
+        minimum=0.001,
+        maximum=3600.0,
+    )
+    looks: int = option(
+        3,
+        "Times within a hop that the newest samples are compared with the set in use; 0: never.",
+        minimum=0,
+        maximum=1000,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.hop > self.window:
+            raise ValueError(
+                f"hop ({self.hop:g} s) is longer than window ({self.window:g} s): "
+                "samples between two windows would never be used"
+            )
+
+
 class WindowAssembler:
     """Collects blocks into windows of ``window`` seconds, one every ``hop`` seconds of data.
 
@@ -51,18 +85,8 @@ class WindowAssembler:
     """
 
     def __init__(self, window: float, hop: float, looks: int = 0) -> None:
-        """Raises ValueError where ``window`` or ``hop`` is not positive or hop exceeds window, or
-        for a negative number of looks.
-        """  # noqa: D205
-        if not (math.isfinite(window) and window > 0.0):
-            raise ValueError(f"the window is {window} s long: it must be positive")
-        if not 0.0 < hop <= window:
-            raise ValueError(f"the hop is {hop} s: it must lie in 0 to {window} s, the window")
-        if looks < 0:
-            raise ValueError(f"{looks} looks per hop were asked for: it must not be negative")
-        self._window = window
-        self._hop = hop
-        self._looks = looks
+        """Raises ValueError, as :class:`WindowSettings` does."""
+        self._settings = WindowSettings(window, hop, looks)
         self._sequence = BlockSequence()
         self._peak: StreamPeakVelocity | None = None
         self._current = ZeroOrderHold(keep=max(KEEP_CURRENT, 2.0 * window))
@@ -91,7 +115,7 @@ class WindowAssembler:
         """Part of the present window that is there, 0 to 1."""
         if not self._blocks:
             return 0.0
-        return min(self._count * self._blocks[0].period / self._window, 1.0)
+        return min(self._count * self._blocks[0].period / self._settings.window, 1.0)
 
     @property
     def waits_for_current(self) -> bool:
@@ -143,9 +167,9 @@ class WindowAssembler:
 
     def _cut(self) -> None:
         period = self._blocks[0].period
-        length = max(round(self._window / period), 1)
-        step = max(round(self._hop / period), 1)
-        parts = min(self._looks + 1, step)
+        length = max(round(self._settings.window / period), 1)
+        step = max(round(self._settings.hop / period), 1)
+        parts = min(self._settings.looks + 1, step)
         while self._count >= length:
             to_this, to_next = (step * part // parts for part in (self._part, self._part + 1))
             look = to_this - step * (self._part - 1) // parts if self._part else 0
@@ -190,7 +214,7 @@ class WindowAssembler:
                 self._replacing = False
             current = self._current.at(window.start_ns, window.period, window.force.size)
             ready.append(replace(window, current=current))
-        most = _WAIT_FOR_CURRENT * (self._looks + 1)
+        most = _WAIT_FOR_CURRENT * (self._settings.looks + 1)
         if len(self._waiting) > most:
             del self._waiting[:-most]
             self._events.append(

@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from mr_damper_ros.settings.option_table import (
+    CheckedSettings,
     Option,
     ParameterTable,
     build,
@@ -40,6 +41,23 @@ class Example(ParameterTable):
     inner: Inner = group(Inner)
 
 
+@dataclass(frozen=True)
+class Checked(CheckedSettings):
+    speed: float = option(1.0, "Speed.", minimum=0.0, maximum=5.0)
+    inner: Inner = group(Inner)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.speed > self.inner.gain:
+            raise ValueError("speed is larger than inner.gain")
+
+
+@dataclass(frozen=True)
+class Derived(ParameterTable):
+    checked: Checked = group(Checked, flat=True, read_only=True)
+    name: str = option("x", "Name.")
+
+
 OPTIONS = {item.name: item for item in options(Example)}
 
 
@@ -50,6 +68,31 @@ def test_groups_prefix_the_names_of_their_options() -> None:
 def test_a_table_is_built_from_values_by_full_name() -> None:
     built = build(Example, {"count": 7, "inner.gain": 1.5})
     assert (built.count, built.inner.gain, built.mode) == (7, 1.5, "slow")
+
+
+def test_the_options_of_a_flat_group_keep_their_names() -> None:
+    table = {item.name: item for item in options(Derived)}
+    assert list(table) == ["speed", "inner.gain", "name"]
+    assert [item.read_only for item in table.values()] == [True, True, False]
+    built = build(Derived, {"speed": 3.0, "inner.gain": 4.0})
+    assert (built.checked.speed, built.checked.inner.gain) == (3.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"speed": 6.0}, "speed must be from 0 to 5, not 6"),
+        ({"speed": math.nan}, "speed must be a finite number"),
+        ({"speed": 3.0}, "speed is larger than inner.gain"),
+    ],
+)
+def test_settings_cannot_be_made_with_values_that_are_not_allowed(
+    values: dict[str, float], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        Checked(**values)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=sentence):
+        build(Derived, values)
 
 
 @pytest.mark.parametrize(

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from step_worker import StepWorker
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force
-from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress
 from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.pipeline import (
-    Budget,
     Event,
     Pipeline,
+    PipelineSettings,
     Search,
     SearchEnded,
     SearchProgress,
@@ -51,47 +50,6 @@ def window(number: int, current: float = 1.0, speed: float = 1.0) -> RawWindow:
 
 
 @dataclass
-class StepWorker:
-    """Stands for the worker process: a task ends at the poll after :meth:`work` is called."""
-
-    failing: bool = False
-    function: Callable[..., Any] | None = None
-    arguments: tuple[Any, ...] = ()
-    number: int = 0
-    stopped: bool = False
-    outcomes: list[Outcome] = field(default_factory=list)
-
-    def submit(self, function: Callable[..., Any], *arguments: Any, budget: float) -> int:
-        assert self.function is None, "one task at a time"
-        self.function, self.arguments, self.stopped = function, arguments, False
-        self.number += 1
-        return self.number
-
-    def cancel(self) -> None:
-        self.stopped = True
-
-    def should_stop(self) -> bool:
-        return self.stopped
-
-    def report(self, value: Any) -> bool:
-        self.outcomes.append(Progress(self.number, value))
-        return not self.stopped
-
-    def work(self) -> None:
-        if self.function is None:
-            return
-        function, self.function = self.function, None
-        if self.failing:
-            self.outcomes.append(Failed(self.number, "the worker process died"))
-        else:
-            self.outcomes.append(Done(self.number, function(*self.arguments, self)))
-
-    def poll(self) -> list[Outcome]:
-        outcomes, self.outcomes = self.outcomes, []
-        return outcomes
-
-
-@dataclass
 class Bench:
     """A pipeline with its parts."""
 
@@ -115,8 +73,7 @@ def bench(*, waiting_windows: int = 1000, global_period: int = 0) -> Bench:
     pipeline = Pipeline(
         tracker,
         worker,  # type: ignore[arg-type]
-        waiting_windows=waiting_windows,
-        budget=Budget(fit=60.0, search=60.0),
+        PipelineSettings(waiting_windows=waiting_windows),
     )
     return Bench(pipeline, worker, tracker)
 

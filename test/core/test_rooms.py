@@ -37,8 +37,8 @@ IMPORTS_TO_MEND = {
 }
 LONG_FILES_TO_SPLIT = {
     "estimation/global_fit.py",
+    "io/bags.py",
     "io/records.py",
-    "nodes/identifier_node.py",
     "thesis/optimisers.py",
 }
 NAMES_TO_CHANGE = {"following.py"}

@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
-from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.io.bags import read_bag, write_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
@@ -196,7 +195,7 @@ def test_a_bag_that_makes_no_sense_is_refused_in_a_sentence(
     ("arguments", "sentence"),
     [
         (["nowhere"], "nowhere"),
-        ([str(ONE_RUN), "--generations", "0"], "at least 1"),
+        ([str(ONE_RUN), "--generations", "0"], "generations must be from 1"),
         ([str(ONE_RUN), "--start", "nowhere.yaml"], "nowhere.yaml"),
         ([str(ONE_RUN), "--seed", "-1"], "seed"),
     ],

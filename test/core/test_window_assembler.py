@@ -183,12 +183,12 @@ def test_after_a_reset_the_window_starts_again() -> None:
 @pytest.mark.parametrize(
     ("window", "hop", "sentence"),
     [
-        (0.0, 0.1, "the window is 0.0 s long"),
-        (math.nan, 0.1, "the window is nan s long"),
-        (math.inf, 0.1, "the window is inf s long"),
-        (1.0, 0.0, "the hop is 0.0 s"),
-        (1.0, 1.5, "the hop is 1.5 s: it must lie in 0 to 1.0 s"),
-        (1.0, math.nan, "the hop is nan s"),
+        (0.0, 0.1, "window must be from 0.01 to 3600, not 0"),
+        (math.nan, 0.1, "window must be a finite number, not nan"),
+        (math.inf, 0.1, "window must be a finite number, not inf"),
+        (1.0, 0.0, "hop must be from 0.001 to 3600, not 0"),
+        (1.0, 1.5, "hop (1.5 s) is longer than window (1 s)"),
+        (1.0, math.nan, "hop must be a finite number, not nan"),
     ],
 )
 def test_lengths_that_make_no_windows_are_refused(window: float, hop: float, sentence: str) -> None:
@@ -270,7 +270,7 @@ def test_windows_do_not_depend_on_when_the_current_arrives(turns: list[int], beh
 
 
 def test_a_current_that_is_no_number_is_refused() -> None:
-    with pytest.raises(ValueError, match="the supply current is nan: it must be a finite number"):
+    with pytest.raises(ValueError, match="the current is nan: it must be a finite number"):
         WindowAssembler(1.0, 0.5).add_current(T0, math.nan)
 
 

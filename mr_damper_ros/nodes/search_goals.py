@@ -1,0 +1,115 @@
+"""The action by which a user asks for a global identification."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from mr_damper_msgs.action import IdentifyGlobal
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.nodes.results import parameters_message
+from mr_damper_ros.tracking.pipeline import Pipeline, Search, SearchEnded, SearchProgress
+
+
+class SearchGoals:
+    """Serves ``~/identify_global``: each goal is a search of the pipeline.
+
+    A goal is "accepted" until its search has ended and "executing" only while its result is
+    handed over: a coroutine that waits for the search would be resumed by the executor again and
+    again, which takes two thirds of a core.
+    """
+
+    def __init__(
+        self, node: Node, pipeline: Pipeline, configured: EvolutionSettings, frame_id: str
+    ) -> None:
+        self._pipeline = pipeline
+        self._configured = configured
+        self._frame_id = frame_id
+        self._goals: dict[Search, ServerGoalHandle] = {}
+        self._results: dict[bytes, IdentifyGlobal.Result] = {}
+        self._server = ActionServer(
+            node,
+            IdentifyGlobal,
+            "~/identify_global",
+            self._hand_over,
+            handle_accepted_callback=self._begin,
+            cancel_callback=self._cancel,
+        )
+
+    def tell(self, event: SearchProgress) -> None:
+        """Tell whoever asked for a search how far it is."""
+        if event.search in self._goals:
+            progress = event.progress
+            self._goals[event.search].publish_feedback(
+                IdentifyGlobal.Feedback(
+                    generation=progress.generation,
+                    generations=progress.generations,
+                    best_cost=progress.best_cost,
+                    time_left=progress.time_left,
+                )
+            )
+
+    def end(self, event: SearchEnded) -> None:
+        """Give whoever asked for a search its result."""
+        if event.search in self._goals:
+            self._finish(self._goals.pop(event.search), self._result(event))
+
+    def _begin(self, goal: ServerGoalHandle) -> None:
+        try:
+            settings = dataclasses.replace(
+                self._configured,
+                generations=goal.request.generations or self._configured.generations,
+                seed=goal.request.seed,
+                strategy=goal.request.strategy or self._configured.strategy,
+            )
+        except ValueError as error:
+            self._finish(goal, IdentifyGlobal.Result(message=str(error), nrmse=math.nan))
+            return
+        search = Search(settings)
+        self._goals[search] = goal
+        self._pipeline.add_search(search)
+
+    def _finish(self, goal: ServerGoalHandle, result: IdentifyGlobal.Result) -> None:
+        self._results[bytes(goal.goal_id.uuid)] = result
+        goal.execute()
+
+    def _hand_over(self, goal: ServerGoalHandle) -> IdentifyGlobal.Result:
+        """End a goal, called by the action server once its result is there."""
+        result = self._results.pop(bytes(goal.goal_id.uuid))
+        if goal.is_cancel_requested:
+            goal.canceled()
+        elif result.success:
+            goal.succeed()
+        else:
+            goal.abort()
+        return result
+
+    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        for search, known in self._goals.items():
+            if known == goal:
+                self._pipeline.cancel_search(search)
+        return CancelResponse.ACCEPT
+
+    def _result(self, event: SearchEnded) -> IdentifyGlobal.Result:
+        if event.result is None or event.report is None:
+            return IdentifyGlobal.Result(
+                message="cancelled, or overtaken by a reset or another set", nrmse=math.nan
+            )
+        fit, report = event.result.fit, event.report
+        if fit is None:
+            return IdentifyGlobal.Result(message=report.reason, nrmse=math.nan)
+        message = fit.message
+        if not report.accepted:
+            message += f"; not in use: {report.reason}"
+        return IdentifyGlobal.Result(
+            accepted=report.accepted,
+            success=True,
+            message=message,
+            parameters=parameters_message(fit.parameter_set, self._frame_id),
+            nrmse=report.nrmse_after,
+            evaluations=fit.evaluations,
+        )

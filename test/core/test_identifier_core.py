@@ -1,0 +1,148 @@
+"""The identification of a stream without its node: in come samples, out come reports and sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import known
+import numpy as np
+import pytest
+from step_worker import StepWorker
+
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.identifier import Identifier, Publication
+from mr_damper_ros.tracking.pipeline import PipelineSettings, Search, SearchEnded
+from mr_damper_ros.tracking.state_directory import StateDirectory
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker_state import TrackerState
+from mr_damper_ros.tracking.window_assembler import WindowAssembler
+
+WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
+START = ParameterSet(WEAK, set_id="start")
+RUN = known.run(samples=3000)
+
+
+class StateByHand:
+    """Stands for the folder: a state is written when :meth:`write` is called."""
+
+    def __init__(self) -> None:
+        self.given = 0
+        self.written = 0
+        self.fault = ""
+        self.path = None
+
+    def keep(self) -> None:
+        self.given += 1
+
+    def keep_now(self) -> str:
+        self.given += 1
+        self.written = self.given
+        return ""
+
+    def write(self) -> None:
+        self.written = self.given
+
+    def close(self) -> None:
+        self.write()
+
+
+def identifier(disk: Any) -> Identifier:
+    tracker = WindowTracker(TrackerSettings(method="least_squares", global_period=0), START)
+    worker: Any = StepWorker()
+    return Identifier(WindowAssembler(1.0, 1.0), tracker, worker, PipelineSettings(), disk)
+
+
+def feed(made: Identifier, samples: int = 3000) -> None:
+    made.add_current(known.T0, RUN.current)
+    for block in known.blocks(RUN.displacement[:samples], RUN.force[:samples], [100]):
+        assert made.add_block(block) == []
+    made.add_current(known.T0 + 10**11, RUN.current)
+
+
+def worked_off(made: Identifier) -> list[Any]:
+    events: list[Any] = []
+    worker: Any = made.worker
+    while worker.function is not None:
+        worker.work()
+        events += made.poll()
+    return events
+
+
+def test_samples_become_reports_and_sets() -> None:
+    disk = StateByHand()
+    disk.keep = disk.keep_now  # type: ignore[method-assign,assignment]
+    made = identifier(disk)
+    feed(made)
+    found = worked_off(made)
+    assert [type(item) for item in found] == [Publication] * 3
+    first = found[0]
+    assert first.report.verdict is Verdict.ACCEPTED
+    assert first.parameters.set_id == first.report.set_id == "window-1"
+    refused = [item for item in found if not item.report.accepted]
+    assert all(item.parameters is None for item in refused)
+    assert made.last_report is found[-1].report
+
+
+def test_a_set_is_given_out_once_it_is_on_disk() -> None:
+    disk = StateByHand()
+    made = identifier(disk)
+    feed(made, 1000)
+    assert worked_off(made) == []
+    assert disk.given == 1
+    disk.write()
+    (found,) = made.poll()
+    assert isinstance(found, Publication)
+    assert found.parameters is not None
+    assert made.take_notices() == []
+
+
+def test_the_end_gives_out_what_waits() -> None:
+    made = identifier(StateByHand())
+    feed(made, 1000)
+    worked_off(made)
+    made.close()
+    assert [item.report.set_id for item in made.flush()] == ["window-1"]
+    assert made.flush() == []
+
+
+def test_the_end_of_a_search_comes_with_its_report() -> None:
+    made = identifier(StateByHand())
+    search = Search()
+    made.pipeline.add_search(search)
+    events = worked_off(made)
+    (report,) = [item for item in events if isinstance(item, Publication)]
+    (ended,) = [item for item in events if isinstance(item, SearchEnded)]
+    assert ended.search is search
+    assert ended.report is report.report
+    assert report.report.verdict is Verdict.FAULT_OF_DATA
+
+
+@pytest.mark.parametrize(
+    "switch", [lambda made: made.reset(), lambda made: made.replace(START)], ids=["reset", "load"]
+)
+def test_another_set_forgets_what_runs_and_is_kept(switch: Callable[[Identifier], str]) -> None:
+    disk = StateByHand()
+    made = identifier(disk)
+    feed(made, 1000)
+    worked_off(made)
+    made.flush()
+    given = disk.given
+    assert switch(made) == ""
+    assert made.tracker.parameters is START
+    assert disk.written == given + 1
+
+
+def test_the_same_folder_brings_the_same_set_again(tmp_path: Path) -> None:
+    tracker = WindowTracker(TrackerSettings(method="least_squares"), START)
+    state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
+    state.resume()
+    worker: Any = StepWorker()
+    made = Identifier(WindowAssembler(1.0, 1.0), tracker, worker, PipelineSettings(), state)
+    feed(made, 1000)
+    worked_off(made)
+    made.close()
+    assert StateDirectory(tmp_path).load("identifier").set_id == tracker.parameters.set_id

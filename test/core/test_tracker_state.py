@@ -1,0 +1,132 @@
+"""What a tracker knows survives in its folder, and a file that cannot be used is set aside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker_state import TrackerState
+
+WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
+START = ParameterSet(WEAK, set_id="start")
+
+ROUNDING = 1e-4
+"""Relative: a simplex stops within its tolerance, which rounding may move."""
+
+
+def state_in(folder: Path | str, name: str = "identifier") -> tuple[WindowTracker, TrackerState]:
+    tracker = WindowTracker(TrackerSettings(method="least_squares"), START)
+    return tracker, TrackerState(tracker, StateDirectory(folder), name)
+
+
+def taught(folder: Path) -> tuple[WindowTracker, TrackerState]:
+    tracker, state = state_in(folder)
+    state.resume()
+    tracker.follow(known.raw_window(known.run(samples=1000)))
+    assert tracker.accepted_windows == 1
+    assert state.keep_now() == ""
+    return tracker, state
+
+
+def test_a_tracker_goes_on_where_another_ended(tmp_path: Path) -> None:
+    before, state = taught(tmp_path)
+    state.close()
+    after, again = state_in(tmp_path)
+    assert again.resume() == "parameters window-1 and 1 baselines, 1 windows"
+    assert again.fault == ""
+    assert after.parameters.set_id == "window-1"
+    np.testing.assert_array_equal(after.parameters.values, before.parameters.values)
+    assert after.accepted_windows == 1
+    again.close()
+
+
+def test_the_number_of_the_written_state_follows_that_of_the_given_one(tmp_path: Path) -> None:
+    _, state = taught(tmp_path)
+    assert (state.given, state.written) == (1, 1)
+    state.keep()
+    assert state.given == 2
+    state.close()
+    assert state.written == 2
+
+
+def test_the_initial_set_is_kept_at_once_so_that_a_bad_folder_shows(tmp_path: Path) -> None:
+    _, state = state_in(tmp_path / "new")
+    assert state.resume() == ""
+    assert (tmp_path / "new" / "identifier.yaml").exists()
+    state.close()
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(StateError, match="set state_dir to a folder that can be written"):
+        state_in(tmp_path / "file" / "below")[1].resume()
+
+
+def test_a_damaged_file_is_set_aside_and_named(tmp_path: Path) -> None:
+    _, state = taught(tmp_path)
+    state.close()
+    path = tmp_path / "identifier.yaml"
+    path.write_text(path.read_text(encoding="utf-8").replace("f0", "g0"), encoding="utf-8")
+    tracker, again = state_in(tmp_path)
+    assert again.resume() == ""
+    assert "is damaged" in again.fault
+    assert "set aside as" in again.fault
+    assert (tmp_path / "identifier.aside").exists()
+    assert tracker.parameters is START
+    # The next state that is kept takes its place, and all is well again.
+    again.keep_now()
+    assert again.fault == ""
+    again.close()
+
+
+def test_sets_are_kept_under_names_beside_the_own_one(tmp_path: Path) -> None:
+    tracker, state = taught(tmp_path)
+    assert state.save("cold") == tmp_path / "cold.yaml"
+    assert state.save("") == state.path == tmp_path / "identifier.yaml"
+    assert state.load("cold").set_id == "window-1"
+    tracker.reset()
+    assert state.load("").set_id == "window-1", "nothing was kept since"
+    state.close()
+
+
+def test_a_set_of_another_model_is_not_loaded(tmp_path: Path) -> None:
+    _, state = taught(tmp_path)
+    other = ParameterSet(known.EXAMPLES["bingham"], model="bingham")
+    StateDirectory(tmp_path).save("other", other)
+    with pytest.raises(ParameterError, match="bingham"):
+        state.load("other")
+    state.close()
+
+
+def test_without_a_folder_nothing_is_kept() -> None:
+    _, state = state_in("")
+    assert (state.resume(), state.path, state.keep_now()) == ("", None, "")
+    assert (state.given, state.written) == (0, 0)
+    with pytest.raises(StateError, match="set the parameter state_dir"):
+        state.save("cold")
+
+
+def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
+    # Written before the modules were moved into rooms: three windows, the last of random motion.
+    kept = Path(__file__).parent / "data" / "state_before_rooms.yaml"
+    (tmp_path / "identifier.yaml").write_bytes(kept.read_bytes())
+    tracker = WindowTracker(TrackerSettings(), START)
+    state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
+    assert state.resume() == "parameters window-3 and 3 baselines, 3 windows"
+    assert state.fault == ""
+    assert [window.whole is not None for window in tracker.reservoir.windows] == [False] * 2 + [
+        True
+    ]
+    run = known.run(current=0.5, samples=240, seed=9, period=5e-3)
+    report = tracker.follow(known.raw_window(run, number=9))
+    assert report is not None
+    # What that version made of the same window.
+    assert report.nrmse_before == pytest.approx(0.016445012097722766, rel=ROUNDING)
+    assert report.nrmse_after == pytest.approx(0.007296376904043102, rel=ROUNDING)
+    assert report.scale.value == pytest.approx(0.9996800931297712, rel=ROUNDING)
+    assert report.set_id == "window-4"
+    state.close()
