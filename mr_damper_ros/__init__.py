@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mr_damper_ros.interface.fit_result import Identification
     from mr_damper_ros.interface.identification import identify
+    from mr_damper_ros.interface.recorded_stream import follow
     from mr_damper_ros.interface.validation import Validation, validate
     from mr_damper_ros.io.bags import read_bag, write_bag
     from mr_damper_ros.io.records import read_record
@@ -42,6 +43,7 @@ __all__ = [
     "TrackerSettings",
     "Validation",
     "WindowTracker",
+    "follow",
     "identify",
     "read_bag",
     "read_record",
@@ -60,6 +62,7 @@ _HOMES = {
     "TrackerSettings": "tracking.tracker_settings",
     "Validation": "interface.validation",
     "WindowTracker": "tracking.tracker",
+    "follow": "interface.recorded_stream",
     "identify": "interface.identification",
     "read_bag": "io.bags",
     "read_record": "io.records",

@@ -1,0 +1,115 @@
+"""The figure of measured and predicted force: what stands on it, and the files it goes to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.interface.comparison import Comparison
+from mr_damper_ros.interface.figures import comparison_figure, save_figures
+from mr_damper_ros.tools import identify, validate
+
+BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_0.5A"
+SYNTHETIC = "re-synthesised from the published parameter sets; not the original recordings"
+BEGINNINGS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
+
+GREY_APART = 0.25
+"""Difference of lightness, of 1, by which the two curves are told apart in a grey print."""
+
+
+def comparison(name: str = "run", provenance: str = "", gap: float = 0.0) -> Comparison:
+    time = np.arange(400) * 0.01
+    time[200:] += gap
+    velocity = np.cos(time)
+    return Comparison(
+        name=name,
+        time=time,
+        displacement=0.005 * np.sin(time),
+        velocity=velocity,
+        measured=1000.0 * velocity,
+        predicted=900.0 * velocity,
+        provenance=provenance,
+    )
+
+
+def panels(figure: Any) -> dict[str, Any]:
+    return {axes.get_label(): axes for axes in figure.axes}
+
+
+def lightness(color: Any) -> float:
+    from matplotlib.colors import to_rgb
+
+    return float(np.dot([0.299, 0.587, 0.114], to_rgb(color)))
+
+
+def test_the_title_tells_name_error_and_provenance() -> None:
+    title = comparison_figure(comparison("/a/run", SYNTHETIC), "one set").get_suptitle()
+    assert title.splitlines()[0] == "run"
+    assert "one set" in title
+    assert "NRMSE 1" in title
+    assert SYNTHETIC in title.replace("\n", " ")
+
+
+def test_both_loops_force_residual_and_histogram_are_drawn() -> None:
+    drawn = panels(comparison_figure(comparison()))
+    assert {"velocity", "displacement", "force", "residual", "histogram"} == set(drawn)
+    for name in ("velocity", "displacement", "force"):
+        assert [line.get_label() for line in drawn[name].lines] == ["measured", "predicted"]
+    assert sum(bar.get_width() for bar in drawn["histogram"].patches) == 400
+
+
+def test_the_curves_are_told_apart_without_colour() -> None:
+    measured, predicted = panels(comparison_figure(comparison()))["velocity"].lines
+    apart = lightness(measured.get_color()) - lightness(predicted.get_color())
+    assert abs(apart) > GREY_APART
+    assert measured.get_linestyle() != predicted.get_linestyle()
+
+
+def test_the_legend_covers_no_data() -> None:
+    figure = comparison_figure(comparison())
+    figure.canvas.draw()
+    (legend,) = figure.legends
+    for axes in figure.axes:
+        assert not axes.get_window_extent().overlaps(legend.get_window_extent())
+
+
+def test_no_line_is_drawn_over_a_gap() -> None:
+    line = panels(comparison_figure(comparison(gap=5.0)))["force"].lines[1]
+    assert np.count_nonzero(np.isnan(line.get_ydata())) == 1
+
+
+def test_the_users_settings_change_nothing_and_are_kept() -> None:
+    import matplotlib
+
+    with matplotlib.rc_context({"font.size": 30.0}):
+        figure = comparison_figure(comparison())
+        assert matplotlib.rcParams["font.size"] == 30.0
+    assert figure.axes[0].xaxis.label.get_fontsize() == 10.0
+
+
+def test_runs_of_the_same_name_go_to_files_of_their_own(tmp_path: Path) -> None:
+    runs = [comparison("a/run"), comparison("b/run.mcap"), comparison("../..")]
+    written = save_figures(runs, tmp_path, ["png"])
+    assert [path.name for path in written] == ["run.png", "run_2.png", "run_3.png"]
+    assert all(path.parent == tmp_path and path.exists() for path in written)
+
+
+@pytest.mark.parametrize("program", ["identify", "validate"])
+def test_the_programs_draw_what_is_asked_for(tmp_path: Path, program: str) -> None:
+    plots, output = tmp_path / "plots", tmp_path / "set.yaml"
+    drawing = ["--plot", str(plots), "--plot-format", *BEGINNINGS]
+    arguments = [str(BAG), "--method", "least_squares", "--output", str(output)]
+    if program == "identify":
+        assert identify.main([*arguments, *drawing]) == 0
+    else:
+        assert identify.main(arguments) == 0
+        assert validate.main([str(output), str(BAG), *drawing]) == 0
+    for ending, beginning in BEGINNINGS.items():
+        assert (plots / f"{BAG.name}.{ending}").read_bytes().startswith(beginning)
+
+
+def test_a_notebook_shows_the_figure() -> None:
+    assert comparison_figure(comparison())._repr_png_().startswith(b"\x89PNG")
