@@ -20,7 +20,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import Diagnostics
 from mr_damper_ros.nodes.identifier_diagnostics import IdentifierDiagnostics
 from mr_damper_ros.nodes.identifier_parameters import IdentifierParameters
-from mr_damper_ros.nodes.inputs import Inputs
+from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import (
     fluid_temperature_message,
@@ -92,6 +92,12 @@ class IdentifierNode(Node):
             self, self._identifier.pipeline, options.tracking.evolution, self._frame_id
         )
         self._diagnose(options.tracking.acceptance.maximum_nrmse)
+        kept = options.state_dir
+        self.get_logger().info(
+            f"waiting for {self.resolve_topic_name(SAMPLES_TOPIC)} and "
+            f"{self.resolve_topic_name(CURRENT_TOPIC)}; "
+            + (f"state is kept in {kept}" if kept else "no state is kept: state_dir is not set")
+        )
 
     def destroy_node(self) -> None:
         """Keep and publish what waits, then end."""

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.inputs import Inputs
+from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.messages import header, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
@@ -117,6 +117,14 @@ class ModelNode(Node):
                 "prediction": self._prediction_finding,
                 "latency": self._latency_finding,
             },
+        )
+
+        file = self._options.parameter_file
+        self.get_logger().info(
+            f"waiting for {self.resolve_topic_name(SAMPLES_TOPIC)}, "
+            f"{self.resolve_topic_name(CURRENT_TOPIC)} and "
+            f"{self.resolve_topic_name('damper/parameters')}"
+            + (f"; until then the parameters are those of {file}" if file else "")
         )
 
     def _take_parameters(self, message: DamperParameters) -> None:

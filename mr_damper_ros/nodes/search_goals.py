@@ -14,6 +14,9 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.nodes.results import parameters_message
 from mr_damper_ros.tracking.pipeline import Pipeline, Search, SearchEnded, SearchProgress
 
+_REFUSED = "global-refused"
+"""Id of a set that was found but is not in use."""
+
 
 class SearchGoals:
     """Serves ``~/identify_global``: each goal is a search of the pipeline.
@@ -46,6 +49,7 @@ class SearchGoals:
             progress = event.progress
             self._goals[event.search].publish_feedback(
                 IdentifyGlobal.Feedback(
+                    stage=progress.stage,
                     generation=progress.generation,
                     generations=progress.generations,
                     best_cost=progress.best_cost,
@@ -105,11 +109,16 @@ class SearchGoals:
         message = fit.message
         if not report.accepted:
             message += f"; not in use: {report.reason}"
+        found = dataclasses.replace(
+            fit.parameter_set,
+            set_id=report.set_id if report.accepted else _REFUSED,
+            stamp_ns=report.stamp_ns,
+        )
         return IdentifyGlobal.Result(
             accepted=report.accepted,
             success=True,
             message=message,
-            parameters=parameters_message(fit.parameter_set, self._frame_id),
+            parameters=parameters_message(found, self._frame_id),
             nrmse=report.nrmse_after,
             evaluations=fit.evaluations,
         )

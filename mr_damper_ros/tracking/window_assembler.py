@@ -13,6 +13,8 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 
+_USUAL_WAIT_NS = 1_000_000_000
+
 _WAIT_FOR_CURRENT = 64
 """At most this many complete windows wait for the current to become known."""
 
@@ -119,8 +121,15 @@ class WindowAssembler:
 
     @property
     def waits_for_current(self) -> bool:
-        """Whether complete windows wait for a value of the current."""
-        return bool(self._waiting)
+        """Whether a complete window still waits for a value of the current a second later.
+
+        A supply that is read ten times a second lets every window wait for a moment.
+        """
+        last = self._sequence.last
+        if not self._waiting or last is None:
+            return False
+        newest_ns = last.start_ns + round((last.sample_count - 1) * last.period * NANOSECONDS)
+        return newest_ns - self._waiting[0].end_ns >= _USUAL_WAIT_NS
 
     def take_events(self) -> list[str]:
         """What happened since the last call, in sentences."""

@@ -214,12 +214,21 @@ def test_a_window_waits_until_its_current_is_known() -> None:
     made = WindowAssembler(1.0, 1.0)
     made.add_current(at(0.0), 0.5)
     assert cut(stream(100, last=1000), made) == []
-    assert made.waits_for_current
     assert made.add_current(at(0.998), 0.5) == [], "the last sample has no current yet"
     windows = made.add_current(at(0.999), 0.5)
     assert starts(windows) == [0.0]
-    assert not made.waits_for_current
     np.testing.assert_array_equal(windows[0].current, 0.5)
+
+
+def test_a_window_that_waits_for_a_moment_is_nothing_to_tell() -> None:
+    made = WindowAssembler(1.0, 1.0)
+    made.add_current(at(0.0), 0.5)
+    cut(stream(100, last=1900), made)
+    assert not made.waits_for_current
+    cut(stream(100, first=1900, last=2100), made)
+    assert made.waits_for_current
+    made.add_current(at(2.1), 0.5)
+    assert not made.waits_for_current
 
 
 def test_a_window_that_began_before_the_current_was_known_is_dropped() -> None:

@@ -442,10 +442,19 @@ def test_a_global_identification_on_demand(
     results.wait_for_reports(searches + 3 * WINDOWS + 1)
     assert results.reports[-1].method == "differential_evolution"
     assert results.reports[-1].accepted == whole.result.accepted
+    assert all(item.stage for item in feedback)
+    (most,) = {item.generations for item in feedback}
+    assert most % 20 == 0, "20 of each search"
+    done = [item.generation for item in feedback]
+    assert done == sorted(done)
+    assert done[-1] <= most
+    given = whole.result.parameters
+    assert given.header.stamp.sec > 0
     if whole.result.accepted:
-        listener.until(
-            lambda: results.sets[-1].values == whole.result.parameters.values, "the set in use"
-        )
+        listener.until(lambda: results.sets[-1].values == given.values, "the set in use")
+        assert given.id == results.sets[-1].id
+    else:
+        assert given.id == "global-refused"
 
     endless = send(generations=10**6, seed=1)
     listener.until(lambda: feedback, "feedback")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 from support import assert_one_sentence, installed_programs
@@ -57,3 +59,11 @@ def test_a_reader_that_has_enough_is_no_error(node: str) -> None:
             check=False,
         )
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_identifier_and_model_say_what_they_wait_for(start: Any, tmp_path: Path) -> None:
+    identifier = start("identifier", remap={"__ns": "/left"}, state_dir=tmp_path)
+    model = start("model")
+    identifier.wait_for_log("waiting for /left/mts/samples and /left/supply/current; state is kept")
+    assert str(tmp_path) in identifier.errors
+    model.wait_for_log("waiting for /mts/samples, /supply/current and /damper/parameters")
