@@ -25,7 +25,9 @@ import numpy as np
 from scipy.io import savemat
 
 from benchmarks.figure import Figure
-from mr_damper_ros.io.bags import BagError, read_bag, write_bag
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_streams import BagError
+from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.records import RecordError, read_record
 from mr_damper_ros.io.units import ColumnError
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet

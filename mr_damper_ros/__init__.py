@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from mr_damper_ros.interface.identification import identify
     from mr_damper_ros.interface.recorded_stream import follow
     from mr_damper_ros.interface.validation import Validation, validate
-    from mr_damper_ros.io.bags import read_bag, write_bag
+    from mr_damper_ros.io.bag_reader import read_bag
+    from mr_damper_ros.io.bag_writer import write_bag
     from mr_damper_ros.io.records import read_record
     from mr_damper_ros.models import MODELS
     from mr_damper_ros.models.parameter_set import ParameterSet
@@ -64,10 +65,10 @@ _HOMES = {
     "WindowTracker": "tracking.tracker",
     "follow": "interface.recorded_stream",
     "identify": "interface.identification",
-    "read_bag": "io.bags",
+    "read_bag": "io.bag_reader",
     "read_record": "io.records",
     "validate": "interface.validation",
-    "write_bag": "io.bags",
+    "write_bag": "io.bag_writer",
 }
 """The module of each name."""
 

@@ -33,7 +33,7 @@ class BridgeParameters(ParameterTable):
     autostart: bool = option(
         True,
         "Configure and activate at the start; false leaves both to a lifecycle manager.",
-        read_only=True,
+        start_only=True,
     )
     rate: float = option(
         1.0,
@@ -104,8 +104,13 @@ class BridgeNode(LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__("bridge")
-        self.parameters = NodeParameters(self, BridgeParameters, changed=self._apply)
         self._source: Source | None = None
+        self.parameters = NodeParameters(
+            self,
+            BridgeParameters,
+            changed=self._apply,
+            configured=lambda: self._source is not None,
+        )
         self._stream: BridgeStream | None = None
         self._pacer = Pacer(self.parameters.values.rate)
         self._sending: SendingThread | None = None
@@ -132,6 +137,7 @@ class BridgeNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the source and announce the topics."""
         values = self.parameters.values
+        self._pacer = Pacer(values.rate)
         self._source = SOURCES[values.source](
             values.sources[values.source], StreamSettings(values.block_size, values.loop)
         )

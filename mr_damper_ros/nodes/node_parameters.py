@@ -22,10 +22,11 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from mr_damper_ros.nodes import quality
 from mr_damper_ros.settings.option_table import Option, ParameterTable, build, options
 
-_NOT_OURS = ("qos_overrides.", "use_sim_time", "start_type_description_service")
-"""Overrides that rclpy itself declares, some of them only with the publisher they belong to."""
+_NOT_OURS = ("use_sim_time", "start_type_description_service")
+"""Overrides that rclpy itself declares."""
 
 T = TypeVar("T", bound=ParameterTable)
 
@@ -39,15 +40,21 @@ class NodeParameters(Generic[T]):
 
     Raises ConfigurationError where a value given at the start is unknown, of the wrong type or
     not allowed. Later changes are accepted or rejected with a sentence as the reason; ``changed``
-    is called after each accepted change of a value that is not read-only.
+    is called after each accepted change of a value that is not read-only. ``configured`` is given
+    by a managed node: as long as it is false, what is read-only may be set, too.
     """
 
     def __init__(
-        self, node: Node, table: type[T], changed: Callable[[T], None] | None = None
+        self,
+        node: Node,
+        table: type[T],
+        changed: Callable[[T], None] | None = None,
+        configured: Callable[[], bool] | None = None,
     ) -> None:
         self._table = table
         self._options = {item.name: item for item in options(table)}
         self._changed = changed
+        self._configured = configured
         given = self._given(node)
         objections = [self._options[name].objection(value) for name, value in given.items()]
         defaults = {name: item.default for name, item in self._options.items()}
@@ -58,9 +65,9 @@ class NodeParameters(Generic[T]):
             raise ConfigurationError(str(error)) from error
         self._raise_first([self._values.objection()])
         for name, item in self._options.items():
-            node.declare_parameter(
-                name, (defaults | given)[name], _descriptor(item), ignore_override=True
-            )
+            descriptor = _descriptor(item)
+            descriptor.read_only = item.start_only if configured else item.read_only
+            node.declare_parameter(name, (defaults | given)[name], descriptor, ignore_override=True)
         self._node = node
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
@@ -82,6 +89,9 @@ class NodeParameters(Generic[T]):
         # would leave the default in force; the values given are not public in rclpy.
         given: dict[str, Any] = {}
         for name, parameter in node._parameter_overrides.items():
+            if name.startswith(quality.OVERRIDES):
+                self._raise_first([quality.objection(name, parameter.value)])
+                continue  # rclpy declares it, with the publisher or subscription that it is for
             if name.startswith(_NOT_OURS):
                 continue
             if name not in self._options:
@@ -101,6 +111,11 @@ class NodeParameters(Generic[T]):
         for parameter in parameters:
             item = self._options.get(parameter.name)
             objection = item.objection(parameter.value) if item else ""
+            if item and item.read_only and self._configured and self._configured():
+                objection = (
+                    f"parameter {item.name} is fixed while the node is configured: call its "
+                    "transition cleanup before"
+                )
             if objection:
                 return SetParametersResult(successful=False, reason=objection)
         try:
@@ -121,7 +136,6 @@ def _descriptor(item: Option) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         name=item.name,
         description=item.description,
-        read_only=item.read_only,
         additional_constraints=f"one of {', '.join(item.choices)}" if item.choices else "",
     )
     if item.range_text:

@@ -12,6 +12,17 @@ STREAM_DEPTH = 1000
 """Messages that a stream may be behind: ten seconds at 1 kHz in blocks of ten."""
 
 
+OVERRIDES = "qos_overrides."
+"""Beginning of the names of the parameters that override quality of service."""
+
+_OVERRIDABLE: dict[QoSPolicyKind, tuple[str, ...]] = {
+    QoSPolicyKind.RELIABILITY: ("reliable", "best_effort", "system_default"),
+    QoSPolicyKind.HISTORY: ("keep_last", "keep_all", "system_default"),
+    QoSPolicyKind.DEPTH: (),
+}
+"""What may be overridden, and the values that it may have; a depth is a number."""
+
+
 def stream(depth: int = STREAM_DEPTH) -> QoSProfile:
     """A stream of messages of which none should be lost."""
     return QoSProfile(
@@ -41,6 +52,23 @@ def latched() -> QoSProfile:
 
 def overridable() -> QoSOverridingOptions:
     """Lets users set ``qos_overrides.<topic>.<publisher|subscription>.<policy>`` at the start."""
-    return QoSOverridingOptions(
-        [QoSPolicyKind.RELIABILITY, QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH]
-    )
+    return QoSOverridingOptions(list(_OVERRIDABLE))
+
+
+def objection(name: str, value: object) -> str:
+    """Why quality of service cannot be overridden so, in a sentence; empty where it can.
+
+    rclpy tells this in a traceback, or not at all.
+    """
+    choices = {kind.name.lower(): values for kind, values in _OVERRIDABLE.items()}
+    *_, entity, policy = ("", *name.split("."))
+    if entity not in ("publisher", "subscription") or policy not in choices:
+        return (
+            f"{name} overrides nothing: write {OVERRIDES}<topic>.<publisher or subscription>."
+            f"<{', '.join(choices)}>"
+        )
+    if choices[policy] and str(value).lower() not in choices[policy]:
+        return f"{name} must be one of {', '.join(choices[policy])}, not {value!r}"
+    if not choices[policy] and (type(value) is not int or value < 1):
+        return f"{name} must be an integer of at least 1, not {value!r}"
+    return ""

@@ -24,6 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
+from mr_damper_ros.nodes.quality import OVERRIDES
 from mr_damper_ros.settings.option_table import ParameterTable, describe
 
 SUCCESS = 0
@@ -96,6 +97,9 @@ def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: _Sto
         node = factory()
     except rclpy_implementation.RCLError as error:
         raise _NodeError(_without_source_position(error)) from error
+    for name in node._parameter_overrides:
+        if name.startswith(OVERRIDES) and not node.has_parameter(name):
+            node.get_logger().warning(f"{name} is not used: there is no such topic so far")
     executor = make_executor()
     executor.add_node(node)
     # What was made so far stays to the end. Looking through it for garbage takes some tens of

@@ -46,6 +46,7 @@ class Option:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    start_only: bool = False
 
     @property
     def kind(self) -> type[Value]:
@@ -130,9 +131,15 @@ def option(
     maximum: float | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
+    start_only: bool = False,
 ) -> Any:
-    """A field of a parameter table: one parameter."""
-    details = Option("", default, description, minimum, maximum, choices, read_only)
+    """A field of a parameter table: one parameter.
+
+    ``read_only``: fixed while the node works. ``start_only``: fixed even where a managed node does
+    not work yet.
+    """
+    read_only = read_only or start_only
+    details = Option("", default, description, minimum, maximum, choices, read_only, start_only)
     return dataclasses.field(default=default, metadata={"option": details})
 
 
@@ -218,7 +225,7 @@ def describe(table: type) -> str:
         if item.range_text:
             notes.append(item.range_text)
         if item.read_only:
-            notes.append("fixed while the node runs")
+            notes.append("fixed while the node works")
         text = f"{item.description} ({'; '.join(notes)})"
         parts.append(f"  {item.name}\n{textwrap.indent(textwrap.fill(text, 88), '      ')}")
     return "\n".join(parts)

@@ -20,7 +20,7 @@ from ament_index_python.packages import get_package_share_directory
 
 from mr_damper_ros.interface.comparison import Comparison
 from mr_damper_ros.interface.figures import save_figures
-from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.io.bags import write_bag
+from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.units import UNITS
 from mr_damper_ros.signals.arrays import Array

@@ -14,7 +14,7 @@ import pytest
         "mr_damper_ros.tracking.predictor",
         "mr_damper_ros.tracking.tracker, mr_damper_ros.tracking.tracker_memory",
         "mr_damper_ros.tracking.pipeline, mr_damper_ros.processes.worker",
-        "mr_damper_ros.io.bags, mr_damper_ros.io.records, mr_damper_ros.rig.emulator",
+        "mr_damper_ros.io.bag_reader, mr_damper_ros.io.bag_writer, mr_damper_ros.io.records",
         "mr_damper_ros.rig.sources",
     ],
 )

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.io.bags import BagError, read_bag
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_streams import BagError
 from mr_damper_ros.io.records import RecordError
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS

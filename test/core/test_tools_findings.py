@@ -12,7 +12,7 @@ from typing import Any
 import known
 import pytest
 
-from mr_damper_ros.io.bags import write_bag
+from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SHAPE_PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import (

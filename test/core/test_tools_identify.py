@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
-from mr_damper_ros.io.bags import read_bag, write_bag
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.units import UNITS, ColumnError, parse_columns
 from mr_damper_ros.io.whole_files import write_text

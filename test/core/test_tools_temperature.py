@@ -9,7 +9,7 @@ import pytest
 
 from mr_damper_ros.interface.measured_runs import measured_run
 from mr_damper_ros.interface.temperature_map import temperature_maps
-from mr_damper_ros.io.bags import write_bag
+from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
 from mr_damper_ros.rig.excitation import SineMotion

@@ -16,7 +16,7 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from sensor_msgs.msg import JointState, Temperature
 from support import Listener, assert_one_sentence
 
-from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 
@@ -153,7 +153,7 @@ def test_the_supply_is_turned_while_the_rig_runs(start: Any, listener: Listener)
     assert "emulated.current" in refused.reason
     refused = listener.set_parameter("bridge", "block_size", 20)
     assert not refused.successful
-    assert "read-only" in refused.reason
+    assert "fixed while the node is configured" in refused.reason
     refused = listener.set_parameter("bridge", "emulated.current", "much")
     assert not refused.successful
 
@@ -189,6 +189,25 @@ def test_a_lifecycle_manager_configures_activates_and_cleans_up(
         lambda: not listener.node.get_publishers_info_by_topic("/mts/samples"), "no publisher"
     )
     assert state(listener) == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_before_it_is_configured_it_can_be_told_another_motion(
+    start: Any, listener: Listener
+) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    start("bridge", autostart=False, rate=20.0)
+    listener.wait_for_finding("bridge: source", "not configured")
+    assert listener.set_parameter("bridge", "emulated.amplitude", 0.02).successful
+    assert listener.set_parameter("bridge", "rate", 10.0).successful
+    assert not listener.set_parameter("bridge", "autostart", True).successful
+    assert transition(listener, Transition.TRANSITION_CONFIGURE)
+    refused = listener.set_parameter("bridge", "emulated.amplitude", 0.01)
+    assert not refused.successful
+    assert "fixed while the node is configured" in refused.reason
+    assert listener.set_parameter("bridge", "emulated.current", 0.5).successful
+    assert transition(listener, Transition.TRANSITION_ACTIVATE)
+    listener.until(lambda: len(samples) >= 100, "a cycle")
+    assert np.abs(joined(samples, "displacement")).max() == pytest.approx(0.02, rel=1e-3)
 
 
 def test_a_source_that_cannot_be_opened_leaves_a_managed_node_alive(

@@ -25,7 +25,7 @@ from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
-from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.nodes import quality

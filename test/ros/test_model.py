@@ -17,7 +17,7 @@ from press import BAD_BLOCKS, BLOCK, Press, block_message
 from rclpy.duration import Duration
 from support import Listener, assert_one_sentence
 
-from mr_damper_ros.io.bags import read_bag
+from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models import Model as ForceModel

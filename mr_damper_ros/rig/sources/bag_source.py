@@ -39,7 +39,7 @@ class BagSource(Source):
 
     def open(self) -> list[str]:
         """Read the bag."""
-        from mr_damper_ros.io.bags import read_bag
+        from mr_damper_ros.io.bag_reader import read_bag
 
         self._recordings = read_bag(self.settings.bag)
         return checked(self._recordings)

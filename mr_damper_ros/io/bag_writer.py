@@ -1,0 +1,224 @@
+"""Recordings to bags, with rosbags alone: ROS is not needed.
+
+A bag holds the streams as a live rig would have published them: blocks of samples, written at the
+time of their last sample (when the block became available), and the supply's current with its
+stamps on the clock of the samples: at the start, at every change, in between at a fixed period,
+and once more at the end, so that the current is known for the whole recording.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from mr_damper_ros.io.bag_streams import (
+    CURRENT_TOPIC,
+    CURRENT_TYPE,
+    MTS_TOPIC,
+    SAMPLES_TYPE,
+    TEMPERATURE_TOPIC,
+    TEMPERATURE_TYPE,
+    BagError,
+)
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.recording import Recording
+
+_FRAME = "damper"
+"""The frame that the stamps of all messages name."""
+
+_CURRENT_PERIOD = 0.1
+"""Seconds after which a current that did not change is written again."""
+
+_TEMPERATURE_PERIOD = 1.0
+
+_STAMP_LIMIT = 2**31 * NANOSECONDS
+"""The seconds of a stamp are a signed number of 32 bits."""
+
+_INFINITE = QosTime(9223372036, 854775807)
+
+# A fast replay must not lose blocks: the depth is that of the live publishers.
+_STREAM_QUALITY = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=1000,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.VOLATILE,
+    deadline=_INFINITE,
+    lifespan=_INFINITE,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=_INFINITE,
+    avoid_ros_namespace_conventions=False,
+)
+
+
+@dataclass(frozen=True)
+class _Message:
+    """One serialised message: ``data`` is what a publisher sends (CDR with its header)."""
+
+    topic: str
+    time_ns: int
+    data: bytes
+
+
+def _message_folder() -> Path:
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    folders = [Path(prefix) / "share" / "mr_damper_msgs" / "msg" for prefix in prefixes if prefix]
+    folders.append(Path(__file__).resolve().parents[2] / "msg_defs" / "msg")
+    for folder in folders:
+        if (folder / "MtsSamples.msg").is_file():
+            return folder
+    raise BagError(
+        "the message definitions of mr_damper_msgs are not installed: "
+        "source the setup file of the workspace that holds mr_damper_msgs"
+    )
+
+
+@lru_cache(maxsize=1)
+def _typestore() -> Any:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    folder = _message_folder()
+    for message_type in (SAMPLES_TYPE, CURRENT_TYPE):
+        text = (folder / f"{message_type.rpartition('/')[2]}.msg").read_text(encoding="utf-8")
+        store.register(get_types_from_msg(text, message_type))
+    return store
+
+
+def write_bag(
+    path: str | Path,
+    recording: Recording,
+    *,
+    block_size: int = 100,
+    overwrite: bool = False,
+) -> None:
+    """Write a recording as a bag folder (MCAP, rosbag2 version 9).
+
+    ``block_size`` samples go into one message. The bag's metadata carry ``recording.name`` and
+    ``recording.details``. The bag appears whole or not at all; one that exists is replaced only
+    with ``overwrite``.
+
+    Raises BagError where the bag exists, is something else, or the block size is below 1, and
+    OSError where the file system refuses.
+    """
+    if block_size < 1:
+        raise BagError(f"the block size is {block_size}: give at least 1 sample")
+    if not 0 <= recording.start_ns <= recording.stamp_ns(recording.sample_count) < _STAMP_LIMIT:
+        raise BagError(
+            f"'{recording.name}' starts {recording.start_ns / NANOSECONDS:.0f} s after 1970, and "
+            "the stamps of messages reach from 1970 to 2038: give it another start"
+        )
+    path = Path(os.path.abspath(path))
+    _check_free(path, overwrite)
+    topics = {MTS_TOPIC: SAMPLES_TYPE, CURRENT_TOPIC: CURRENT_TYPE}
+    if recording.temperature is not None:
+        topics[TEMPERATURE_TOPIC] = TEMPERATURE_TYPE
+    # Of equal times the first counts as the earlier: the current, it applies to the block.
+    messages = heapq.merge(
+        _current_messages(recording),
+        _temperature_messages(recording),
+        _sample_messages(recording, block_size),
+        key=lambda message: message.time_ns,
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+        fresh = Path(folder) / path.name
+        _write_messages(fresh, topics, messages, {"name": recording.name, **recording.details})
+        if path.exists():
+            path.rename(Path(folder) / "replaced")
+        fresh.rename(path)
+
+
+def _check_free(path: Path, overwrite: bool) -> None:
+    if not path.exists():
+        return
+    if not (path / "metadata.yaml").is_file():
+        raise BagError(f"{path} exists and is not a bag: choose another name")
+    if not overwrite:
+        raise BagError(f"{path} exists already: choose another name or ask to overwrite it")
+
+
+def _write_messages(
+    path: Path, topics: dict[str, str], messages: Iterable[_Message], details: dict[str, str]
+) -> None:
+    store = _typestore()
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for key, value in details.items():
+            writer.set_custom_data(key, value)
+        connections = {
+            topic: writer.add_connection(
+                topic, message_type, typestore=store, offered_qos_profiles=[_STREAM_QUALITY]
+            )
+            for topic, message_type in topics.items()
+        }
+        for message in messages:
+            writer.write(connections[message.topic], message.time_ns, message.data)
+
+
+def _message(
+    topic: str, message_type: str, time_ns: int, stamp_ns: int, **fields: object
+) -> _Message:
+    store = _typestore()
+    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
+    header = store.types["std_msgs/msg/Header"](
+        stamp=store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds),
+        frame_id=_FRAME,
+    )
+    message = store.types[message_type](header=header, **fields)
+    return _Message(topic, time_ns, bytes(store.serialize_cdr(message, message_type)))
+
+
+def _sample_messages(recording: Recording, block_size: int) -> Iterator[_Message]:
+    for first in range(0, recording.sample_count, block_size):
+        displacement = recording.displacement[first : first + block_size]
+        yield _message(
+            MTS_TOPIC,
+            SAMPLES_TYPE,
+            recording.stamp_ns(first + displacement.size - 1),
+            recording.stamp_ns(first),
+            seq=first,
+            period=recording.period,
+            displacement=displacement,
+            force=recording.force[first : first + block_size],
+        )
+
+
+def _indices(recording: Recording, period: float, always: Iterable[int] = ()) -> list[int]:
+    """Samples every ``period`` seconds, the last one, and those of ``always``."""
+    step = max(round(period / recording.period), 1)
+    regular = range(0, recording.sample_count, step)
+    return sorted({*regular, *always, recording.sample_count - 1})
+
+
+def _current_messages(recording: Recording) -> Iterator[_Message]:
+    changes = (np.flatnonzero(np.diff(recording.current)) + 1).tolist()
+    for index in _indices(recording, _CURRENT_PERIOD, changes):
+        stamp = recording.stamp_ns(index)
+        current = float(recording.current[index])
+        yield _message(CURRENT_TOPIC, CURRENT_TYPE, stamp, stamp, current=current)
+
+
+def _temperature_messages(recording: Recording) -> Iterator[_Message]:
+    if recording.temperature is None:
+        return
+    for index in _indices(recording, _TEMPERATURE_PERIOD):
+        stamp = recording.stamp_ns(index)
+        celsius = float(recording.temperature[index])
+        yield _message(
+            TEMPERATURE_TOPIC, TEMPERATURE_TYPE, stamp, stamp, temperature=celsius, variance=0.0
+        )
