@@ -1,12 +1,15 @@
-"""Pages that are made from the code: force laws, nodes and messages, and the figures of the law."""
+"""Pages that are made from the code: force laws, nodes, messages, programs, figures of the law."""
 
 from __future__ import annotations
 
 import importlib
 import math
+import os
 import pkgutil
 import re
 from collections.abc import Iterator
+from contextlib import redirect_stdout, suppress
+from io import StringIO
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -37,6 +40,8 @@ NODES = {
     "model": "The force predicted from displacement, current and parameters.",
     "replay": "Plays a bag onto its topics, with `/clock`, for machines without `ros2 bag`.",
 }
+
+PROGRAMS = ("import_record", "identify", "validate", "thesis_bags", "reproduce")
 
 TYPES = {
     "mts/samples": "MtsSamples",
@@ -116,6 +121,19 @@ def messages_page() -> str:
             heads = {1: [""], 2: ["Request", "Response"], 3: ["Goal", "Result", "Feedback"]}
             for head, section in zip(heads[len(sections)], sections, strict=True):
                 parts += _fields(head, section)
+    return "\n".join(parts)
+
+
+def programs_page() -> str:
+    """What every command-line program says of itself."""
+    parts = ["# The programs", "", "Run them after `. ./env.bash`, or with `ros2 run`.", ""]
+    for name in PROGRAMS:
+        text = StringIO()
+        os.environ["COLUMNS"] = "78"  # the width that argparse writes for
+        program = importlib.import_module(f"mr_damper_ros.tools.{name}")
+        with redirect_stdout(text), suppress(SystemExit):
+            program.main(["--help"])
+        parts += [f"## {name}", "", "```text", text.getvalue().rstrip(), "```", ""]
     return "\n".join(parts)
 
 
@@ -217,6 +235,7 @@ def _generate(app: Any) -> None:
         ("models", models_page),
         ("nodes", nodes_page),
         ("messages", messages_page),
+        ("programs", programs_page),
     ):
         _write(folder / f"{name}.md", page())
     coefficient_figure(folder / "coefficients.svg")
