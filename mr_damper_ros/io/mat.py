@@ -1,27 +1,35 @@
 """Reads the matrices of a MAT file, in a process of its own.
 
 SciPy's reader believes what a file says of itself: a malformed one can end the process that reads
-it (a segmentation fault), or keep it for ever. So a child process reads, which is given the bytes
-of the file on its standard input and writes arrays without objects to its standard output.
+it (a segmentation fault), keep it for ever, or unpack a few bytes to more than the memory. So a
+child process reads, with limited time and memory, and hands over arrays without objects.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import subprocess
 import sys
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
 from mr_damper_ros.processes import child_process
 
 TIME_LIMIT = 60.0
 """Seconds that reading may take."""
 
-_VERSION_73, _NO_SCIPY, _DAMAGED = 3, 4, 5
+_BYTES_PER_SAMPLE = 100
+"""Memory [B] that may be used: four columns of eight bytes, compressed, unpacked and turned."""
+
+_LEAST_MEMORY = 100_000_000
+"""Bytes that any file may use."""
+
+_VERSION_73, _NO_SCIPY, _DAMAGED, _TOO_LARGE = 3, 4, 5, 6
 """Exit codes of the child."""
 
 Matrices = dict[str, NDArray[np.number]]
@@ -32,57 +40,86 @@ class MatError(ValueError):
     """A file that cannot be read; the message goes on after the file's name."""
 
 
-def read_matrices(path: Path) -> Matrices:
+def read_matrices(path: Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Matrices:
     """Return the matrices in a MAT file.
 
-    Raises MatError where it cannot be read, whatever is wrong with it, or takes longer than
-    :data:`TIME_LIMIT`, and OSError where there is no such file.
+    Raises MatError where it cannot be read, whatever is wrong with it, takes longer than
+    :data:`TIME_LIMIT` or more memory than so many samples of a record need, and OSError where
+    there is no such file.
     """
-    child = subprocess.run(
-        child_process.command(serve, str(TIME_LIMIT)),
-        input=path.read_bytes(),
-        capture_output=True,
-        start_new_session=True,
-        check=False,
-    )
-    if child.returncode == 0:
-        stream = BytesIO(child.stdout)
-        names = np.load(stream, allow_pickle=False).tolist()
-        return {name: np.load(stream, allow_pickle=False) for name in names}
-    if child.returncode == _VERSION_73:
-        raise MatError(
-            "is a MAT file of version 7.3: save it in MATLAB with save(..., '-v7') first"
-        )
-    if child.returncode == _NO_SCIPY:
-        raise MatError("is a MAT file, which needs SciPy: install it, or export the file as CSV")
-    if child.returncode == -signal.SIGALRM:
-        raise MatError(
-            f"could not be read within {TIME_LIMIT:g} s: save a part of it, or export it as CSV"
-        )
-    raise MatError("is not a MAT file that can be read: save it again, or export it as CSV")
+    memory = max(_BYTES_PER_SAMPLE * maximum_samples, _LEAST_MEMORY)
+    result = os.memfd_create("matrices")
+    with path.open("rb") as file, open(result, "rb") as stream:
+        code = subprocess.run(
+            child_process.command(serve, str(TIME_LIMIT), str(memory), str(result)),
+            stdin=file,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=[result],
+            env={**os.environ, **child_process.SINGLE_THREADED},
+            start_new_session=True,
+            check=False,
+        ).returncode
+        if code == 0:
+            stream.seek(0)
+            names = np.load(stream, allow_pickle=False).tolist()
+            return {name: np.load(stream, allow_pickle=False) for name in names}
+    raise MatError(_reason(code, memory))
 
 
-def serve(limit: str) -> None:
-    """Be the child, for at most ``limit`` seconds."""
+def _reason(code: int, memory: int) -> str:
+    if code == _VERSION_73:
+        return "is a MAT file of version 7.3: save it in MATLAB with save(..., '-v7') first"
+    if code == _NO_SCIPY:
+        return "is a MAT file, which needs SciPy: install it, or export the file as CSV"
+    if code == _TOO_LARGE:
+        return (
+            f"needs more than {memory // 1_000_000} MB to be read: save a part of it, or allow "
+            "more samples (import_record --maximum-samples)"
+        )
+    if code == -signal.SIGALRM:
+        return f"could not be read within {TIME_LIMIT:g} s: save a part of it, or export it as CSV"
+    return "is not a MAT file that can be read: save it again, or export it as CSV"
+
+
+def serve(time_limit: str, memory_limit: str, result: str) -> None:
+    """Be the child, for at most so many seconds and bytes: standard input to the file descriptor.
+
+    What it has loaded itself is not counted.
+    """
     # Without a handler the signal ends a process also while it is in a call into C.
-    signal.setitimer(signal.ITIMER_REAL, float(limit))
+    signal.setitimer(signal.ITIMER_REAL, float(time_limit))
     try:
         from scipy.io import loadmat  # here: see mr_damper_ros.entry_points
     except ImportError:
         raise SystemExit(_NO_SCIPY) from None
     try:
-        content = loadmat(BytesIO(sys.stdin.buffer.read()))
+        _limit_memory(int(memory_limit))
+        content = loadmat(sys.stdin.buffer)
+        matrices = {
+            name: value
+            for name, value in content.items()
+            if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiu"
+        }
+        with open(int(result), "wb") as stream:
+            for array in (np.array(list(matrices), dtype=np.str_), *matrices.values()):
+                np.save(stream, array, allow_pickle=False)
+    except MemoryError:
+        raise SystemExit(_TOO_LARGE) from None
     except NotImplementedError:
         raise SystemExit(_VERSION_73) from None
     except Exception:
         # Damaged bytes surface in the library as exceptions of many kinds.
         raise SystemExit(_DAMAGED) from None
-    matrices = {
-        name: value
-        for name, value in content.items()
-        if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiu"
-    }
-    output = BytesIO()
-    for array in (np.array(list(matrices), dtype=np.str_), *matrices.values()):
-        np.save(output, array, allow_pickle=False)
-    sys.stdout.buffer.write(output.getbuffer())
+
+
+def _limit_memory(size: int) -> None:
+    """Let this process take so many bytes more than it has now. Elsewhere than on Linux: not."""
+    if sys.platform != "linux":
+        return
+    import resource
+
+    pages = int(Path("/proc/self/statm").read_text().split()[5])  # data and stack
+    used = pages * os.sysconf("SC_PAGE_SIZE")
+    with contextlib.suppress(ValueError):  # a lower limit is set already
+        resource.setrlimit(resource.RLIMIT_DATA, (used + size, used + size))

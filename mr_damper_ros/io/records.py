@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import math
-import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.io.mat import MatError, Matrices, read_matrices
+from mr_damper_ros.io.mat_table import read_mat_table
+from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES, RawTable, RecordError
+from mr_damper_ros.io.regular_files import irregularity
+from mr_damper_ros.io.text_table import read_text_table
 from mr_damper_ros.io.units import Column, parse_columns
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -29,24 +29,6 @@ _EPOCH = 1e9
 _VELOCITY_TOLERANCE = 2.0
 """Factor by which a velocity column may differ from the rate of the displacement."""
 
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$|[+-]?\d+$")
-
-
-class RecordError(ValueError):
-    """A record that cannot be read; the message says what to change."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """Raw values by quantity; ``place`` says in words where a row is, for messages."""
-
-    values: dict[str, Array]
-    place: Callable[[int], str]
-
-    @property
-    def row_count(self) -> int:
-        return int(next(iter(self.values.values())).size)
-
 
 def read_record(
     path: str | Path,
@@ -57,6 +39,7 @@ def read_record(
     start: float | None = None,
     stop: float | None = None,
     variable: str | None = None,
+    maximum_samples: int = MAXIMUM_SAMPLES,
 ) -> Recording:
     """Read a record file into a recording.
 
@@ -68,7 +51,8 @@ def read_record(
 
     ``current`` [A] is that of the whole record where no column holds it; ``period`` [s] the time
     between samples where no column holds the time; ``start`` and ``stop`` [s], from the first
-    sample, cut out a part. A velocity column is compared with the displacement and not kept.
+    sample, cut out a part. A velocity column is compared with the displacement and not kept. A
+    file with more than ``maximum_samples`` is refused, before it has filled the memory.
 
     Raises RecordError (or ColumnError, RecordingError), in one sentence that says what to change,
     and OSError where the file cannot be read.
@@ -76,15 +60,13 @@ def read_record(
     path = Path(path)
     wanted = parse_columns(columns)
     _check_options({column.quantity for column in wanted}, current, period)
-    if path.is_dir():
-        raise RecordError(f"{path} is a folder: give a text, CSV or MAT file")
+    kind = irregularity(path)
+    if kind:
+        raise RecordError(f"{path} is {kind}: give a text, CSV or MAT file")
     if path.stat().st_size == 0:
         raise RecordError(f"{path.name} is empty: give a file with at least two rows of numbers")
-    table = (
-        _read_mat(path, wanted, variable)
-        if path.suffix.lower() == ".mat"
-        else _read_text(path, wanted, variable)
-    )
+    read = read_mat_table if path.suffix.lower() == ".mat" else read_text_table
+    table = read(path, wanted, variable, maximum_samples)
     if table.row_count < 2:
         raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
     return _recording(path, table, wanted, columns, current, period, start, stop)
@@ -112,7 +94,7 @@ def _check_options(quantities: set[str], current: float | None, period: float | 
 
 def _recording(
     path: Path,
-    table: _Table,
+    table: RawTable,
     columns: Sequence[Column],
     description: str,
     current: float | None,
@@ -120,12 +102,14 @@ def _recording(
     start: float | None,
     stop: float | None,
 ) -> Recording:
-    values = {column.quantity: column.to_si(table.values[column.quantity]) for column in columns}
+    row_count = table.row_count
+    # Taken from the table one by one: a long record is not held twice.
+    values = {c.quantity: c.to_si(table.values.pop(c.quantity)) for c in columns}
     if period is None:
         _check_finite(path, "time", values["time"], table.place)
         time = values["time"]
     else:
-        time = np.arange(table.row_count, dtype=np.float64) * period
+        time = np.arange(row_count, dtype=np.float64) * period
     part = _part(path, time - time[0], start, stop)
     first, time = part.start, time[part]
 
@@ -239,211 +223,3 @@ def _check_velocity(recording: Recording, velocity: Array) -> None:
         "sign of the time, the displacement or the velocity is wrong (write - for the velocity "
         "to ignore it)"
     )
-
-
-# ---------------------------------------------------------------------------------------------
-# Text
-# ---------------------------------------------------------------------------------------------
-
-
-def _read_text(path: Path, columns: Sequence[Column], variable: str | None) -> _Table:
-    if variable is not None:
-        raise RecordError(f"{path.name} is a text file and has no variables: choose no variable")
-    lines = _decoded(path).splitlines()
-    separator = _separator(lines)
-    rows = list(_rows(lines, separator))
-    positions, rows = _positions(path, rows, columns)
-    first = next(
-        (k for k, (_, fields) in enumerate(rows) if _numbers(fields, positions, separator)), None
-    )
-    if first is None:
-        raise RecordError(
-            f"{path.name} holds no row with numbers in columns "
-            f"{', '.join(str(p + 1) for p in positions)}: {_first_row(rows)}"
-        )
-    numbers, line_numbers = [], []
-    for line_number, fields in rows[first:]:
-        row = _numbers(fields, positions, separator)
-        if row is None:
-            raise RecordError(_unreadable(path, line_number, fields, positions, separator))
-        numbers.append(row)
-        line_numbers.append(line_number)
-    array = np.array(numbers, dtype=np.float64)
-    return _Table(
-        {column.quantity: array[:, k] for k, column in enumerate(columns)},
-        lambda row: f"line {line_numbers[row]}",
-    )
-
-
-def _decoded(path: Path) -> str:
-    content = path.read_bytes()
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return content.decode("utf-16", errors="replace")
-    if content.startswith(b"PK"):
-        raise RecordError(f"{path.name} is a spreadsheet or an archive: save it as CSV first")
-    if b"\0" in content[:4096]:
-        raise RecordError(f"{path.name} is not a text file: export it as text, CSV or MAT")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("latin-1")
-
-
-def _separator(lines: Sequence[str]) -> str:
-    """What separates fields: ";", tab, "," or "" for white space. Headers do not matter."""
-    # The last lines hold numbers, whatever the header looks like.
-    filled = [line for line in lines if line.strip()]
-    sample = filled[len(filled) // 2 :][-50:]
-    for separator in (";", "\t"):
-        if any(separator in line.strip() for line in sample):
-            return separator
-    if not any("," in line for line in sample):
-        return ""
-    # "0,001 2,5" is two numbers with decimal commas; "1,2" is two fields.
-    decimal = all(
-        len(line.split()) > 1 and all(_DECIMAL_COMMA.match(word) for word in line.split())
-        for line in sample
-    )
-    return "" if decimal else ","
-
-
-def _rows(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Line numbers, from 1, and fields of the lines that are neither empty nor a comment."""
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        if separator:
-            fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-            yield number, [field.strip() for field in fields]
-        else:
-            yield number, line.split()
-
-
-def _positions(
-    path: Path, rows: list[tuple[int, list[str]]], columns: Sequence[Column]
-) -> tuple[list[int], list[tuple[int, list[str]]]]:
-    """Where the columns are, and the rows from which numbers may start."""
-    if not columns[0].header:
-        return [column.position for column in columns], rows
-    names = [column.header for column in columns]
-    for k, (_, fields) in enumerate(rows):
-        if all(name in fields for name in names):
-            return [fields.index(name) for name in names], rows[k + 1 :]
-    # The line that holds most of the names is the header that was meant.
-    best = max((fields for _, fields in rows), key=lambda f: sum(n in f for n in names))
-    missing = ", ".join(name for name in names if name not in best)
-    raise RecordError(
-        f"no line of {path.name} names the columns {', '.join(names)}: missing {missing} "
-        f"in '{'; '.join(best)}'"
-    )
-
-
-def _number(field: str, separator: str) -> float | None:
-    if separator != ",":
-        field = field.replace(",", ".")
-    try:
-        return float(field)
-    except ValueError:
-        return None
-
-
-def _numbers(fields: list[str], positions: Sequence[int], separator: str) -> list[float] | None:
-    if len(fields) <= max(positions):
-        return None
-    numbers = [_number(fields[position], separator) for position in positions]
-    return None if None in numbers else numbers  # type: ignore[return-value]
-
-
-def _first_row(rows: list[tuple[int, list[str]]]) -> str:
-    if not rows:
-        return "it is empty"
-    number, fields = rows[len(rows) // 2]
-    return f"its line {number} has {len(fields)} columns, '{'; '.join(fields)}'"
-
-
-def _unreadable(
-    path: Path, line: int, fields: list[str], positions: Sequence[int], separator: str
-) -> str:
-    if len(fields) <= max(positions):
-        return (
-            f"line {line} of {path.name} has {len(fields)} columns, but column "
-            f"{max(positions) + 1} is wanted: mend the line or cut the file before it"
-        )
-    wrong = next(p for p in positions if _number(fields[p], separator) is None)
-    return (
-        f"column {wrong + 1} in line {line} of {path.name} is '{fields[wrong]}', not a number: "
-        "mend the line or cut the file before it"
-    )
-
-
-# ---------------------------------------------------------------------------------------------
-# MAT
-# ---------------------------------------------------------------------------------------------
-
-
-def _read_mat(path: Path, columns: Sequence[Column], variable: str | None) -> _Table:
-    try:
-        variables = read_matrices(path)
-    except MatError as error:
-        raise RecordError(f"{path.name} {error}") from error
-    if columns[0].header:
-        if variable is not None:
-            raise RecordError(
-                "the columns name variables of the MAT file themselves: choose no variable"
-            )
-        return _vectors(path, variables, columns)
-    matrix = _matrix(path, variables, columns, variable)
-    return _Table(
-        {c.quantity: matrix[:, c.position] for c in columns}, lambda row: f"row {row + 1}"
-    )
-
-
-def _listed(variables: Matrices) -> str:
-    shapes = [f"{name} ({v.shape[0]} x {v.shape[1]})" for name, v in variables.items()]
-    return ", ".join(shapes) or "no matrix of numbers"
-
-
-def _matrix(
-    path: Path, variables: Matrices, columns: Sequence[Column], variable: str | None
-) -> Array:
-    # Samples may run down or across.
-    upright = {n: v.T if v.shape[0] < v.shape[1] else v for n, v in variables.items()}
-    needed = 1 + max(column.position for column in columns)
-    if variable is None:
-        fitting = [n for n, v in upright.items() if v.shape[1] >= needed and v.shape[0] > 1]
-        if len(fitting) != 1:
-            raise RecordError(
-                f"{path.name} holds {len(fitting)} matrices with {needed} columns or more: "
-                f"choose one as the variable; it holds {_listed(variables)}"
-            )
-        variable = fitting[0]
-    if variable not in upright:
-        raise RecordError(
-            f"{path.name} has no variable '{variable}': it holds {_listed(variables)}"
-        )
-    matrix = np.asarray(upright[variable], dtype=np.float64)
-    if matrix.shape[1] < needed:
-        raise RecordError(
-            f"the variable '{variable}' in {path.name} has {matrix.shape[1]} columns, but column "
-            f"{needed} is wanted"
-        )
-    return matrix
-
-
-def _vectors(path: Path, variables: Matrices, columns: Sequence[Column]) -> _Table:
-    values = {}
-    for column in columns:
-        vector = variables.get(column.header)
-        if vector is None or min(vector.shape) != 1:
-            raise RecordError(
-                f"{path.name} has no variable '{column.header}' that is one row or column: "
-                f"it holds {_listed(variables)}"
-            )
-        values[column.quantity] = np.asarray(vector, dtype=np.float64).ravel()
-    lengths = {column.header: values[column.quantity].size for column in columns}
-    if len(set(lengths.values())) > 1:
-        raise RecordError(
-            f"the variables in {path.name} differ in length: "
-            + ", ".join(f"{name} has {length}" for name, length in lengths.items())
-        )
-    return _Table(values, lambda row: f"row {row + 1}")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.units import UNITS
 from mr_damper_ros.signals.arrays import Array
@@ -66,6 +67,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--variable", metavar="NAME", help="matrix in a MAT file, if it has several"
     )
+    parser.add_argument(
+        "--maximum-samples",
+        type=int,
+        default=MAXIMUM_SAMPLES,
+        metavar="N",
+        help=f"refuse a file with more samples (default {MAXIMUM_SAMPLES})",
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace a bag that exists")
     return parser
 
@@ -79,6 +87,7 @@ def _import(options: argparse.Namespace) -> int:
         start=options.start,
         stop=options.stop,
         variable=options.variable,
+        maximum_samples=options.maximum_samples,
     )
     print(_summary(recording))
     write_bag(options.output, recording, overwrite=options.overwrite)

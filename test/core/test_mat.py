@@ -81,3 +81,18 @@ def test_nothing_beside_the_file_is_executed(
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
     read = mat.read_matrices(written(tmp_path / "run.mat", {"data": MATRIX}))
     np.testing.assert_array_equal(read["data"], MATRIX)
+
+
+def test_a_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path: Path) -> None:
+    # Two hundred megabytes of zeros in two hundred kilobytes.
+    path = tmp_path / "run.mat"
+    savemat(path, {"data": np.zeros((6_000_000, 4))}, do_compression=True)
+    assert path.stat().st_size < 1_000_000
+    with pytest.raises(mat.MatError, match="needs more than 100 MB to be read"):
+        mat.read_matrices(path, maximum_samples=1000)
+
+
+def test_the_limit_is_raised_with_the_samples_that_are_allowed(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    savemat(path, {"data": np.zeros((6_000_000, 4))}, do_compression=True)
+    assert mat.read_matrices(path, maximum_samples=6_000_000)["data"].shape == (6_000_000, 4)

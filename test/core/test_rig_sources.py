@@ -13,7 +13,7 @@ import pytest
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_streams import BagError
-from mr_damper_ros.io.records import RecordError
+from mr_damper_ros.io.raw_table import RecordError
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.published_conditions import ConditionError

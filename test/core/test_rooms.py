@@ -37,7 +37,6 @@ IMPORTS_TO_MEND = {
 }
 LONG_FILES_TO_SPLIT = {
     "estimation/global_fit.py",
-    "io/records.py",
     "thesis/optimisers.py",
 }
 NAMES_TO_CHANGE = {"following.py"}

@@ -1,0 +1,82 @@
+"""Text records of any size: read line by line, refused where they are none or too long."""
+
+from __future__ import annotations
+
+import os
+import socket
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.io.raw_table import RecordError
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.io.text_table import read_text_table
+from mr_damper_ros.io.units import parse_columns
+
+COLUMNS = "time:s,displacement:mm,force:N"
+
+BYTES_PER_ROW = 60
+"""Of three numbers of eight bytes, twice: what has been read is joined at the end."""
+
+FIXED = 12_000_000
+"""Bytes: fifty thousand lines are parsed at a time."""
+
+
+def written(path: Path, rows: int) -> Path:
+    numbers = np.arange(rows)
+    table = np.column_stack((1e-3 * numbers, 5.0 * np.sin(0.01 * numbers), 1e3 * np.cos(numbers)))
+    np.savetxt(path, table, fmt="%.6f", delimiter=",")
+    return path
+
+
+def test_memory_is_that_of_the_numbers(tmp_path: Path) -> None:
+    rows = 300_000
+    path = written(tmp_path / "run.csv", rows)
+    tracemalloc.start()
+    table = read_text_table(path, parse_columns(COLUMNS), None, rows)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert table.row_count == rows
+    assert peak < BYTES_PER_ROW * rows + FIXED
+
+
+def test_a_file_with_more_samples_than_allowed_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "run.csv", 100)
+    assert read_record(path, COLUMNS, current=0.5, maximum_samples=100).sample_count == 100
+    with pytest.raises(RecordError, match=r"run.csv holds more than 99 samples: split it"):
+        read_record(path, COLUMNS, current=0.5, maximum_samples=99)
+
+
+@pytest.mark.parametrize("length", [100_001, 1_000_000])
+def test_a_line_without_end_is_refused(tmp_path: Path, length: int) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("0,1,2\n" + "7" * length + ",1,2\n", encoding="utf-8")
+    with pytest.raises(RecordError, match=r"line 2 of run.csv has more than 100000 characters"):
+        read_record(path, COLUMNS, current=0.5)
+
+
+def test_lines_are_named_after_comments_and_empty_lines(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    lines = ["# a", "t,u,f", "", "0,1,2", "", "", "0.1,1,2", "0.2,1,2", "0.3,1,nan"]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(RecordError, match=r"the force in line 9 of run.csv is nan"):
+        read_record(path, COLUMNS, current=0.5)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat"])
+@pytest.mark.parametrize("kind", ["a named pipe", "a socket", "a device", "a folder"])
+def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str, suffix: str) -> None:
+    path = tmp_path / f"run{suffix}"
+    if kind == "a named pipe":
+        os.mkfifo(path)
+    elif kind == "a socket":
+        with socket.socket(socket.AF_UNIX) as bound:
+            bound.bind(str(path))
+    elif kind == "a device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    with pytest.raises(RecordError, match=f"run{suffix} is {kind}: give a text, CSV or MAT file"):
+        read_record(path, COLUMNS, current=0.5)
