@@ -31,7 +31,7 @@ class MotionFollower:
 
     Only what a block's own motion needs is done when it comes. The rest, which takes longer, is
     done by :meth:`catch_up`. ``foreseen`` is the motion of the next block if the sine goes on and
-    the block is as long as the last one; :meth:`follow` returns that very object if so.
+    the block is as long as the last one; :attr:`steady` then says that it was so.
     """
 
     def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
@@ -43,6 +43,11 @@ class MotionFollower:
         self._unlearned: Array | None = None
         self.foreseen: Motion | None = None
         self._steady = False
+
+    @property
+    def steady(self) -> bool:
+        """Whether the motion of the last block was a sine that goes on, as it was foreseen."""
+        return self._steady
 
     @property
     def reversals(self) -> int:

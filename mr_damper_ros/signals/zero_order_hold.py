@@ -31,8 +31,6 @@ class ZeroOrderHold:
         self._stamps: list[int] = []
         self._values: list[float] = []
         self._jumped = False
-        # The last result that was of one value throughout, to be given again.
-        self._constant = np.empty(0)
 
     @property
     def last_stamp_ns(self) -> int | None:
@@ -75,23 +73,31 @@ class ZeroOrderHold:
         """Whether a value is in force at the stamp."""
         return bool(self._stamps) and self._stamps[0] <= stamp_ns
 
+    def constant(self, start_ns: int, period: float, count: int) -> float | None:
+        """The one value [A] that :meth:`at` gives for these samples; None where there are more."""
+        following = bisect_right(self._stamps, start_ns) or 1
+        if following < len(self._stamps):
+            step = _first_sample(self._stamps[following] - start_ns, period)
+            if step < count:
+                return None
+        return self._values[following - 1]
+
     def at(self, start_ns: int, period: float, count: int) -> Array:
         """Current [A] at ``count`` samples from ``start_ns``, ``period`` [s] apart, shape (n,).
 
-        Before the first value that value is taken: ask :meth:`known_from`. The result is not for
-        writing: where the current stays the same, so does the array.
+        Before the first value that value is taken: ask :meth:`known_from`.
         """
-        first = max(bisect_right(self._stamps, start_ns) - 1, 0)
-        if first + 1 == len(self._stamps):
-            if self._constant.size != count or self._constant[0] != self._values[first]:
-                self._constant = np.full(count, self._values[first])
-            return self._constant
-        result = np.full(count, self._values[first])
-        for stamp, value in zip(self._stamps[first + 1 :], self._values[first + 1 :], strict=True):
-            # Rounding of the stamp to nanoseconds must not move a step by one sample.
-            offset = (stamp - start_ns) / (period * NANOSECONDS)
-            index = int(np.ceil(offset - 1e-3))
+        following = bisect_right(self._stamps, start_ns) or 1
+        result = np.full(count, self._values[following - 1])
+        for place in range(following, len(self._stamps)):
+            index = _first_sample(self._stamps[place] - start_ns, period)
             if index >= count:
                 break
-            result[max(index, 0) :] = value
+            result[max(index, 0) :] = self._values[place]
         return result
+
+
+def _first_sample(delay_ns: int, period: float) -> int:
+    """The first sample that a step this much after sample 0 shows in."""
+    # Rounding of the stamp to nanoseconds must not move a step by one sample.
+    return math.ceil(delay_ns / (period * NANOSECONDS) - 1e-3)

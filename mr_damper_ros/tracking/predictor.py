@@ -79,13 +79,19 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class _Reckoned:
-    """Force [N] of a motion at a current [A], whether it is finite, and why to doubt it."""
+    """Force [N] of a motion at a current, whether it is finite, and why to doubt it."""
 
-    motion: Motion
-    current: Array
     force: Array
     finite: bool
     doubt: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Foreseen:
+    """What was reckoned for the next block if the sine goes on and the current [A] stays."""
+
+    current: float
+    reckoned: _Reckoned
 
 
 class ForcePredictor:
@@ -99,7 +105,7 @@ class ForcePredictor:
         self._sequence = BlockSequence()
         self._motion: MotionFollower | None = None
         self._stream: ForceStream | None = None
-        self._foreseen: _Reckoned | None = None
+        self._foreseen: _Foreseen | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
 
@@ -147,23 +153,40 @@ class ForcePredictor:
             self._motion.catch_up()
             self._foreseen = self._foresee(self._motion.foreseen)
 
-    def _foresee(self, motion: Motion | None) -> _Reckoned | None:
+    def _foresee(self, motion: Motion | None) -> _Foreseen | None:
         """Force of the next block, as far as it can be known already."""
         last, parameters, stream = self._sequence.last, self._parameters, self._stream
         if motion is None or last is None or parameters is None:
             return None
         if stream is None or stream.remembers or not self._current.known_from(last.end_ns):
             return None
-        current = self._current.at(last.end_ns, last.period, last.sample_count)
-        return self._reckon(motion, current, parameters, stream)
+        current = self._current.constant(last.end_ns, last.period, last.sample_count)
+        if current is None:
+            return None
+        amperes = np.full(last.sample_count, current)
+        return _Foreseen(current, self._reckon(motion, True, amperes, parameters, stream))
+
+    def _came(self, foreseen: _Foreseen, block: SampleBlock) -> bool:
+        """Whether a block came as foreseen."""
+        if self._motion is None or not self._motion.steady:
+            return False
+        if foreseen.reckoned.force.size != block.sample_count:
+            return False
+        current = self._current.constant(block.start_ns, block.period, block.sample_count)
+        return current == foreseen.current
 
     def _reckon(
-        self, motion: Motion, current: Array, parameters: ParameterSet, stream: ForceStream
+        self,
+        motion: Motion,
+        steady: bool,
+        current: Array,
+        parameters: ParameterSet,
+        stream: ForceStream,
     ) -> _Reckoned:
         held = motion.held_within(*parameters.peak_velocity_range)
         force = stream.follow(parameters.values, held, current)
-        doubt = self._doubt_of_range(motion, current, parameters)
-        return _Reckoned(motion, current, force, bool(np.isfinite(force).all()), doubt)
+        doubt = self._doubt_of_range(motion, steady, current, parameters)
+        return _Reckoned(force, bool(np.isfinite(force).all()), doubt)
 
     def predict(self, block: SampleBlock) -> Prediction:
         """Force at the samples of a block; NaN, and not valid, where it cannot be computed."""
@@ -177,25 +200,18 @@ class ForcePredictor:
                 block.period, self._settings.bandwidth, self._settings.centre_memory
             )
             self._stream = None
+            self._foreseen = None
         motion = self._motion.follow(block.displacement)
-        reason = ""
-        if self._parameters is None:
-            reason = "no parameters yet: start the identifier or give parameter_file"
-        elif not self._current.known_from(block.start_ns):
-            reason = self._missing_current(block)
-        if reason or self._parameters is None:
-            return self._invalid(block, reason, verdict.sentence)
-        current = self._current.at(block.start_ns, block.period, block.sample_count)
-        if self._stream is None:
-            self._stream = self._parameters.law.stream(block.period)
-            self._begun_at = self._motion.reversals
-        reckoned = self._foreseen
-        if (
-            reckoned is None
-            or reckoned.motion is not motion
-            or not (reckoned.current is current or bool((reckoned.current == current).all()))
-        ):
-            reckoned = self._reckon(motion, current, self._parameters, self._stream)
+        # It was for this block, whatever becomes of it.
+        foreseen, self._foreseen = self._foreseen, None
+        if foreseen is not None and self._came(foreseen, block):
+            reckoned = foreseen.reckoned
+        else:
+            missing = self._missing(block)
+            if missing:
+                return self._invalid(block, missing, verdict.sentence)
+            reckoned = self._reckon_block(motion, block)
+        assert self._parameters is not None
         if not reckoned.finite:
             self._stream = None
             reason = f"the force of {self._parameters.set_id} is beyond what a number can hold"
@@ -217,8 +233,21 @@ class ForcePredictor:
             continuity=verdict.sentence,
         )
 
-    def _missing_current(self, block: SampleBlock) -> str:
-        """Why the current of a block is not known."""
+    def _reckon_block(self, motion: Motion, block: SampleBlock) -> _Reckoned:
+        assert self._parameters is not None
+        assert self._motion is not None
+        if self._stream is None:
+            self._stream = self._parameters.law.stream(block.period)
+            self._begun_at = self._motion.reversals
+        current = self._current.at(block.start_ns, block.period, block.sample_count)
+        return self._reckon(motion, self._motion.steady, current, self._parameters, self._stream)
+
+    def _missing(self, block: SampleBlock) -> str:
+        """What a prediction for a block lacks, in a sentence; empty for nothing."""
+        if self._parameters is None:
+            return "no parameters yet: start the identifier or give parameter_file"
+        if self._current.known_from(block.start_ns):
+            return ""
         last = self._current.last_stamp_ns
         if last is None:
             return "no supply current yet: is it published on supply/current?"
@@ -256,7 +285,9 @@ class ForcePredictor:
                 )
         return ""
 
-    def _doubt_of_range(self, motion: Motion, current: Array, parameters: ParameterSet) -> str:
+    def _doubt_of_range(
+        self, motion: Motion, steady: bool, current: Array, parameters: ParameterSet
+    ) -> str:
         """Why the parameters do not hold for this motion and current; empty where they do."""
         low, high = parameters.current_range
         margin = self._settings.current_margin
@@ -268,7 +299,7 @@ class ForcePredictor:
         low, high = parameters.peak_velocity_range
         margin = self._settings.velocity_margin
         speed = _middle(motion.peak_velocity)
-        if self._motion is not None and motion is not self._motion.foreseen:
+        if self._motion is not None and not steady:
             # A motion that is no sine passes through low values without being small.
             speed = max(speed, self._motion.usual_peak_velocity)
         if not low * (1.0 - margin) <= speed <= high * (1.0 + margin):
