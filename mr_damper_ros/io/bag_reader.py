@@ -19,6 +19,7 @@ from mr_damper_ros.io.bag_streams import (
     BagError,
 )
 from mr_damper_ros.io.opened_bag import opened_bag
+from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, BlockSequence, SampleBlock
 from mr_damper_ros.signals.recording import Recording
@@ -31,21 +32,21 @@ _JUMP_BACK = 1.0
 """A current stamped earlier than the one before by more than this [s] opens a new round."""
 
 
-def read_bag(path: str | Path) -> list[Recording]:
+def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> list[Recording]:
     """Read the recordings in a bag, which is a folder or a single ``.mcap`` or ``.db3`` file.
 
     There are several where samples are missing, stamps jump back, or the period changes. Topics
     are found in any namespace: ``/rig1/mts/samples`` matches ``/mts/samples``. The current holds
     from each stamp to the next; samples before its first stamp are left out. The temperature,
-    where the bag has it, is interpolated.
+    where the bag has it, is interpolated. A bag with more than ``maximum_samples`` is refused.
 
     Raises BagError, in one sentence, where the bag is damaged or does not hold the streams.
     """
-    with opened_bag(path) as bag:
+    with opened_bag(path, maximum_samples) as bag:
         samples = bag.topic(MTS_TOPIC, SAMPLES_TYPE)
         current = bag.topic(CURRENT_TOPIC, CURRENT_TYPE)
         temperature = bag.topic(TEMPERATURE_TOPIC, TEMPERATURE_TYPE, required=False)
-        segments = _Segments(bag.name, samples)
+        segments = _Segments(bag.name, samples, maximum_samples)
         currents = _Currents(bag.name, current)
         celsius: list[tuple[int, float]] = []
         wanted = {samples, current, temperature} - {""}
@@ -97,8 +98,9 @@ class _Segment:
 
 
 class _Segments:
-    def __init__(self, bag: str, topic: str) -> None:
+    def __init__(self, bag: str, topic: str, maximum_samples: int) -> None:
         self._bag, self._topic = bag, topic
+        self._left = maximum_samples
         self._sequence = BlockSequence()
         self._round = 0
         self.found: list[_Segment] = []
@@ -117,6 +119,12 @@ class _Segments:
                 f"the bag '{self._bag}' cannot be used: in the block on {self._topic} that "
                 f"starts at sample {message.seq}, {error}"
             ) from error
+        self._left -= block.sample_count
+        if self._left < 0:
+            raise BagError(
+                f"the bag '{self._bag}' is too large: make bags of parts of it with "
+                "ros2 bag convert"
+            )
         verdict = self._sequence.follow(block)
         if verdict.kind == "repeat":
             return

@@ -38,6 +38,7 @@ from mr_damper_ros.io.bag_streams import (
     TEMPERATURE_TYPE,
     BagError,
 )
+from mr_damper_ros.io.mcap_checksums import add_checksums
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
 
@@ -110,8 +111,8 @@ def write_bag(
     """Write a recording as a bag folder (MCAP, rosbag2 version 9).
 
     ``block_size`` samples go into one message. The bag's metadata carry ``recording.name`` and
-    ``recording.details``. The bag appears whole or not at all; one that exists is replaced only
-    with ``overwrite``.
+    ``recording.details``. The bag appears whole or not at all, with checksums; one that exists is
+    replaced only with ``overwrite``.
 
     Raises BagError where the bag exists, is something else, or the block size is below 1, and
     OSError where the file system refuses.
@@ -168,6 +169,7 @@ def _write_messages(
         }
         for message in messages:
             writer.write(connections[message.topic], message.time_ns, message.data)
+    add_checksums(path / f"{path.name}.mcap")
 
 
 def _message(

@@ -10,7 +10,9 @@ from typing import Any
 
 from rosbags.highlevel import AnyReader
 
+from mr_damper_ros.io.bag_files import check_bag_files, failures_in_words
 from mr_damper_ros.io.bag_streams import BagError
+from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
 
 
 class OpenBag:
@@ -52,32 +54,17 @@ class OpenBag:
     def decoded(self, topics: set[str]) -> Iterator[tuple[str, Any]]:
         """Topic and message of all messages on these topics, in the order of recording."""
         connections = [c for c in self._reader.connections if c.topic in topics]
-        with _failures_in_words(self.name):
+        with failures_in_words(self.name):
             for connection, _, data in self._reader.messages(connections=connections):
                 yield connection.topic, self._reader.deserialize(data, connection.msgtype)
 
 
 @contextmanager
-def _failures_in_words(name: str) -> Iterator[None]:
-    # Damaged bytes surface in the library as exceptions of many kinds.
-    try:
-        yield
-    except BagError:
-        raise
-    except Exception as error:
-        raise BagError(
-            f"the bag '{name}' is damaged or was cut off while it was written: record it again "
-            f"or mend it with 'mcap recover' ({_first_line(error)})"
-        ) from error
+def opened_bag(path: str | Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Iterator[OpenBag]:
+    """Open a bag's folder or its single file; raises BagError, in one sentence.
 
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
-
-
-@contextmanager
-def opened_bag(path: str | Path) -> Iterator[OpenBag]:
-    """Open a bag's folder or its single file; raises BagError, in one sentence."""
+    Its checksums are checked, and whether it unpacks to more than so many samples need.
+    """
     path = Path(path)
     # Under its folder a file comes with the metadata of the bag.
     if (
@@ -99,13 +86,14 @@ def opened_bag(path: str | Path) -> Iterator[OpenBag]:
             f"{path} is not a bag: give a bag's folder or its .mcap or .db3 file; "
             "import_record makes a bag from a text, CSV or MAT file"
         )
-    with _failures_in_words(name):
+    check_bag_files(path, maximum_samples)
+    with failures_in_words(name):
         reader = AnyReader([path])
         reader.open()
     try:
         if reader.message_count == 0:
             raise BagError(f"the bag '{name}' holds no messages")
-        with _failures_in_words(name):
+        with failures_in_words(name):
             bag = OpenBag(name, reader)
         yield bag
     finally:

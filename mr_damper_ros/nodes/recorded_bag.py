@@ -13,6 +13,8 @@ from ament_index_python.packages import PackageNotFoundError, get_package_share_
 from rosbags.interfaces import Connection, QosDurability
 from rosbags.rosbag2 import Reader
 
+from mr_damper_ros.io.bag_files import check_bag_files
+from mr_damper_ros.io.bag_streams import BagError
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 
 INPUTS = "inputs"
@@ -46,8 +48,11 @@ class RecordedBag:
         if not Path(path).exists():
             raise ConfigurationError(f"there is no bag {path}")
         try:
+            check_bag_files(Path(path), maximum_samples=None)
             self._reader = Reader(path)
             self._reader.open()
+        except BagError as error:
+            raise ConfigurationError(str(error)) from error
         except Exception as error:  # a damaged file fails in many ways
             raise ConfigurationError(f"the bag {path} cannot be read: {error}") from error
         self.details: dict[str, str] = {

@@ -272,3 +272,16 @@ def test_messages_of_the_bag_are_those_of_the_installed_definitions() -> None:
     message = deserialize_message(recorded(BAG, SAMPLES)[0], MtsSamples)
     assert message.period == pytest.approx(0.001)
     assert len(message.displacement) == len(message.force) > 0
+
+
+def test_a_bag_that_was_changed_is_not_played(start: Any, tmp_path: Path) -> None:
+    copy = tmp_path / BAG.name
+    shutil.copytree(BAG, copy)
+    file = next(copy.glob("*.mcap"))
+    whole = bytearray(file.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    file.write_bytes(bytes(whole))
+    replay = start("replay", bag=copy)
+    assert replay.wait() == 2
+    assert "checksum" in replay.errors
+    assert_one_sentence(replay.errors)

@@ -1,0 +1,183 @@
+"""Bags are written with checksums; what has been changed since, or would never end, is refused."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from backports import zstd
+from lz4 import frame as lz4
+
+from mr_damper_ros.io.bag_files import check_bag_files
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_streams import BagError
+from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.io.mcap_checksums import (
+    ChecksumError,
+    OversizedError,
+    add_checksums,
+    check_mcap,
+)
+from mr_damper_ros.signals.recording import Recording
+
+START = 1_700_000_000_000_000_000
+ENOUGH = 100_000_000
+CHUNK = 0x06
+BAGS = Path(__file__).parents[2] / "bags"
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    time = np.arange(300) * 1e-3
+    write_bag(
+        tmp_path / "bag",
+        Recording("bag", START, 1e-3, 1e-3 * np.sin(20.0 * time), 1e3 * time, np.ones(300)),
+    )
+    return tmp_path / "bag"
+
+
+def flipped(whole: bytes, position: int, bit: int) -> bytes:
+    changed = bytearray(whole)
+    changed[position] ^= 1 << bit
+    return bytes(changed)
+
+
+def test_every_flipped_bit_is_noticed(bag: Path) -> None:
+    file = bag / "bag.mcap"
+    whole = file.read_bytes()
+    rng = np.random.default_rng(0)
+    positions = {
+        *range(40),
+        *range(len(whole) - 60, len(whole)),
+        *rng.integers(len(whole), size=300),
+    }
+    missed = []
+    for position in sorted(map(int, positions)):
+        file.write_bytes(flipped(whole, position, int(rng.integers(8))))
+        try:
+            read_bag(bag)
+        except BagError:
+            continue
+        missed.append(position)
+    assert missed == []
+
+
+def test_the_force_of_a_sample_that_was_changed_is_noticed(bag: Path) -> None:
+    file = bag / "bag.mcap"
+    whole = file.read_bytes()
+    sample = struct.pack("<d", 1e3 * 0.007)
+    assert whole.count(sample) == 1
+    file.write_bytes(whole.replace(sample, struct.pack("<d", 1e3 * 0.008)))
+    with pytest.raises(BagError, match=r"damaged .*checksum of a chunk"):
+        read_bag(bag)
+
+
+@pytest.mark.parametrize("path", sorted(BAGS.glob("*/*.mcap")), ids=lambda path: path.stem)
+def test_the_bags_that_come_with_the_package_have_checksums(path: Path) -> None:
+    whole = path.read_bytes()
+    chunk = whole.index(bytes([CHUNK]), 8 + 9 + 8)
+    assert whole[chunk + 9 + 24 : chunk + 9 + 28] != bytes(4)
+    check_mcap(path, ENOUGH)
+
+
+def test_a_file_without_checksums_is_read(bag: Path) -> None:
+    file = bag / "bag.mcap"
+    with_checksums = file.read_bytes()
+    without = bytearray(with_checksums)
+    for place in crc_places(with_checksums):
+        without[place : place + 4] = bytes(4)
+    file.write_bytes(bytes(without))
+    assert read_bag(bag)[0].sample_count == 300
+    add_checksums(file)
+    assert file.read_bytes() == with_checksums
+
+
+def crc_places(whole: bytes) -> list[int]:
+    """Where the checksums of chunks, data section and summary are."""
+    places, position = [], 8
+    while position < len(whole) - 8:
+        operation, length = struct.unpack_from("<BQ", whole, position)
+        offset = {CHUNK: 24, 0x0F: 0, 0x02: 16}.get(operation)
+        if offset is not None:
+            places.append(position + 9 + offset)
+        position += 9 + length
+    return places
+
+
+def packed(file: Path, compression: str, content: bytes, size: int) -> None:
+    """Replace the file by one with a single chunk, which says that it unpacks to ``size``."""
+    stored = {"zstd": zstd.compress, "lz4": lz4.compress, "": bytes}[compression](content)
+    name = compression.encode()
+    chunk = struct.pack("<QQQII", 0, 0, size, 0, len(name)) + name
+    chunk += struct.pack("<Q", len(stored)) + stored
+    magic = b"\x89MCAP0\r\n"
+    end = struct.pack("<BQI", 0x0F, 4, 0) + struct.pack("<BQQQI", 0x02, 20, 0, 0, 0)
+    file.write_bytes(magic + struct.pack("<BQ", CHUNK, len(chunk)) + chunk + end + magic)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", ""])
+def test_a_chunk_of_the_size_that_it_says_is_sound(tmp_path: Path, compression: str) -> None:
+    packed(tmp_path / "run.mcap", compression, bytes(3_000_000), 3_000_000)
+    check_mcap(tmp_path / "run.mcap", ENOUGH)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", ""])
+@pytest.mark.parametrize("size", [0, 2_999_999, 3_000_001])
+def test_a_chunk_of_another_size_is_damaged(tmp_path: Path, compression: str, size: int) -> None:
+    packed(tmp_path / "run.mcap", compression, bytes(3_000_000), size)
+    with pytest.raises(ChecksumError, match="the size or the checksum of a chunk is wrong"):
+        check_mcap(tmp_path / "run.mcap", ENOUGH)
+
+
+def test_what_unpacks_to_too_much_is_refused_before_it_does(bag: Path) -> None:
+    packed(bag / "bag.mcap", "zstd", bytes(3_000_000), 3_000_000)
+    with pytest.raises(OversizedError, match="unpacks to more than 2 MB"):
+        check_mcap(bag / "bag.mcap", 2_000_000)
+    with pytest.raises(BagError, match="the bag 'bag' is too large: it unpacks to more than 2 MB"):
+        check_bag_files(bag, 20_000)
+
+
+def test_a_bag_with_more_samples_than_allowed_is_refused(bag: Path) -> None:
+    assert read_bag(bag, maximum_samples=300)[0].sample_count == 300
+    with pytest.raises(BagError, match="the bag 'bag' is too large"):
+        read_bag(bag, maximum_samples=299)
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "bag.mcap", "other.mcap"])
+def test_a_bag_with_a_pipe_in_it_is_refused(bag: Path, name: str) -> None:
+    (bag / name).unlink(missing_ok=True)
+    os.mkfifo(bag / name)
+    with pytest.raises(BagError, match=f"{name} is a named pipe|is not a bag"):
+        read_bag(bag)
+
+
+def test_a_pipe_that_the_metadata_name_is_refused(bag: Path) -> None:
+    os.mkfifo(bag / "pipe")
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("bag.mcap", "pipe"))
+    with pytest.raises(BagError, match="pipe is a named pipe"):
+        read_bag(bag)
+
+
+def test_a_file_that_is_a_pipe_or_a_device_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "run.mcap")
+    (tmp_path / "run.db3").symlink_to("/dev/zero")
+    for name, kind in (("run.mcap", "a named pipe"), ("run.db3", "a device")):
+        with pytest.raises(BagError, match=f"{name} is {kind}"):
+            read_bag(tmp_path / name)
+
+
+def test_metadata_beyond_reason_are_refused(bag: Path) -> None:
+    with (bag / "metadata.yaml").open("a") as file:
+        file.write("# " + "x" * 10_000_000)
+    with pytest.raises(BagError, match="more than 10 MB"):
+        read_bag(bag)
+
+
+def test_a_folder_inside_a_bag_is_left_alone(bag: Path) -> None:
+    shutil.copytree(bag, bag / "copy")
+    assert len(read_bag(bag)) == 1
