@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from benchmarks import following
 from benchmarks.figure import Figure
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force
 from mr_damper_ros.rig.emulator import TemperatureDependentDamper, ThermalModel
@@ -89,7 +90,9 @@ def measure(run: Recording, settings: TrackerSettings) -> Drift:
         if end >= baseline_end and end + length <= run.force.size:
             ahead = following.window_between(run, end, end + length)
             predicted.append(following.nrmse(step.parameters, ahead))
-            fitted.append(fit_window(ahead, step.parameters, method="least_squares").nrmse)
+            fitted.append(
+                fit_window(MODELS["sigmoid"], ahead, step.parameters, method="least_squares").nrmse
+            )
     return Drift(np.array(errors), np.array(predicted), np.array(fitted))
 
 

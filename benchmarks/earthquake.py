@@ -12,6 +12,7 @@ from benchmarks import recordings
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.io.records import read_record
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
@@ -61,7 +62,7 @@ def sinusoid_set(utfsm: Path, model: str) -> ParameterSet:
     """The set of ``model`` (sigmoid or sigmoid_lag) for all processed sinusoid records."""
     windows = recordings.processed_windows(utfsm)
     start = start_set(model).values
-    return identify_global(windows, start, EvolutionSettings()).parameter_set
+    return identify_global(MODELS[model], windows, start, EvolutionSettings()).parameter_set
 
 
 def predicted(record: Recording, start: ParameterSet, following: Following | None) -> Array:

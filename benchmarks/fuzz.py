@@ -31,6 +31,7 @@ from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.raw_table import RecordError
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.units import ColumnError
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force
@@ -482,7 +483,7 @@ class _State:
             document[name] = self._chance.choice((*_NUMBERS, "x", [], {}, [[]], -1, 10**40, None))
             data = json.dumps(document)
         try:
-            memory = from_text(data, THESIS_28_CELSIUS.size)
+            memory = from_text(data, MODELS["sigmoid"])
         except StateError:
             return ""
         return "" if memory.windows >= 0 <= memory.accepted else "a negative count was believed"

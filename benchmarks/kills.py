@@ -201,7 +201,7 @@ class _Execution:
             kept, text = self._rig.state.load_with_memory("identifier")
             if not text:
                 return kept, None, "" if kept.set_id == "literature" else "the memory is lost"
-            return kept, from_text(text, kept.values.size), ""
+            return kept, from_text(text, kept.law), ""
         except StateError as error:
             return None, None, str(error)
 

@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.dampers import steady_window
 from benchmarks.figure import Figure
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published_conditions import Condition, find, parameters
 from mr_damper_ros.models.sigmoid.law import (
     Coefficients,
@@ -65,6 +66,7 @@ def scatter(realisations: int, samples: int) -> Scatter:
         truth[:2] *= -1.0  # the same loop, as fits report it
     fits = [
         fit_window(
+            MODELS["sigmoid"],
             steady_window(published, condition, samples=samples, seed=seed),
             published,
             method="least_squares",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarks.dampers import window_of
 from mr_damper_ros.io.records import read_record
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
 
 NONE = "MR_DAMPER_DATA is not set to a folder that holds utfsm."
 _COLUMNS = "time:s,displacement:mm,velocity:mm/s,force:N"

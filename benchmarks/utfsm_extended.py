@@ -6,8 +6,7 @@ from benchmarks import recordings
 from benchmarks.figure import Figure
 from benchmarks.utfsm_sixteen import median_nrmse_percent
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.extension import without_extension
+from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
 
 
 def figures() -> list[Figure]:
@@ -16,8 +15,7 @@ def figures() -> list[Figure]:
     value = None
     if place is not None:
         windows = recordings.processed_windows(place)
-        start = without_extension(LITERATURE)
-        value = median_nrmse_percent(windows, EvolutionSettings(), start)
+        value = median_nrmse_percent(windows, EvolutionSettings(), EXTENDED_MODEL)
     return [
         Figure(
             "utfsm_extended_nrmse",

@@ -8,19 +8,21 @@ from benchmarks import recordings
 from benchmarks.figure import Figure
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
-from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 
 
 def median_nrmse_percent(
-    windows: Sequence[Window], settings: EvolutionSettings, start: Array = LITERATURE
+    windows: Sequence[Window], settings: EvolutionSettings, law: str = DEFAULT_MODEL
 ) -> float:
     """Median over the windows of RMSE/std [%] of one set identified from all of them.
 
-    ``start`` (16,) or (19,) tells which law.
+    ``law``: name of the model.
     """
-    return 100.0 * identify_global(windows, start, settings).median_nrmse
+    model = MODELS[law]
+    start = model.initial_values()[0]
+    return 100.0 * identify_global(model, windows, start, settings).median_nrmse
 
 
 def figures() -> list[Figure]:

@@ -16,11 +16,12 @@ from benchmarks.timing import cpu_seconds
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, generator_keyword
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.coefficient_laws import shape_bounds
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 
 GENERATIONS = 500
@@ -95,7 +96,9 @@ def contest(windows: Sequence[Window], generations: int, repetitions: int) -> Co
     """
 
     def identify() -> Array:
-        return identify_global(windows, LITERATURE, EvolutionSettings()).parameter_set.values
+        return identify_global(
+            MODELS["sigmoid"], windows, LITERATURE, EvolutionSettings()
+        ).parameter_set.values
 
     found = identify()
     times: list[float] = []
@@ -105,7 +108,10 @@ def contest(windows: Sequence[Window], generations: int, repetitions: int) -> Co
         if next(generation) % max(generations // repetitions, 1) == 0:
             times.append(cpu_seconds(identify))
 
-    noise = [fit_window(window, LITERATURE, method="least_squares").rmse for window in windows]
+    noise = [
+        fit_window(MODELS["sigmoid"], window, LITERATURE, method="least_squares").rmse
+        for window in windows
+    ]
     misfit = PooledMisfit(windows, noise)
     costs: list[float] = []
     bounds = search_bounds(windows, found)

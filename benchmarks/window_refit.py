@@ -12,9 +12,10 @@ from benchmarks.dampers import steady_window
 from benchmarks.figure import Figure
 from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import force
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.rig.emulator import scaled
 from mr_damper_ros.signals.arrays import Array
 
@@ -68,18 +69,18 @@ def measure(condition_name: str, repetitions: int, samples: int = SAMPLES) -> Re
     truth = parameters(condition)
     before = steady_window(truth, condition, samples=samples, seed=1)
     window = steady_window(scaled(truth, DRIFT), condition, samples=samples, seed=2)
-    start = fit_window(before, truth, method="least_squares").parameters
+    start = fit_window(MODELS["sigmoid"], before, truth, method="least_squares").parameters
     reference, nelder_mead, least_squares = interleaved_medians(
         (
             lambda: reference_fit(window, start),
-            lambda: fit_window(window, start, method="nelder_mead"),
-            lambda: fit_window(window, start, method="least_squares"),
+            lambda: fit_window(MODELS["sigmoid"], window, start, method="nelder_mead"),
+            lambda: fit_window(MODELS["sigmoid"], window, start, method="least_squares"),
         ),
         (repetitions, 10 * repetitions, 10 * repetitions),
     )
     reached = reference_fit(window, start)[1] / np.sqrt(samples)
     ratios = tuple(
-        fit_window(window, start, method=method).rmse / reached
+        fit_window(MODELS["sigmoid"], window, start, method=method).rmse / reached
         for method in ("nelder_mead", "least_squares")
     )
     return Refit(reference, nelder_mead, least_squares, (ratios[0], ratios[1]))

@@ -17,14 +17,9 @@ import numpy as np
 
 from mr_damper_ros.estimation.covariance import correlation_length, triangular_factor
 from mr_damper_ros.estimation.observability import SURE
-from mr_damper_ros.models.sigmoid.coefficient_laws import shape_bounds
-from mr_damper_ros.models.sigmoid.extension import EXTENDED_NAMES, is_extended
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.signals.arrays import Array
-
-GAIN_RANGE = 100.0
-"""Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
 
 _SMALLEST_SHARE = 0.1
 """The span of a scale near zero is what would change the force by this part, not itself."""
@@ -82,19 +77,8 @@ class Determination:
     open: tuple[Combination, ...]
 
 
-def names_of(parameters: Array) -> tuple[str, ...]:
-    """Names of parameters (16,) of the sigmoid law or (19,) of the extended one."""
-    return EXTENDED_NAMES if is_extended(parameters) else PARAMETER_NAMES
-
-
-def plausible_ranges(top_velocity: float, top_current: float) -> dict[str, tuple[float, float]]:
-    """Plausible ranges of the nine shape parameters where data reach so far [m/s, A]."""
-    gains = dict.fromkeys(("k2", "k3"), (-GAIN_RANGE, GAIN_RANGE))
-    return {**shape_bounds(top_velocity, top_current), **gains}
-
-
 def parameter_spans(
-    jacobian: Array, parameters: Array, ranges: Mapping[str, tuple[float, float]]
+    model: Model, jacobian: Array, parameters: Array, ranges: Mapping[str, tuple[float, float]]
 ) -> Array:
     """Span (p,) of each parameter, in its own unit; see the head of this module.
 
@@ -102,18 +86,19 @@ def parameter_spans(
     shape parameters.
     """
     lengths = np.linalg.norm(jacobian, axis=0)
-    # The force is proportional to f0, the first of the parameters.
-    force = abs(float(parameters[0])) * lengths[0]
+    # The force is proportional to the strength of the damper.
+    strength = model.strength_indices
+    force = float(np.linalg.norm(jacobian[:, strength] @ parameters[strength]))
     spans = np.maximum(
         np.abs(parameters), _SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
     )
-    for place, name in enumerate(names_of(parameters)):
+    for place, name in enumerate(model.parameter_names):
         if name in ranges:
             spans[place] = ranges[name][1] - ranges[name][0]
     return np.asarray(np.where(spans > 0.0, spans, 1.0))
 
 
-def noise_level(misfit: PooledMisfit, parameters: Array) -> float:
+def noise_level(misfit: PooledProblem, parameters: Array) -> float:
     """Standard deviation [1] of the residual that its Jacobian may be divided by.
 
     Correlated samples count once together, so what a law leaves of the force is not taken for
@@ -124,19 +109,21 @@ def noise_level(misfit: PooledMisfit, parameters: Array) -> float:
     return math.sqrt(max(variance, 1e-300))
 
 
-def determination(jacobian: Array, names: Sequence[str], spans: Array) -> Determination:
+def determination(model: Model, jacobian: Array, spans: Array) -> Determination:
     """What a Jacobian (n, p) of a residual of unit variance determines."""
     triangular = triangular_factor(jacobian) * spans
     _, values, rows = np.linalg.svd(triangular, full_matrices=True)
+    names = model.parameter_names
     singular = np.zeros(len(names))
     singular[: values.size] = values
+    scales = [name in model.scale_names for name in names]
     loose = singular * SURE <= 1.0
     return Determination(
-        names=tuple(names),
+        names=names,
         singular_values=singular,
         rank=int(np.sum(~loose)),
         condition=_condition(singular),
-        open=_combinations(rows[loose], triangular, names),
+        open=_combinations(rows[loose], triangular, names, np.array(scales)),
     )
 
 
@@ -146,7 +133,7 @@ def _condition(singular: Array) -> float:
 
 
 def _combinations(
-    directions: Array, triangular: Array, names: Sequence[str]
+    directions: Array, triangular: Array, names: Sequence[str], scales: np.ndarray
 ) -> tuple[Combination, ...]:
     """A basis of the span of the rows (d, p) in which each row is led by another parameter.
 
@@ -154,7 +141,7 @@ def _combinations(
     each other.
     """
     basis = np.array(directions)
-    preference = np.array([1.0 if n in SCALE_PARAMETER_NAMES else _PREFER_SHAPE for n in names])
+    preference = np.where(scales, 1.0, _PREFER_SHAPE)
     leads: list[int] = []
     for step in range(len(basis)):
         sizes = np.abs(basis[step:]) * preference
@@ -175,6 +162,7 @@ def _combinations(
         told = (np.abs(move) >= _NEGLIGIBLE) | (
             change > max(_NEGLIGIBLE * change.max(), _ROUNDING * largest)
         )
+        told[lead] = True
         weights = {names[k]: float(move[k]) for k in order if told[k]}
         noticed = float(np.linalg.norm(triangular @ move))
         error = 1.0 / noticed if noticed > _ROUNDING * largest else math.inf

@@ -17,26 +17,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.covariance import triangular_factor
-from mr_damper_ros.estimation.determination import (
-    noise_level,
-    parameter_spans,
-    plausible_ranges,
-)
+from mr_damper_ros.estimation.determination import noise_level, parameter_spans
 from mr_damper_ros.estimation.observability import (
     determined_parameters,
     operating_points_within,
     varied_parameters,
 )
-from mr_damper_ros.models.sigmoid.adaptation import adapted
-from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT
-from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
-    SCALE_PARAMETER_NAMES,
-    SHAPE_PARAMETER_NAMES,
-)
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.signals.arrays import Array
 
 _SETS = 16
@@ -116,7 +107,8 @@ class ExtraRun:
 
 
 def extra_runs(
-    misfit: PooledMisfit,
+    model: Model,
+    misfit: PooledProblem,
     noise: float,
     parameters: Array,
     observable: np.ndarray,
@@ -128,38 +120,43 @@ def extra_runs(
     leave of the force; ``parameters`` (p,) are the present set, of which ``observable`` (p,) are
     determined.
     """
-    names = SHAPE_PARAMETER_NAMES
-    known = {name for name, seen in zip(PARAMETER_NAMES, observable, strict=False) if seen}
+    names = [name for law in model.shape_groups for name in law]
+    known = {n for n, seen in zip(model.parameter_names, observable, strict=True) if seen}
     if set(names) <= known:
         return ()
+    # What is common to all runs is not what another run is made for.
+    every = [n for n in model.parameter_names if n in names or n in model.scale_names]
+    places = model.places(every)
     speeds, currents = operating_points_within(misfit.windows)
-    ranges = plausible_ranges(max(max(speeds), rig.peak_velocity), max(rig.current, *currents))
+    ranges = model.plausible_ranges(
+        misfit.windows, max(max(speeds), rig.peak_velocity), max(rig.current, *currents)
+    )
     sizes = {name: high - low for name, (low, high) in ranges.items()}
     candidates = _candidates(rig)
     share = misfit.sample_count / len(misfit.windows)
-    cycles = PooledMisfit([_cycle(c) for c in candidates], [noise] * len(candidates))
+    cycles = model.pooled_problem([_cycle(c) for c in candidates], [noise] * len(candidates))
     level = noise_level(misfit, parameters)
-    spans = parameter_spans(misfit.jacobian(parameters), parameters, ranges)[:SIGMOID_COUNT]
+    spans = parameter_spans(model, misfit.jacobian(parameters), parameters, ranges)
     present: list[Array] = []
     added: list[Array] = []
-    for values in _plausible_sets(misfit.windows, parameters, known, rig):
-        jacobian = misfit.jacobian(values)[:, :SIGMOID_COUNT] / level
+    for values in _plausible_sets(model, misfit.windows, parameters, known, rig):
+        jacobian = _only(misfit.jacobian(values), places) / level
         present.append(triangular_factor(jacobian))
-        of_cycles = cycles.jacobian(values)[:, :SIGMOID_COUNT] / level * math.sqrt(share / _PHASES)
-        added.append(of_cycles.reshape(len(candidates), _PHASES, SIGMOID_COUNT))
+        of_cycles = _only(cycles.jacobian(values), places) / level * math.sqrt(share / _PHASES)
+        added.append(of_cycles.reshape(len(candidates), _PHASES, parameters.size))
     gains = [np.einsum("cnp,cnq->cpq", a * spans, a * spans) for a in added]
     advised: list[ExtraRun] = []
     while len(advised) < _MOST_RUNS and not set(names) <= known:
-        information = [np.eye(SIGMOID_COUNT) + _gram(r * spans) for r in present]
+        information = [np.eye(parameters.size) + _gram(r * spans) for r in present]
         after = np.array([m + g for m, g in zip(information, gains, strict=True)])
         best = int(np.argmax(np.mean(np.linalg.slogdet(after)[1], axis=0)))
         chosen = candidates[best]
         speeds, currents = [*speeds, chosen.peak_velocity], [*currents, chosen.current]
-        varied = varied_parameters(speeds, currents)
+        varied = varied_parameters(model, speeds, currents) & set(every)
         present = [
             triangular_factor(np.vstack((r, a[best]))) for r, a in zip(present, added, strict=True)
         ]
-        votes = [determined_parameters(r, varied, sizes) for r in present]
+        votes = [determined_parameters(model, r, varied, sizes) for r in present]
         determined = {n for n in names if np.mean([n in vote for vote in votes]) > _MAJORITY}
         variances = np.diagonal(np.linalg.inv(after[:, best]), axis1=-2, axis2=-1)
         advised.append(
@@ -173,6 +170,13 @@ def extra_runs(
         )
         known |= determined
     return _without_idle_end(advised)
+
+
+def _only(jacobian: Array, places: np.ndarray) -> Array:
+    """The Jacobian with nothing told of the parameters at other places."""
+    result = np.zeros_like(jacobian)
+    result[:, places] = jacobian[:, places]
+    return result
 
 
 def _without_idle_end(runs: Sequence[ExtraRun]) -> tuple[ExtraRun, ...]:
@@ -219,32 +223,26 @@ def _gram(matrix: Array) -> Array:
 
 
 def _plausible_sets(
-    windows: Sequence[Window], parameters: Array, known: set[str], rig: RigRange
+    model: Model,
+    windows: Sequence[Window],
+    parameters: Array,
+    known: set[str],
+    rig: RigRange,
 ) -> list[Array]:
     """Sets that agree with the windows and differ in the shape parameters that are not known.
 
-    These are drawn so that the coefficients change by a few times over the rig's range; what is
-    linear in the laws then follows from the coefficients that the windows have.
+    What is linear in the laws follows from the coefficients that the windows have.
     """
     points = np.array([window.operating_point for window in windows])
-    solved = frozenset((*SCALE_PARAMETER_NAMES, *({"k2", "k3"} & known)))
+    shapes = {*model.shape_names} - known
+    solved = frozenset(model.linear) - shapes
     speed, current = max(rig.peak_velocity, points[:, 0].max()), max(rig.current, 1e-12)
     rng = np.random.default_rng(0)
     sets = []
     for _ in range(_SETS):
-        drawn = {
-            "a1": rng.uniform(-1.5, 1.5) / speed,
-            "k0": rng.uniform(0.0, 10.0) / speed,
-            "a4": rng.uniform(-1.5, 1.5) / speed,
-            "k2": math.exp(rng.uniform(0.0, 3.0)),
-            "k3": rng.uniform(-1.0, 1.0),
-        }
-        for slope, shift in (("a2", "I0"), ("a3", "I1")):
-            drawn[slope] = math.exp(rng.uniform(0.5, 2.5)) / current
-            drawn[shift] = rng.uniform(-0.5, 0.5) * current
         values = np.array(parameters)
-        for name, value in drawn.items():
+        for name, value in model.draw_shape(rng, speed, current).items():
             if name not in known:
-                values[PARAMETER_NAMES.index(name)] = value
-        sets.append(adapted(windows, parameters, values, solved))
+                values[model.parameter_names.index(name)] = value
+        sets.append(adapted(model, windows, parameters, values, solved))
     return sets

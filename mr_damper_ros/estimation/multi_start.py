@@ -23,20 +23,21 @@ from mr_damper_ros.estimation.differential_evolution import (
     Report,
 )
 from mr_damper_ros.estimation.global_fit import (
-    STOPPED,
-    Candidate,
     GlobalFit,
     identify_global,
 )
+from mr_damper_ros.estimation.global_search import Candidate
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 
 _AS_GOOD = 1.01
 """Searches that end with a cost up to this times the best have found as good a set."""
 
-_VERSION = 1
+_VERSION = 2
 
 
 class SearchRecordError(ValueError):
@@ -77,6 +78,7 @@ class MultiStart:
 class _Search:
     """One search, as a task."""
 
+    model: str
     windows: tuple[Window, ...]
     start: Array
     settings: EvolutionSettings
@@ -86,6 +88,7 @@ class _Search:
 
 def _run(search: _Search, tell: Tell) -> GlobalFit:
     return identify_global(
+        MODELS[search.model],
         search.windows,
         search.start,
         search.settings,
@@ -98,18 +101,23 @@ def _run(search: _Search, tell: Tell) -> GlobalFit:
 class SearchRecord:
     """What the searches from several seeds have found so far, in a form that JSON can hold.
 
-    It belongs to these windows, start (p,), settings (but for the seed) and method.
+    It belongs to this model, these windows, start (p,), settings (but for the seed) and method.
     """
 
     def __init__(
-        self, windows: Sequence[Window], start: Array, settings: EvolutionSettings, method: str
+        self,
+        model: Model,
+        windows: Sequence[Window],
+        start: Array,
+        settings: EvolutionSettings,
+        method: str,
     ) -> None:
-        self._digest = _digest(windows, start, settings, method)
+        self._digest = _digest(model, windows, start, settings, method)
         self.fits: dict[int, GlobalFit] = {}
 
     def is_finished(self, seed: int) -> bool:
         """Whether the search from this seed went to its end."""
-        return seed in self.fits and self.fits[seed].message != STOPPED
+        return seed in self.fits and not self.fits[seed].stopped
 
     def document(self) -> dict[str, Any]:
         """Everything, for JSON."""
@@ -133,6 +141,7 @@ class SearchRecord:
 
 
 def identify_from_seeds(
+    model: Model,
     windows: Sequence[Window],
     start: Array,
     settings: EvolutionSettings,
@@ -154,7 +163,7 @@ def identify_from_seeds(
     """
     if count < 1:
         raise ValueError(f"starts is {count}: at least 1 is needed")
-    record = record or SearchRecord(windows, start, settings, method)
+    record = record or SearchRecord(model, windows, start, settings, method)
     seeds = [settings.seed + place for place in range(count)]
     missing = [seed for seed in seeds if not record.is_finished(seed)]
     tasks = []
@@ -162,12 +171,14 @@ def identify_from_seeds(
         before = record.fits.get(seed)
         known = None if before is None else before.parameter_set.values
         seeded = replace(settings, seed=seed)
-        tasks.append(_Search(tuple(windows), np.asarray(start, float), seeded, method, known))
+        tasks.append(
+            _Search(model.name, tuple(windows), np.asarray(start, float), seeded, method, known)
+        )
 
     def done(place: int, fit: GlobalFit) -> None:
         before = record.fits.get(missing[place])
         if before is not None and before.cost < fit.cost:
-            fit = replace(before, success=fit.success, message=fit.message)
+            fit = replace(before, success=fit.success, message=fit.message, stopped=fit.stopped)
         record.fits[missing[place]] = fit
         if keep is not None:
             keep(record)
@@ -201,9 +212,13 @@ class _Follower:
 
 
 def _digest(
-    windows: Sequence[Window], start: Array, settings: EvolutionSettings, method: str
+    model: Model,
+    windows: Sequence[Window],
+    start: Array,
+    settings: EvolutionSettings,
+    method: str,
 ) -> str:
-    digest = hashlib.sha256(repr((replace(settings, seed=0), method)).encode())
+    digest = hashlib.sha256(repr((model.name, replace(settings, seed=0), method)).encode())
     for array in (start, *(a for w in windows for a in _arrays(w))):
         digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
     return digest.hexdigest()
@@ -221,6 +236,7 @@ def _to_document(fit: GlobalFit) -> dict[str, Any]:
         "evaluations": fit.evaluations,
         "success": fit.success,
         "message": fit.message,
+        "stopped": fit.stopped,
         "noise": fit.noise.tolist(),
         "cost": fit.cost,
         "candidates": [
@@ -238,6 +254,7 @@ def _from_document(document: dict[str, Any]) -> GlobalFit:
         evaluations=int(document["evaluations"]),
         success=bool(document["success"]),
         message=str(document["message"]),
+        stopped=bool(document["stopped"]),
         noise=np.array(document["noise"]),
         cost=float(document["cost"]),
         candidates=tuple(

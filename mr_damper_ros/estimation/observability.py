@@ -1,4 +1,4 @@
-"""Which of the sixteen parameters the data determine.
+"""Which parameters of a model the data determine.
 
 Two views. *What was varied*: a law over current needs as many different currents as it has
 unknowns, a law over peak velocity at least two. *What the samples say*: the Jacobian at the
@@ -8,21 +8,15 @@ observable where both agree; the others keep the value of the start and have no 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import triangular_factor
-from mr_damper_ros.models.sigmoid.extension import EXTENDED_NAMES
-from mr_damper_ros.models.sigmoid.law import SCALE_PARAMETER_NAMES
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
-
-VELOCITY_SHAPE = ("a1", "k0", "a4")
-"""They need two peak velocities."""
-
-CURRENT_SHAPE = (("k2", "k3"), ("a2", "a3"), ("I0", "I1"))
-"""They need two, three and four currents."""
 
 _DIFFERENT_VELOCITY = 1.2
 """Peak velocities count as different where they are this factor apart."""
@@ -37,16 +31,35 @@ _INDEPENDENT = 1e-4
 """A column of the Jacobian is independent where this part of it is orthogonal to the others."""
 
 
-def varied_parameters(speeds: Sequence[float], currents: Sequence[float]) -> frozenset[str]:
+def varied_parameters(
+    model: Model, speeds: Sequence[float], currents: Sequence[float]
+) -> frozenset[str]:
     """Names of the parameters that these peak velocities [m/s] and currents [A] could determine."""
-    names = set(SCALE_PARAMETER_NAMES)
-    if min(speeds) * _DIFFERENT_VELOCITY < max(speeds):
-        names.update(VELOCITY_SHAPE)
-    different = _count_different(currents)
-    for needed, group in enumerate(CURRENT_SHAPE, start=2):
-        if different >= needed:
-            names.update(group)
-    return frozenset(names)
+    many_speeds = 2 if min(speeds) * _DIFFERENT_VELOCITY < max(speeds) else 1
+    many_currents = _count_different(currents)
+    return frozenset(
+        parameter.name
+        for parameter in model.parameters
+        if parameter.peak_velocities <= many_speeds and parameter.currents <= max(many_currents, 1)
+    )
+
+
+def parameter_ranges(model: Model, windows: Sequence[Window]) -> dict[str, tuple[float, float]]:
+    """Plausible ranges of the parameters that are no scales, from what the windows span."""
+    speeds, _ = operating_points_within(windows)
+    top_current = max(float(np.max(np.abs(window.current))) for window in windows)
+    return model.plausible_ranges(windows, max(speeds), top_current)
+
+
+def typical_sizes(model: Model, windows: Sequence[Window]) -> Array:
+    """Typical sizes (p,) of the parameters, by their units, for these windows."""
+    readings = [LoopReading.of(window) for window in windows]
+    return np.array(
+        [
+            np.median([reading.size(parameter.unit) for reading in readings])
+            for parameter in model.parameters
+        ]
+    )
 
 
 def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], list[float]]:
@@ -73,24 +86,25 @@ def _count_different(currents: Sequence[float]) -> int:
 
 
 def determined_parameters(
-    jacobian: Array, candidates: frozenset[str], ranges: dict[str, float]
+    model: Model, jacobian: Array, candidates: frozenset[str], ranges: dict[str, float]
 ) -> frozenset[str]:
     """Those of the candidates that the samples determine.
 
-    ``jacobian`` (n, 16) or (n, 19) belongs to a residual of unit variance; ``ranges`` are the
-    plausible ranges of the shape parameters and of those of the extension. Scale parameters come
-    first; another joins, the surest first, while no standard error exceeds a quarter of its range.
+    ``jacobian`` (n, p) belongs to a residual of unit variance; ``ranges`` are those of the
+    parameters that are no scales. The scales come first; another joins, the surest first, while no
+    standard error exceeds a quarter of its range.
     """
     triangular = triangular_factor(jacobian)
-    present = EXTENDED_NAMES[: jacobian.shape[1]]
+    present = [name for name in model.parameter_names if name in candidates]
+    places = {name: place for place, name in enumerate(model.parameter_names)}
     chosen = [
-        name
-        for name in present
-        if name in SCALE_PARAMETER_NAMES and name in candidates and np.any(_column(jacobian, name))
+        name for name in present if name in model.scale_names and np.any(jacobian[:, places[name]])
     ]
-    waiting = [name for name in present if name in candidates and name in ranges]
+    waiting = [name for name in present if name in ranges and name not in chosen]
     while waiting:
-        doubts = {name: _worst_doubt(triangular, [*chosen, name], ranges) for name in waiting}
+        doubts = {
+            name: _worst_doubt(triangular, places, [*chosen, name], ranges) for name in waiting
+        }
         surest = min(waiting, key=lambda name: doubts[name])
         if not doubts[surest] < SURE:
             break
@@ -99,22 +113,19 @@ def determined_parameters(
     return frozenset(chosen)
 
 
-def _column(jacobian: Array, name: str) -> Array:
-    return np.asarray(jacobian[:, EXTENDED_NAMES.index(name)])
-
-
-def _worst_doubt(triangular: Array, names: list[str], ranges: dict[str, float]) -> float:
-    """Largest standard error over range among the shape parameters in ``names``."""
-    errors = standard_errors(triangular, names)
+def _worst_doubt(
+    triangular: Array, places: Mapping[str, int], names: list[str], ranges: Mapping[str, float]
+) -> float:
+    """Largest standard error over range among those in ``names`` that have a range."""
+    errors = standard_errors(triangular[:, [places[name] for name in names]], names)
     return max((errors[name] / ranges[name] for name in names if name in ranges), default=0.0)
 
 
-def standard_errors(triangular: Array, names: Sequence[str]) -> dict[str, float]:
+def standard_errors(columns: Array, names: Sequence[str]) -> dict[str, float]:
     """Standard errors of the named parameters, the others being given; infinite if undetermined.
 
-    ``triangular`` (r, p): factor R of the Jacobian of a residual of unit variance.
+    ``columns`` (r, len(names)): theirs of factor R of the Jacobian of a residual of unit variance.
     """
-    columns = np.column_stack([_column(triangular, name) for name in names])
     lengths = np.linalg.norm(columns, axis=0)
     if not np.all(lengths > 0.0):
         return dict.fromkeys(names, np.inf)

@@ -18,16 +18,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
+from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.covariance import (
     correlation_length,
     least_squares_covariance,
     normal_inverse,
 )
-from mr_damper_ros.estimation.determination import names_of, parameter_spans
+from mr_damper_ros.estimation.determination import parameter_spans
+from mr_damper_ros.estimation.free_parameters import FreeParameters
 from mr_damper_ros.estimation.local_search import LocalSearch
-from mr_damper_ros.models.sigmoid.adaptation import adapted
-from mr_damper_ros.models.sigmoid.law import SCALE_PARAMETER_NAMES
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.signals.arrays import Array
 
 CONFIDENCE = 0.95
@@ -42,14 +43,6 @@ _FIRST_STEP = 0.5
 _BLIND_STEP = 0.01
 _FARTHEST = 1e3
 """A parameter without a plausible range is followed over so many of its spans."""
-
-_RIDGE = 1e-4
-"""Weight that keeps what is not determined from running away: a trace of the misfit."""
-
-_LINEAR = (*SCALE_PARAMETER_NAMES, "k2", "k3")
-
-_SOFT = 2.0
-"""A step over current that is this part of the largest current wide, inverted."""
 
 _TOLERANCE = 1e-7
 """Relative gain of the sum of squares below which the fit of the others has converged."""
@@ -82,19 +75,21 @@ class ProfileLikelihood:
 
     def __init__(
         self,
-        misfit: PooledMisfit,
+        model: Model,
+        misfit: PooledProblem,
         parameters: Array,
         observable: np.ndarray,
         ranges: Mapping[str, tuple[float, float]],
         should_stop: Callable[[], bool] | None = None,
     ) -> None:
+        self._model = model
         self._misfit = misfit
-        self._names = names_of(parameters)
+        self._names = model.parameter_names
         self._ranges = ranges
         self._should_stop = should_stop
         self._start = np.array(parameters, dtype=float)
         jacobian = misfit.jacobian(self._start)
-        self._spans = parameter_spans(jacobian, self._start, ranges)
+        self._spans = parameter_spans(model, jacobian, self._start, ranges)
         self._seen = np.flatnonzero(observable)
         residual = misfit.residual(self._start)
         self._length = max(correlation_length(residual), 1)
@@ -121,7 +116,15 @@ class ProfileLikelihood:
         if seen.size and np.isfinite(self._errors[seen[0]]):
             shrinkage = float(self._shrinkage[seen[0]])
             step = _FIRST_STEP * float(self._errors[seen[0]])
-        walk = _Walk(self._misfit, self._start, self._spans, name, self._seen, self._should_stop)
+        walk = _Walk(
+            self._model,
+            self._misfit,
+            self._start,
+            self._spans,
+            name,
+            self._seen,
+            self._should_stop,
+        )
         scale = shrinkage * max(self._misfit.sample_count - self._seen.size, 1)
         low, high = self._limits(name, place)
         walk.go(step, high, scale)
@@ -132,7 +135,10 @@ class ProfileLikelihood:
         value, span = float(self._start[place]), float(self._spans[place])
         low, high = self._ranges.get(name, (value - _FARTHEST * span, value + _FARTHEST * span))
         # A prior value may lie outside of what is plausible from these data.
-        return min(low, value - span), max(high, value + span)
+        parameter = self._model.parameters[place]
+        return max(min(low, value - span), parameter.low), min(
+            max(high, value + span), parameter.high
+        )
 
 
 class _Walk:
@@ -140,22 +146,21 @@ class _Walk:
 
     def __init__(
         self,
-        misfit: PooledMisfit,
+        model: Model,
+        misfit: PooledProblem,
         start: Array,
         spans: Array,
         name: str,
         seen: np.ndarray,
         should_stop: Callable[[], bool] | None,
     ) -> None:
+        self._model = model
         self._misfit = misfit
-        self._spans = spans
-        self._place = names_of(start).index(name)
-        self._linear = frozenset(_LINEAR) - {name}
-        self._slopes = [
-            place
-            for place, other in enumerate(names_of(start))
-            if other in ("a2", "a3") and other != name and place not in seen
-        ]
+        self._place = model.parameter_names.index(name)
+        self._places = [place for place in range(start.size) if place != self._place]
+        self._sizes = spans[self._places]
+        self._linear = frozenset(model.linear) - {name}
+        self._held = np.isin(np.arange(start.size), [*seen, self._place])
         self._top_current = max(float(np.max(np.abs(w.current))) for w in misfit.windows)
         self._should_stop = should_stop
         self._sets: list[Array] = []
@@ -168,7 +173,9 @@ class _Walk:
         """Fit the others from the starts, the best first, until the cost is low ``enough``."""
         best, least = starts[0], math.inf
         for values in sorted(starts, key=self._cost):
-            others = _Others(self._misfit, values, self._spans, self._place)
+            others = FreeParameters(
+                self._misfit, values, self._places, self._sizes, self._model.bounds
+            )
             search = LocalSearch(others, others.start, self._should_stop)
             search.try_out(others.start)
             search.least_squares(tolerance=_TOLERANCE)
@@ -186,14 +193,8 @@ class _Walk:
         residual = self._misfit.residual(parameters)
         return float(residual @ residual)
 
-    def _soft(self, values: Array) -> Array:
-        """The same with steps over current, where they are not known, that are not too steep."""
-        result = np.array(values)
-        result[self._slopes] = _SOFT / max(self._top_current, 1e-12)
-        return result
-
     def _adapted(self, values: Array, reference: Array) -> Array:
-        return adapted(self._misfit.windows, reference, values, self._linear)
+        return adapted(self._model, self._misfit.windows, reference, values, self._linear)
 
     def _root(self, cost: float, scale: float) -> float:
         """Root of the likelihood ratio of a cost."""
@@ -215,7 +216,8 @@ class _Walk:
             ahead = here + (here - before) * ((target - value) / moved if moved else 0.0)
             plain = np.array(here)
             ahead[self._place] = plain[self._place] = target
-            starts = [ahead, plain, *(self._adapted(s, here) for s in (plain, self._soft(plain)))]
+            soft = self._model.softened(plain, self._held, self._top_current)
+            starts = [ahead, plain, *(self._adapted(s, here) for s in (plain, soft))]
             enough = min(self._costs) * (1.0 + bound**2 / scale)
             rise = self._root(self._visit(starts, enough), scale) - root
             before, here, root = here, self._sets[-1], root + rise
@@ -252,28 +254,3 @@ def _crossing(values: Array, roots: Array, otherwise: float) -> float:
     last = int(beyond[0])
     part = (bound - roots[last - 1]) / (roots[last] - roots[last - 1])
     return float(values[last - 1] + part * (values[last] - values[last - 1]))
-
-
-class _Others:
-    """A pooled misfit as a function of all parameters but one, in spans."""
-
-    def __init__(self, misfit: PooledMisfit, values: Array, spans: Array, held: int) -> None:
-        self._misfit = misfit
-        self._values = np.array(values)
-        self._places = [place for place in range(values.size) if place != held]
-        self._spans = spans[self._places]
-        self._ridge = _RIDGE * math.sqrt(misfit.sample_count)
-        self.start = self._values[self._places] / self._spans
-
-    def parameters(self, unknowns: Array) -> Array:
-        values = self._values.copy()
-        values[self._places] = unknowns * self._spans
-        return values
-
-    def residual(self, unknowns: Array) -> Array:
-        plain = self._misfit.residual(self.parameters(unknowns))
-        return np.concatenate((plain, self._ridge * (unknowns - self.start)))
-
-    def jacobian(self, unknowns: Array) -> Array:
-        derivatives = self._misfit.jacobian(self.parameters(unknowns), self._places) * self._spans
-        return np.concatenate((derivatives, self._ridge * np.eye(len(self._places))))

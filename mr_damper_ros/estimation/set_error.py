@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from mr_damper_ros.estimation.model_fit import model_force
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 
 
@@ -17,7 +16,7 @@ def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
     """
     return pooled(
         ErrorSums.of(
-            model_force(found.law, window.held_within(*found.peak_velocity_range), found.values),
+            found.law.window_force(window.held_within(*found.peak_velocity_range), found.values),
             window.force,
         )
         for window in windows

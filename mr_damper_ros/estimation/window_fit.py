@@ -1,8 +1,7 @@
-"""Fit of the seven scales of one window: Nelder-Mead or least squares, with covariance.
+"""Fit of what one window determines: Nelder-Mead or least squares, with covariance.
 
-Nelder-Mead is SciPy's, the method of MATLAB's fminsearch that the thesis uses. A
-Levenberg-Marquardt polish then sits on the very minimum and gives the Jacobian, so the
-covariance.
+Nelder-Mead is SciPy's, the method of MATLAB's fminsearch that the thesis uses. A least-squares
+polish then sits on the very minimum and gives the Jacobian, so the covariance.
 """
 
 from __future__ import annotations
@@ -10,41 +9,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import least_squares_covariance
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.window_problem import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 
-CONVERGED = "converged"
-"""Message of a fit that came to its end."""
-
 WINDOW_METHODS = ("nelder_mead", "least_squares")
-
-_COLD_STEEPNESS = (2.0, 6.0, 20.0, 60.0)
-_COLD_HYSTERESIS = (0.0, -0.2, -0.4)
 
 POOR_START = 0.25
 """Where the start leaves more than this part of the force's variance, others are tried too."""
 
-_ROUGHLY, _FEW_STEPS = 0.01, 20
-"""Relative tolerance of the sum of squares, and steps, after which two starts are compared."""
-
 _HOPELESS = 1000.0
-"""A start that leaves so many times the sum of squares of the other is not worth these steps."""
+"""A start that leaves so many times the sum of squares of the other is not worth polishing."""
+
+_CONVERGED = "converged"
+_STOPPED = "stopped before it converged: this is the best so far"
 
 
 @dataclass(frozen=True, eq=False)
 class WindowFit:
     """Result of the fit of one window.
 
-    ``scales`` (7,) and their ``covariance`` (7, 7) are in the order of ``COEFFICIENT_NAMES`` (see
-    :class:`ScaleMisfit`); ``parameters`` (16,) or (19,) have the shape of the start.
-    ``coefficients`` (7,) and ``coefficient_covariance`` (7, 7) hold at ``operating_point`` (peak
-    velocity [m/s], current [A]). ``rmse`` [N]; ``nrmse`` = RMSE/std of the force.
+    ``scales`` (f,) are the unknowns of the model's window problem, with their ``covariance``
+    (f, f): the seven scales of the sigmoid law, the parameters that one run determines of another.
+    ``parameters`` (p,) are all of them. ``coefficients`` (c,) and ``coefficient_covariance`` (c, c)
+    hold at ``operating_point`` (peak velocity [m/s], current [A]); they are empty for a model
+    without. ``rmse`` [N] over the ``sample_count`` samples whose past is known; ``nrmse`` =
+    RMSE/std of the force.
     """
 
     scales: Array
@@ -63,6 +59,7 @@ class WindowFit:
 
 
 def fit_window(
+    model: Model,
     window: Window,
     start: Array,
     *,
@@ -70,12 +67,12 @@ def fit_window(
     robust: bool = False,
     should_stop: Callable[[], bool] | None = None,
 ) -> WindowFit:
-    """Scales of a window, searched from the parameters ``start`` of shape (16,) or (19,).
+    """Fit what of a model one window determines, from the parameters ``start`` of shape (p,).
 
-    A start that leaves more than a quarter of the force's variance competes with the best of a few
-    starts read off the data (peak force and peak velocity). ``robust`` bounds the influence of
-    outliers (Huber's weights). ``should_stop`` is asked at every evaluation; where it says so, the
-    best so far is returned with ``success`` False.
+    A start that leaves more than a quarter of the force's variance competes with those that the
+    model reads off the window. ``robust`` bounds the influence of outliers (Huber's weights).
+    ``should_stop`` is asked at every evaluation; where it says so, the best so far is returned with
+    ``success`` False.
 
     Raises ValueError for an unknown method or a force that does not change.
     """
@@ -84,90 +81,119 @@ def fit_window(
     spread = float(np.std(window.force))
     if spread == 0.0:
         raise ValueError("the force does not change: there is nothing to identify")
-    misfit = ScaleMisfit(window, start)
-    search = LocalSearch(misfit, misfit.start, should_stop)
+    contest = _Contest(model, window, should_stop)
     weights = np.ones(window.sample_count)
-    message = CONVERGED
+    success = True
     try:
+        search = contest.enter(start)
         # "not <=" also holds for a cost that is not a number.
-        if not search.try_out(misfit.start) <= POOR_START * spread**2 * window.sample_count:
-            _compete(search, misfit, should_stop)
+        if not _mean_square(search) <= POOR_START * spread**2:
+            search = contest.settle()
+        effort = search.problem.effort
         if method == "nelder_mead":
             search.nelder_mead()
-        search.least_squares()
+        search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)
         if robust:
             weights = search.reweighted_least_squares()
     except StopRequestedError:
-        message = "stopped before it converged: this is the best so far"
-    return _result(misfit, search, weights, spread, method, message)
-
-
-def _result(
-    misfit: ScaleMisfit,
-    search: LocalSearch,
-    weights: Array,
-    spread: float,
-    method: str,
-    message: str,
-) -> WindowFit:
-    scales = search.best
-    window = misfit.window
-    residual = misfit.residual(scales)
-    covariance = least_squares_covariance(misfit.jacobian(scales), residual, weights)
-    to_coefficients = misfit.base_at(window.operating_point)
-    if scales[0] * to_coefficients[0] < 0.0:
-        # Yield force and steepness may change sign together: the positive pair is meant.
-        to_coefficients[:2] *= -1.0
-    rmse = math.sqrt(float(np.mean(residual**2)))
-    return WindowFit(
-        scales=scales,
-        covariance=covariance,
-        parameters=misfit.parameters(scales),
-        coefficients=scales * to_coefficients,
-        coefficient_covariance=covariance * np.outer(to_coefficients, to_coefficients),
-        operating_point=window.operating_point,
-        rmse=rmse,
-        nrmse=rmse / spread,
-        sample_count=window.sample_count,
+        success = False
+        search = contest.best
+    problem, unknowns = search.problem, search.best
+    settled = problem.settled
+    jacobian, residual = problem.jacobian(unknowns), problem.residual(unknowns)
+    covariance = least_squares_covariance(jacobian[settled], residual[settled], weights[settled])
+    return fit_of(
+        problem,
+        unknowns,
+        covariance,
         method=method,
-        evaluations=search.evaluations,
-        success=message == CONVERGED,
-        message=message,
+        evaluations=contest.evaluations,
+        success=success,
     )
 
 
-def _compete(
-    search: LocalSearch, misfit: ScaleMisfit, should_stop: Callable[[], bool] | None
-) -> None:
-    """A few steps from the given start, and from the best read off the data; the better stays.
+def fit_of(
+    problem: WindowProblem,
+    unknowns: Array,
+    covariance: Array,
+    *,
+    method: str,
+    evaluations: int,
+    success: bool = True,
+) -> WindowFit:
+    """Unknowns (f,) and their ``covariance`` (f, f), however found, as the fit of a window."""
+    window = problem.window
+    residual = problem.residual(unknowns)[problem.settled]
+    rmse = math.sqrt(float(np.mean(residual**2)))
+    coefficients, coefficient_covariance = problem.coefficients(unknowns, covariance)
+    return WindowFit(
+        scales=unknowns,
+        covariance=covariance,
+        parameters=problem.parameters(unknowns),
+        coefficients=coefficients,
+        coefficient_covariance=coefficient_covariance,
+        operating_point=window.operating_point,
+        rmse=rmse,
+        nrmse=rmse / float(np.std(window.force)),
+        sample_count=window.sample_count,
+        method=method,
+        evaluations=evaluations,
+        success=success,
+        message=_CONVERGED if success else _STOPPED,
+    )
 
-    Their costs alone would not tell which of them leads to the deeper minimum.
-    """
-    other = LocalSearch(misfit, misfit.start, should_stop)
-    try:
-        for candidate in _cold_starts(misfit):
-            other.try_out(candidate)
-        if search.best_cost < _HOPELESS * other.best_cost < math.inf:
-            for each in (search, other):
-                each.least_squares(tolerance=_ROUGHLY, most_steps=_FEW_STEPS)
-    finally:
-        search.take_over(other)
+
+class _Contest:
+    """Searches from several starts, of which the best goes on."""
+
+    def __init__(
+        self, model: Model, window: Window, should_stop: Callable[[], bool] | None
+    ) -> None:
+        self._model = model
+        self._window = window
+        self._should_stop = should_stop
+        self._searches: list[LocalSearch[WindowProblem]] = []
+
+    def enter(self, parameters: Array) -> LocalSearch[WindowProblem]:
+        """A search from parameters (p,), its start tried out."""
+        problem = self._model.window_problem(self._window, parameters)
+        search = LocalSearch(problem, problem.start, self._should_stop)
+        self._searches.append(search)
+        search.try_out(problem.start)
+        return search
+
+    def settle(self) -> LocalSearch[WindowProblem]:
+        """A few steps from the first start and from the best read off the window; the better one.
+
+        Their costs alone would not tell which of them leads to the deepest minimum.
+        """
+        first = self._searches[0]
+        cold = [self.enter(start) for start in first.problem.cold_starts()]
+        effort = first.problem.effort
+        cold = sorted(cold, key=_mean_square)[: effort.polished_starts]
+        hopeful = [
+            search
+            for search in (first, *cold)
+            if _mean_square(search) < _HOPELESS * _mean_square(cold[0])
+        ]
+        if len(hopeful) > 1:
+            for search in hopeful:
+                search.least_squares(
+                    tolerance=effort.rough_tolerance, most_steps=effort.rough_steps
+                )
+        return self.best
+
+    @property
+    def best(self) -> LocalSearch[WindowProblem]:
+        """The search that has come lowest."""
+        return min(self._searches, key=_mean_square)
+
+    @property
+    def evaluations(self) -> int:
+        """Of the force, in all searches."""
+        return sum(each.evaluations + each.problem.differences for each in self._searches)
 
 
-def _cold_starts(misfit: ScaleMisfit) -> list[Array]:
-    """Scales read off the data: a yield force near the peaks, some steepness and hysteresis."""
-    window = misfit.window
-    top, bottom = float(window.force.max()), float(window.force.min())
-    top_speed = float(np.max(np.abs(window.motion.velocity)))
-    base = misfit.base_at(window.operating_point)
-    base = np.where(base == 0.0, 1.0, base)
-    return [
-        np.array(
-            [
-                *(0.4 * (top - bottom), steepness / top_speed, 0.2 / top_speed),
-                *(0.2 / top_speed, hysteresis * top_speed, 0.0, -0.5 * (top + bottom)),
-            ]
-        )
-        / base
-        for steepness, hysteresis in product(_COLD_STEEPNESS, _COLD_HYSTERESIS)
-    ]
+def _mean_square(search: LocalSearch[WindowProblem]) -> float:
+    """Mean square residual [N²] over the samples that have one."""
+    return search.best_cost / max(int(np.count_nonzero(search.problem.settled)), 1)

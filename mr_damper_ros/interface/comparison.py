@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.model_fit import model_force
 from mr_damper_ros.interface.measured_runs import MeasuredRun
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
@@ -60,7 +59,7 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
         displacement=np.concatenate([window.motion.displacement for window in run.windows]),
         velocity=np.concatenate([window.motion.velocity for window in run.windows]),
         measured=np.concatenate([window.force for window in run.windows]),
-        predicted=np.concatenate([model_force(found.law, w, found.values) for w in held]),
+        predicted=np.concatenate([found.law.window_force(w, found.values) for w in held]),
         provenance=run.provenance,
     )
 

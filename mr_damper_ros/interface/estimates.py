@@ -9,17 +9,6 @@ from dataclasses import dataclass
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 
-COEFFICIENTS = {
-    "f_t": ("N", "yield force"),
-    "alpha": ("s/m", "steepness"),
-    "k_c": ("s/m", "viscous slope, extension"),
-    "k_e": ("s/m", "viscous slope, compression"),
-    "v_h": ("m/s", "hysteresis velocity"),
-    "v_d": ("m/s", "velocity offset"),
-    "f_d": ("N", "force offset, subtracted"),
-}
-"""Unit and meaning of each operating-point coefficient."""
-
 
 @dataclass(frozen=True)
 class Estimate:

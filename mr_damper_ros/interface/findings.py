@@ -18,17 +18,16 @@ from mr_damper_ros.estimation.determination import (
 )
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress, Report
 from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
-from mr_damper_ros.estimation.global_fit import (
-    GlobalFit,
-    parameter_ranges,
-    thinned_for_search,
-)
+from mr_damper_ros.estimation.global_fit import GlobalFit
+from mr_damper_ros.estimation.global_search import thinned_for_search
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.multi_start import MultiStart
+from mr_damper_ros.estimation.observability import parameter_ranges
 from mr_damper_ros.estimation.profile_likelihood import Profile, ProfileLikelihood
 from mr_damper_ros.interface.estimates import as_json
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.scale_misfit import Window, longest_lag
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.operating_points import PooledProblem
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.tracking.fluid_temperature import TemperatureMap
 
@@ -56,11 +55,10 @@ class Findings:
         return Findings(self.lines + other.lines, self.document | other.document)
 
 
-def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> PooledMisfit:
+def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> PooledProblem:
     """The misfit that the set was searched with."""
-    values = fit.parameter_set.values
-    slowest = longest_lag(windows, values)
-    return PooledMisfit(thinned_for_search(windows), fit.noise.tolist(), slowest)
+    found = fit.parameter_set
+    return found.law.pooled_problem(thinned_for_search(windows), fit.noise.tolist(), found.values)
 
 
 def determined(fit: GlobalFit, windows: Sequence[Window], rig: RigRange) -> Findings:
@@ -68,10 +66,10 @@ def determined(fit: GlobalFit, windows: Sequence[Window], rig: RigRange) -> Find
     found = fit.parameter_set
     misfit = search_misfit(fit, windows)
     jacobian = misfit.jacobian(found.values) / noise_level(misfit, found.values)
-    spans = parameter_spans(jacobian, found.values, parameter_ranges(windows, found.values))
-    result = determination(jacobian, found.law.parameter_names, spans)
+    spans = parameter_spans(found.law, jacobian, found.values, parameter_ranges(found.law, windows))
+    result = determination(found.law, jacobian, spans)
     noise = float(np.median(fit.noise))
-    runs = extra_runs(misfit, noise, found.values, found.observable, rig)
+    runs = extra_runs(found.law, misfit, noise, found.values, found.observable, rig)
     lines = [
         f"the data determine {result.rank} of {len(result.names)} combinations of the parameters "
         f"(condition {result.condition:.2g})",
@@ -136,11 +134,9 @@ def profiles(
         if name not in law:
             raise ValueError(f"there is no parameter '{name}' to profile: use {', '.join(law)}")
     misfit = search_misfit(fit, windows)
-    ranges = parameter_ranges(windows, fit.parameter_set.values)
+    ranges = parameter_ranges(fit.parameter_set.law, windows)
     listen = None if report is None else lambda _, news: report(news)
-    tasks = [
-        (misfit, fit.parameter_set.values, fit.parameter_set.observable, ranges, n) for n in names
-    ]
+    tasks = [(fit.parameter_set, misfit, ranges, name) for name in names]
     found = [p for p in processes.map(_profile, tasks, listen) if p]
     lines = [
         f"profile of {p.name}: least at {p.best:.6g}, 95 % interval "
@@ -159,8 +155,8 @@ def profiles(
     return Findings(lines, {"profiles": document})
 
 
-def _profile(task: tuple[PooledMisfit, Any, Any, Any, str], tell: Tell) -> Profile | None:
-    misfit, values, observable, ranges, name = task
+def _profile(task: tuple[ParameterSet, PooledProblem, Any, str], tell: Tell) -> Profile | None:
+    found, misfit, ranges, name = task
     told = time.monotonic()
     stopped = False
 
@@ -172,7 +168,9 @@ def _profile(task: tuple[PooledMisfit, Any, Any, Any, str], tell: Tell) -> Profi
         return stopped
 
     try:
-        return ProfileLikelihood(misfit, values, observable, ranges, should_stop).of(name)
+        return ProfileLikelihood(
+            found.law, misfit, found.values, found.observable, ranges, should_stop
+        ).of(name)
     except StopRequestedError:
         return None
 

@@ -41,7 +41,7 @@ class FittedRun:
     """What the identified set makes of one run.
 
     ``operating_point``: peak velocity [m/s] and current [A] that stand for the run;
-    ``coefficients``: the seven of the sigmoid law there, by name.
+    ``coefficients``: those of the law there, by name.
     """
 
     measured: MeasuredRun
@@ -81,7 +81,7 @@ class Identification:
 
     @property
     def coefficients(self) -> dict[str, Estimate]:
-        """The seven operating-point coefficients of the first run, by name.
+        """The operating-point coefficients of the first run, by name.
 
         Those of the others are in ``runs[k].coefficients``.
         """
@@ -164,7 +164,7 @@ class Identification:
         measured = [run.measured for run in self.runs]
         if all(celsius is None for run in measured for celsius in run.temperatures):
             return Findings([], {})
-        found = temperature_maps(measured, self.parameter_set.values)
+        found = temperature_maps(measured, self.parameter_set)
         return findings.temperatures(found.identified)
 
     def plot(self, run: int = 0) -> Figure:

@@ -21,7 +21,7 @@ from mr_damper_ros.estimation.multi_start import (
     identify_from_seeds,
 )
 from mr_damper_ros.interface.comparison import compare, error_over
-from mr_damper_ros.interface.estimates import COEFFICIENTS, Estimate
+from mr_damper_ros.interface.estimates import Estimate
 from mr_damper_ros.interface.fit_result import FittedRun, Identification
 from mr_damper_ros.interface.measured_runs import (
     MeasuredRun,
@@ -30,15 +30,11 @@ from mr_damper_ros.interface.measured_runs import (
     measured_runs,
 )
 from mr_damper_ros.io.whole_files import write_text
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
-from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, without_extension
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.state_directory import read_parameter_file
-
-IDENTIFIED_MODELS = (DEFAULT_MODEL, EXTENDED_MODEL)
-"""Laws that can be identified over many runs."""
 
 _EVOLUTION = EvolutionSettings()
 
@@ -128,11 +124,13 @@ def identify(
             processes=processes,
         )
         windows = all_windows(measured)
-        record = SearchRecord(windows, start_values, settings, method)
+        law = MODELS[model]
+        record = SearchRecord(law, windows, start_values, settings, method)
         if resume is not None and Path(resume).exists():
             _take(record, Path(resume))
         began = time.monotonic()
         searches = identify_from_seeds(
+            law,
             windows,
             start_values,
             settings,
@@ -156,19 +154,11 @@ def identify(
 
 
 def _start_values(source: ParameterSet | str | os.PathLike[str] | None, model: str) -> Array:
-    known_model(model)
-    if model not in IDENTIFIED_MODELS:
-        raise ValueError(
-            f"model '{model}' is identified window by window only, by the identifier node: "
-            f"use {' or '.join(IDENTIFIED_MODELS)} here"
-        )
+    law = known_model(model)
     if source is None:
-        found = ParameterSet(LITERATURE)
-    else:
-        found = source if isinstance(source, ParameterSet) else read_parameter_file(Path(source))
-    if model == EXTENDED_MODEL and found.model == DEFAULT_MODEL:
-        return without_extension(found.values)
-    return found.of_model(model).values
+        return law.initial_values()[0]
+    found = source if isinstance(source, ParameterSet) else read_parameter_file(Path(source))
+    return found.start_of(model)
 
 
 def _take(record: SearchRecord, path: Path) -> None:
@@ -187,14 +177,15 @@ def _keep(path: Path, record: SearchRecord) -> None:
 
 def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRun, ...]:
     fit = searches.best
+    quantities = fit.parameter_set.law.coefficient_quantities
     fitted = []
     for run in runs:
         point = run.longest.operating_point
         values, errors = fit.coefficients(point)
         coefficients = {
             name: Estimate(value, error if error > 0.0 else math.nan, unit, meaning=meaning)
-            for (name, (unit, meaning)), value, error in zip(
-                COEFFICIENTS.items(), values.tolist(), errors.tolist(), strict=True
+            for (name, unit, meaning), value, error in zip(
+                quantities, values.tolist(), errors.tolist(), strict=True
             )
         }
         comparison = compare(fit.parameter_set, run)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS

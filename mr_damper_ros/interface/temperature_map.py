@@ -9,7 +9,8 @@ import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.interface.measured_runs import MeasuredRun
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.fluid_temperature import TemperatureMaps
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
@@ -26,8 +27,8 @@ _STEADY_CURRENT = 0.02
 """Change [A] of the current that a piece may have."""
 
 
-def temperature_maps(runs: Sequence[MeasuredRun], parameters: Array) -> TemperatureMaps:
-    """Maps from all runs together; ``parameters`` (p,) are the set identified from them.
+def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> TemperatureMaps:
+    """Maps from all runs together; ``found`` is the set identified from them.
 
     Each run is cut into pieces of a few cycles, whose fitted scales give the force scale. Pieces
     whose force cannot be fitted are left out.
@@ -39,11 +40,11 @@ def temperature_maps(runs: Sequence[MeasuredRun], parameters: Array) -> Temperat
                 continue
             for piece, mean in _pieces(window, celsius):
                 try:
-                    fit = fit_window(piece, parameters, method="least_squares")
+                    fit = fit_window(found.law, piece, found.values, method="least_squares")
                 except ValueError:
                     continue
                 baselines.add(fit)
-                maps.add(fit.operating_point, mean, force_scale(baselines, fit))
+                maps.add(fit.operating_point, mean, force_scale(found.law, piece, fit, baselines))
     return maps
 
 

@@ -11,9 +11,8 @@ import numpy as np
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_centre import MotionCentre
-from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
+from mr_damper_ros.kinematics.peak_velocity import PeakVelocity, peak_velocity
 from mr_damper_ros.kinematics.sine_follower import SineFollower
-from mr_damper_ros.models.sigmoid.law import peak_velocity
 from mr_damper_ros.signals.arrays import Array
 
 _REVERSALS_FOR_CENTRE = 3

@@ -27,6 +27,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.signals.arrays import Array
@@ -45,6 +46,24 @@ _AT_ONCE = 512
 
 _BANDWIDTH = 40.0
 """Corner [Hz] of the observer of the velocity, where it is not observed anyway."""
+
+
+_LARGEST = 1e100
+"""Inputs saturate here, so that no product of them overflows to infinity."""
+
+
+def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+    """Peak velocity of the present cycle, sqrt(max(v² - a u, 0)) [m/s].
+
+    In sinusoidal motion it is constant and equal to 2 pi f A. Inputs broadcast; displacement is
+    measured from the centre of the motion. This is the thesis' formula; for any other motion than a
+    sine see :class:`PeakVelocity`.
+    """
+    u, v, a = (
+        np.asarray(x, dtype=float).clip(-_LARGEST, _LARGEST)
+        for x in (displacement, velocity, acceleration)
+    )
+    return np.asarray(np.sqrt(np.maximum(v * v - a * u, 0.0)))
 
 
 @dataclass

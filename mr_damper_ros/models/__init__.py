@@ -1,22 +1,29 @@
-"""Force models of MR dampers behind one interface: those that the thesis reviews (table 2)."""
+"""Force laws of MR dampers behind one interface, their parameters, and sets of these.
 
-from mr_damper_ros.models.bouc_wen import BOUC_WEN, MODIFIED_BOUC_WEN
-from mr_damper_ros.models.force_model import Model, MotionLike, Parameter
-from mr_damper_ros.models.sigmoid.sigmoid_model import EXTENDED_SIGMOID, SIGMOID
-from mr_damper_ros.models.static import BINGHAM, HYPERBOLIC_TANGENT, NONLINEAR_BIVISCOUS
+A new law is one file here and one line in :data:`MODELS`.
+"""
 
-__all__ = ["MODELS", "Model", "MotionLike", "Parameter"]
+from mr_damper_ros.models.bingham import Bingham
+from mr_damper_ros.models.biviscous import NonlinearBiviscous
+from mr_damper_ros.models.bouc_wen import BoucWen
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.hyperbolic_tangent import HyperbolicTangent
+from mr_damper_ros.models.modified_bouc_wen import ModifiedBoucWen
+from mr_damper_ros.models.quantities import Parameter
+from mr_damper_ros.models.sigmoid.sigmoid_model import ExtendedSigmoidModel, SigmoidModel
 
-MODELS = {
+__all__ = ["MODELS", "Model", "Parameter"]
+
+MODELS: dict[str, Model] = {
     model.name: model
     for model in (
-        BINGHAM,
-        HYPERBOLIC_TANGENT,
-        NONLINEAR_BIVISCOUS,
-        BOUC_WEN,
-        MODIFIED_BOUC_WEN,
-        SIGMOID,
-        EXTENDED_SIGMOID,
+        Bingham(),
+        HyperbolicTangent(),
+        NonlinearBiviscous(),
+        BoucWen(),
+        ModifiedBoucWen(),
+        SigmoidModel(),
+        ExtendedSigmoidModel(),
     )
 }
-"""Models by name, in the order of the thesis' review."""
+"""Models by name, in the order of the thesis' review (table 2)."""

@@ -1,40 +1,30 @@
-"""What every force model of an MR damper has: a name, parameters with units and bounds, a force."""
+"""What every force model of an MR damper says of itself, and what follows from it for all alike.
+
+A model is one class in one file of this room: its parameters with units and bounds, its force with
+what that remembers, starts read off a record, and, where it has more to say than what this class
+derives, the problem of a window and its laws over operating points. Nothing outside of this room
+asks which model it is.
+"""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch, PooledProblem
+from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
 from mr_damper_ros.signals.arrays import Array
 
-
-class MotionLike(Protocol):
-    """Displacement [m] about the centre, velocity [m/s], acceleration [m/s²], peak velocity [m/s].
-
-    Each has shape (n,).
-    """
-
-    @property
-    def displacement(self) -> Array:
-        """Shape (n,) [m]."""
-
-    @property
-    def velocity(self) -> Array:
-        """Shape (n,) [m/s]."""
-
-    @property
-    def acceleration(self) -> Array:
-        """Shape (n,) [m/s²]."""
-
-    @property
-    def peak_velocity(self) -> Array:
-        """Shape (n,) [m/s]."""
-
+if TYPE_CHECKING:
+    from mr_damper_ros.models.force_stream import ForceStream
+    from mr_damper_ros.models.window_problem import WindowProblem
 
 State = tuple[Array, ...]
 """What a law remembers of the past: arrays of the shape of the sets, none for a law without memory.
@@ -42,43 +32,82 @@ State = tuple[Array, ...]
 None stands for a start: at rest, or settled.
 """
 
-Law = Callable[[Array, MotionLike, Array, float, State | None], tuple[Array, State]]
+_FORGOTTEN = 0.01
+"""A start is forgotten where it changes the force by less than this part of its span."""
+
+_LONGEST_MEMORY = 0.25
+"""No more than this part of a window is left out because its past is not known."""
+
+_STEP = 1e-6
+"""Step of a difference, relative to the size of the parameter."""
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """A parameter: its unit, and the bounds within which it has a meaning."""
+class SearchEffort:
+    """How far a window of the model is searched.
 
-    name: str
-    unit: str
-    low: float = -np.inf
-    high: float = np.inf
-
-
-@dataclass(frozen=True)
-class Model:
-    """A force model.
-
-    ``law`` takes parameters (..., p), a motion and currents (n,) [A], the period [s] between
-    samples and the state after the sample before, and returns the force (..., n) [N] and the state
-    after the last sample; ``source`` is where it is published.
-    ``free_in_one_run`` names the parameters that one run at one current determines; the others
-    keep the values of a start. ``scale_starts`` gives starts (k, p) from what can be read off a
-    run: half the span of the force [N] and its middle [N], the peak velocity [m/s] and the
-    amplitude [m]. ``remembers``: whether the force depends on the samples before.
-    ``strength`` names the parameters that rise and fall with the strength of the damper; where
-    none are named, all that have a force in their unit.
+    ``tolerance``: relative gain of the sum of squares at which a search ends; ``most_steps`` of it.
+    Starts read off the record, where the given one is poor: the ``polished_starts`` best are
+    polished to ``rough_tolerance`` in ``rough_steps``, and the best of those is taken.
     """
 
-    name: str
-    title: str
-    parameters: tuple[Parameter, ...]
-    law: Law
-    source: str
-    scale_starts: Callable[[float, float, float, float], Array]
-    free_in_one_run: tuple[str, ...] = field(default=())
-    remembers: bool = False
-    strength: tuple[str, ...] = field(default=())
+    tolerance: float = 1e-6
+    most_steps: int = 40
+    polished_starts: int = 4
+    rough_tolerance: float = 1e-3
+    rough_steps: int = 40
+
+
+_USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
+"""A usual run: 1 kN, 5 mm, 1 Hz."""
+
+
+class Model(ABC):
+    """A force law.
+
+    ``parameters`` stand in the order of every parameter array (p,). ``free_in_one_run`` names those
+    that one run at one current determines (all where it is empty); the others keep the values of a
+    start. ``remembers``: whether the force depends on the samples before. ``strength`` names the
+    parameters that rise and fall with the strength of the damper; where none are named, all that
+    have a force in their unit. ``weighed``: whether a window is weighed against the running set
+    rather than fitted on its own. ``many_at_once``: whether the problem of a window takes several
+    sets of unknowns at once. ``coefficient_quantities``: what the force depends on at one operating
+    point; ``linear`` names what enters the laws over operating points linearly, ``shape_groups``
+    the shape parameters, law by law.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    source: ClassVar[str]
+    equation: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    free_in_one_run: ClassVar[tuple[str, ...]] = ()
+    remembers: ClassVar[bool] = False
+    strength: ClassVar[tuple[str, ...]] = ()
+    weighed: ClassVar[bool] = False
+    many_at_once: ClassVar[bool] = False
+    effort: ClassVar[SearchEffort] = SearchEffort()
+    coefficient_quantities: ClassVar[tuple[Quantity, ...]] = ()
+    linear: ClassVar[tuple[str, ...]] = ()
+    shape_groups: ClassVar[tuple[tuple[str, ...], ...]] = ()
+
+    # What a law must say
+
+    @abstractmethod
+    def follow(
+        self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force (..., n) [N], and the state after the last sample.
+
+        For parameters (..., p), a motion and currents (n,) [A], the ``period`` [s] between samples
+        and the state after the sample before.
+        """
+
+    @abstractmethod
+    def starts(self, reading: LoopReading) -> Array:
+        """Starts (k, p) of a search, from what can be read off a record."""
+
+    # Parameters
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -98,13 +127,48 @@ class Model:
         return low, high
 
     @property
-    def free_indices(self) -> Array:
-        """Places (f,) of the parameters that one run determines."""
-        free = self.free_in_one_run or self.parameter_names
-        return np.array([self.parameter_names.index(name) for name in free])
+    def coefficient_names(self) -> tuple[str, ...]:
+        """What the force depends on at one operating point; none for a model that does not say."""
+        return tuple(quantity.name for quantity in self.coefficient_quantities)
+
+    def places(self, names: Sequence[str]) -> np.ndarray:
+        """Places of the named parameters in a parameter array."""
+        every = self.parameter_names
+        return np.array([every.index(name) for name in names], dtype=int)
+
+    def completed(self, values: Array) -> Array:
+        """The values (p,), where those at the end are left out that have a default."""
+        left_out = [parameter.default for parameter in self.parameters[values.shape[0] :]]
+        known = [default for default in left_out if default is not None]
+        return values if len(known) < len(left_out) else np.append(values, known)
 
     @property
-    def strength_indices(self) -> Array:
+    def free_indices(self) -> np.ndarray:
+        """Places (f,) of the parameters that one run determines."""
+        return self.places(self.free_in_one_run or self.parameter_names)
+
+    @property
+    def scale_names(self) -> tuple[str, ...]:
+        """The parameters that a coefficient is proportional to: they have no range of their own."""
+        return self.free_in_one_run or self.parameter_names
+
+    @property
+    def common_names(self) -> tuple[str, ...]:
+        """What one run determines besides the scales, such as a compliance: common to all runs."""
+        return tuple(name for name in self.free_in_one_run if name not in self.scale_names)
+
+    @property
+    def shape_names(self) -> tuple[str, ...]:
+        """The parameters that only several operating points determine."""
+        free = self.free_in_one_run or self.parameter_names
+        return tuple(name for name in self.parameter_names if name not in free)
+
+    def knows_shape(self, observable: np.ndarray) -> bool:
+        """Whether the flags (p,) hold a parameter that only several operating points determine."""
+        return bool(np.any(observable[self.places(self.shape_names)]))
+
+    @property
+    def strength_indices(self) -> np.ndarray:
         """Places of the parameters that rise and fall with the strength of the damper."""
         return np.array(
             [
@@ -115,8 +179,19 @@ class Model:
             ]
         )
 
+    def initial_values(self) -> tuple[Array, str, float]:
+        """Values (p,) where nothing is known of the damper, their name, their peak velocity [m/s].
+
+        A mere form without any force, valid nowhere, unless the model has a better one.
+        """
+        values = self.starts(_USUAL_RUN)[0]
+        values[self.strength_indices] = 0.0
+        return np.clip(values, *self.bounds), "unknown", 0.0
+
+    # Force
+
     def force(
-        self, parameters: ArrayLike, motion: MotionLike, current: ArrayLike, period: float
+        self, parameters: ArrayLike, motion: Motion, current: ArrayLike, period: float
     ) -> Array:
         """Force [N], shape (..., n), for parameters of shape (..., p), from a start.
 
@@ -127,68 +202,142 @@ class Model:
 
     def stream(self, period: float) -> ForceStream:
         """Force of samples ``period`` [s] apart, block by block; ValueError as for the force."""
+        from mr_damper_ros.models.force_stream import ForceStream  # it needs this module
+
         return ForceStream(self, period)
 
+    # A set may hold any finite numbers: what overflows, here and below, is judged by its misfit.
+    @np.errstate(over="ignore", invalid="ignore")
+    def window_force(self, window: Window, parameters: Array) -> Array:
+        """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
+        if not self.remembers:
+            return self.force(parameters, window.motion, window.current, 1.0)
+        history = window.history.coarse
+        stream = self.stream(history.period)
+        force = stream.follow(parameters, history.motion, history.current)
+        if history.periodic:
+            force = stream.follow(parameters, history.motion, history.current)
+        return np.moveaxis(history.at_samples(np.moveaxis(force, -1, 0)), 0, -1)
 
-_KEPT = 0.5
-"""Seconds of motion from which a state is found anew: lag and hysteresis forget sooner."""
+    @np.errstate(over="ignore", invalid="ignore")
+    def settled(self, window: Window, parameters: Array) -> np.ndarray:
+        """Mask (n,) of samples whose force does not depend on what came before the window."""
+        if not self.remembers or window.history.periodic:
+            return np.ones(window.sample_count, dtype=bool)
+        history = window.history.coarse
+        stream = self.stream(history.period)
+        first, second = (
+            stream.follow(parameters, history.motion, history.current) for _ in range(2)
+        )
+        differs = np.abs(first - second) > _FORGOTTEN * float(np.ptp(first))
+        # The true past may be further off than either of the two.
+        count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
+        return np.asarray(history.places >= min(count, _LONGEST_MEMORY * differs.size))
 
+    def lasting_force(self, window: Window, parameters: Array) -> Array:
+        """The part (n,) [N] of the force that stays where the damper loses all its strength."""
+        weakest = parameters.copy()
+        weakest[self.strength_indices] = 0.0
+        return self.window_force(window, np.clip(weakest, *self.bounds))
 
-class ForceStream:
-    """Force of a motion that goes on: the same as in one piece, however it is cut into blocks.
+    # One window
 
-    The state goes on where the parameters change, unless :meth:`retrace` finds it anew.
-    """
+    def window_problem(self, window: Window, parameters: Array) -> WindowProblem:
+        """What of ``parameters`` (p,) a window determines, as a least-squares problem."""
+        from mr_damper_ros.models.window_problem import DifferenceProblem  # it needs this module
 
-    def __init__(self, model: Model, period: float) -> None:
-        if not period > 0.0:
-            raise ValueError(f"the sample period is {period} s: it must be positive")
-        self.model = model
-        self._period = period
-        self._state: State | None = None
-        # Blocks of the last while, each with the state before it, and the samples in them.
-        self._past: deque[tuple[State | None, MotionLike, Array]] = deque()
-        self._past_count = 0
+        return DifferenceProblem(self, window, parameters)
 
-    @property
-    def remembers(self) -> bool:
-        """Whether the force so far depends on the samples before."""
-        return self.model.remembers
+    def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
+        """Places of the parameters that a window was fitted with, and their standard errors.
 
-    def follow(self, parameters: ArrayLike, motion: MotionLike, current: ArrayLike) -> Array:
-        """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).
-
-        ``current`` [A] is a number or has shape (n,). Raises ValueError where the number of
-        parameters is wrong.
+        ``unknowns`` (f,) and their ``covariance`` (f, f) are those of :meth:`window_problem`. NaN
+        where the window does not determine one.
         """
-        values = np.asarray(parameters, dtype=float)
-        count = len(self.model.parameters)
-        if values.shape[-1:] != (count,):
-            raise ValueError(
-                f"model '{self.model.name}' has {count} parameters "
-                f"({', '.join(self.model.parameter_names)}): got shape {values.shape}"
+        return self.free_indices, np.sqrt(np.diag(covariance))
+
+    # Laws over operating points
+
+    def coefficients_at(
+        self, parameters: Array, peak_velocity: ArrayLike, current: ArrayLike
+    ) -> Array:
+        """Operating-point coefficients (c, n) of parameters (p,) at n peak velocities and currents.
+
+        [m/s] and [A]; those of ``coefficient_names``, none for a model without.
+        """
+        count = np.broadcast(np.atleast_1d(peak_velocity), np.atleast_1d(current)).size
+        return np.empty((len(self.coefficient_names), count))
+
+    def coefficient_gradient(
+        self, parameters: Array, peak_velocity: float, current: float
+    ) -> Array:
+        """Derivatives (c, p) of the coefficients at one operating point by the parameters."""
+        steps = _STEP * np.maximum(np.abs(parameters), 1.0)
+        columns = [
+            np.subtract(
+                *(
+                    self.coefficients_at(parameters + side * step, peak_velocity, current)[:, 0]
+                    for side in (0.5, -0.5)
+                )
             )
-        amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
-        if self.model.remembers:
-            self._keep(motion, amperes)
-        with np.errstate(over="ignore", invalid="ignore"):
-            force, self._state = self.model.law(values, motion, amperes, self._period, self._state)
-        return force
+            / np.max(step)
+            for step in np.diag(steps)
+        ]
+        return np.stack(columns, axis=-1)
 
-    def _keep(self, motion: MotionLike, amperes: Array) -> None:
-        self._past.append((self._state, motion, amperes))
-        self._past_count += amperes.size
-        while (self._past_count - self._past[0][2].size) * self._period >= _KEPT:
-            self._past_count -= self._past.popleft()[2].size
+    def without_dependence(self, parameters: Array, top_current: float) -> Array:
+        """The set (p,) with coefficients that depend on neither peak velocity nor current.
 
-    def retrace(self, parameters: ArrayLike) -> None:
-        """Follow the last half second once more, with other parameters.
-
-        What the model remembers is then what it would be had these been in use; a lagging force,
-        for one, would else be that of the old parameters for a while.
+        Where a dependence is freed it starts smoothly over currents up to ``top_current`` [A].
         """
-        past, self._past, self._past_count = self._past, deque(), 0
-        if past:
-            self._state = past[0][0]
-        for _, motion, amperes in past:
-            self.follow(parameters, motion, amperes)
+        values = np.array(parameters, dtype=float)
+        values[self.places(self.shape_names)] = 0.0
+        return values
+
+    @abstractmethod
+    def plausible_ranges(
+        self, windows: Sequence[Window], top_velocity: float, top_current: float
+    ) -> dict[str, tuple[float, float]]:
+        """Plausible ranges of the parameters that are no scales, for data that reach so far.
+
+        ``top_velocity`` [m/s], ``top_current`` [A].
+        """
+
+    def searched_laws(self, free: frozenset[str]) -> int:
+        """How many laws need a search for these free parameters: the others are linear."""
+        return 0
+
+    @abstractmethod
+    def fit_laws(
+        self,
+        table: CoefficientTable,
+        start: Array,
+        free: frozenset[str],
+        search: LawSearch,
+    ) -> Array:
+        """Parameters (p,) whose laws come nearest to the table; those not free stay as they are.
+
+        ``search`` minimises over what is not linear.
+        """
+
+    def softened(self, parameters: Array, held: np.ndarray, top_current: float) -> Array:
+        """The set (p,) with dependences that are not too steep to be moved; ``held`` (p,) stay."""
+        return parameters
+
+    @abstractmethod
+    def draw_shape(
+        self, rng: np.random.Generator, top_velocity: float, top_current: float
+    ) -> dict[str, float]:
+        """Shape parameters as they might be for a damper run up to [m/s] and [A]."""
+
+    def pooled_problem(
+        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
+    ) -> PooledProblem:
+        """Weighted residual of many windows for all parameters.
+
+        ``noise`` [N]: what each window's own best fit leaves (RMSE). ``known`` (p,), where there is
+        a set already, tells which samples do not yet depend on the motion alone.
+        """
+        from mr_damper_ros.models.pooled_differences import PooledDifferences  # it needs this one
+
+        return PooledDifferences(self, windows, noise, known)

@@ -55,7 +55,8 @@ class ParameterSet:
     model: str = DEFAULT_MODEL
 
     def __post_init__(self) -> None:
-        names = known_model(self.model).parameter_names
+        model = known_model(self.model)
+        names = model.parameter_names
         count = len(names)
         for name, dtype, unknown in (
             ("values", float, None),
@@ -64,6 +65,12 @@ class ParameterSet:
         ):
             given = getattr(self, name)
             array = np.full(count, unknown) if given is _UNKNOWN else np.array(given, dtype=dtype)
+            if array.ndim == 1:
+                # What follows the current may be left out at the end: it has a default.
+                complete = model.completed(array.astype(float))
+                if unknown is not None:
+                    complete[array.size :] = unknown
+                array = complete.astype(dtype)
             if array.shape != (count,):
                 raise ParameterError(
                     f"{name} of model '{self.model}' must hold {count} numbers, one for each of "
@@ -104,6 +111,18 @@ class ParameterSet:
             )
         return self
 
+    def start_of(self, model: str) -> Array:
+        """Values (p,) to start a search of another model from, whose parameters include these.
+
+        Raises ParameterError where they do not.
+        """
+        target = known_model(model)
+        if not set(self.law.parameter_names) <= set(target.parameter_names):
+            return self.of_model(model).values
+        values = target.initial_values()[0]
+        values[target.places(self.law.parameter_names)] = self.values
+        return values
+
     def as_dict(self) -> dict[str, float]:
         """Values by parameter name."""
         return dict(zip(self.law.parameter_names, self.values.tolist(), strict=True))
@@ -142,7 +161,8 @@ class ParameterSet:
         """Parameter set from text written by :meth:`to_yaml`, or by hand.
 
         By hand, ``parameters`` with all names of the sigmoid law is enough, each a plain number or
-        a mapping with ``value``; those of another law need its name as ``model``.
+        a mapping with ``value``; those of another law need its name as ``model``. What follows
+        the current may be left out: the law then holds at any current alike.
 
         Raises ParameterError with one sentence that says what to change.
         """
@@ -187,12 +207,13 @@ class ParameterSet:
                 f"model '{model}' has no parameter {', '.join(unknown)}: "
                 f"the names are {', '.join(names)}"
             )
-        missing = [name for name in names if name not in entries]
+        defaults = {parameter.name: parameter.default for parameter in law.parameters}
+        missing = [name for name in names if name not in entries and defaults[name] is None]
         if missing:
             raise ParameterError(f"parameter {', '.join(missing)} is missing: give its value")
         values, errors, observable = [], [], []
         for name in names:
-            entry = entries[name]
+            entry = entries.get(name, defaults[name])
             if not isinstance(entry, dict):
                 entry = {"value": entry}
             stray = [

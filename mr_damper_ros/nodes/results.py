@@ -8,7 +8,6 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, known_model
-from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
 from mr_damper_ros.nodes.messages import header, set_stamp, to_field, to_nanoseconds, to_stamp
 from mr_damper_ros.tracking.predictor import Prediction
 from mr_damper_ros.tracking.reports import Report
@@ -83,7 +82,7 @@ def report_message(report: Report, duration: float, frame_id: str) -> FitReport:
         frequency=report.frequency,
         current=report.current,
         temperature=report.temperature,
-        coefficient_names=list(COEFFICIENT_NAMES),
+        coefficient_names=list(report.coefficient_names),
         coefficients=to_field(report.coefficients),
         coefficient_standard_errors=to_field(report.coefficient_errors),
     )

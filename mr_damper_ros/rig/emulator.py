@@ -15,13 +15,12 @@ from typing import Protocol
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
+from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity, peak_velocity
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     force_from_coefficients,
     operating_point_coefficients,
-    peak_velocity,
 )
 from mr_damper_ros.rig.excitation import Excitation, SineMotion
 from mr_damper_ros.rig.rig_block import RigBlock

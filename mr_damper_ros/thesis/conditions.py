@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.published_conditions import (
     CONDITIONS,
@@ -45,7 +46,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
     """Task: seven coefficients of one run by Nelder-Mead, and the error of every set on it."""
     w = window(name, seed)
     condition = find(name)
-    fit = fit_window(w, LITERATURE)
+    fit = fit_window(MODELS["sigmoid"], w, LITERATURE)
     own = loop(fit.parameters, condition).force
 
     published = {}

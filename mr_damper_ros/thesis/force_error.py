@@ -11,6 +11,7 @@ import numpy as np
 from scipy import stats
 
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
@@ -63,18 +64,18 @@ def identify(name: str, seed: int) -> dict[str, Any]:
         raise ValueError(f"the displacement of {name} is no sine")
 
     def norm(parameters: Array) -> float:
-        return float(np.linalg.norm(w.predicted_force(parameters) - w.force))
+        return float(np.linalg.norm(MODELS["sigmoid"].window_force(w, parameters) - w.force))
 
     # Appendix D prints the literature set twice, with either sign of k5.
     flipped = LITERATURE.copy()
     flipped[K5] *= -1.0
     starts = {"printed": norm(LITERATURE), "k5 positive": norm(flipped)}
     found, cost, evaluations = fminsearch(norm, flipped)
-    seven = fit_window(w, flipped)
+    seven = fit_window(MODELS["sigmoid"], w, flipped)
     # A fifth of the cycle is enough for the figures.
     shown = slice(0, round(1.0 / sine.frequency / run.period))
     displacement_error = sine.displacement(run.time) + sine.offset - run.displacement
-    force_error = w.predicted_force(seven.parameters) - w.force
+    force_error = MODELS["sigmoid"].window_force(w, seven.parameters) - w.force
     return {
         "sine": {
             "amplitude": sine.amplitude,
@@ -86,7 +87,7 @@ def identify(name: str, seed: int) -> dict[str, Any]:
         "nelder_mead_16": {
             "parameters": found.tolist(),
             "evaluations": evaluations,
-            "statistics": normal_statistics(w.predicted_force(found) - w.force),
+            "statistics": normal_statistics(MODELS["sigmoid"].window_force(w, found) - w.force),
             "rmse": cost / np.sqrt(w.sample_count),
         },
         "nelder_mead_7": {
@@ -103,8 +104,8 @@ def identify(name: str, seed: int) -> dict[str, Any]:
         "fitted_displacement": (sine.displacement(run.time) + sine.offset)[shown].tolist(),
         "velocity": w.motion.velocity[shown].tolist(),
         "force": w.force[shown].tolist(),
-        "fitted_force": w.predicted_force(seven.parameters)[shown].tolist(),
-        "literature_force": w.predicted_force(flipped)[shown].tolist(),
+        "fitted_force": MODELS["sigmoid"].window_force(w, seven.parameters)[shown].tolist(),
+        "literature_force": MODELS["sigmoid"].window_force(w, flipped)[shown].tolist(),
     }
 
 

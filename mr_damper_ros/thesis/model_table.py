@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.model_fit import fit_model, model_force
+from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.io.records import read_record
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.dependency import sound_conditions
@@ -37,11 +37,11 @@ def _judged(part: Window, whole: Window) -> dict[str, Any]:
     results = {}
     for name, model in MODELS.items():
         began = time.process_time()
-        fit = fit_model(model, part)
+        fit = fit_window(model, part, model.initial_values()[0], method="least_squares")
         fitted = time.process_time()
         model.force(fit.parameters, whole.motion, whole.current, whole.period)
         predicted = time.process_time()
-        residual = model_force(model, whole, fit.parameters) - whole.force
+        residual = model.window_force(whole, fit.parameters) - whole.force
         results[name] = {
             "parameters": fit.parameters.tolist(),
             "nrmse": float(np.sqrt(np.mean(residual**2)) / spread),
@@ -67,7 +67,7 @@ def resynthesised(name: str, noise_seed: int) -> dict[str, Any]:
             "velocity": cycle.motion.velocity[::4].tolist(),
             "force": cycle.force[::4].tolist(),
             "models": {
-                key: model_force(model, cycle, np.array(results[key]["parameters"]))[::4].tolist()
+                key: model.window_force(cycle, np.array(results[key]["parameters"]))[::4].tolist()
                 for key, model in MODELS.items()
             },
         }

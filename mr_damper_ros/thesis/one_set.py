@@ -13,10 +13,9 @@ import numpy as np
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, EXTENDED_NAMES, without_extension
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, EXTENDED_NAMES
 from mr_damper_ros.thesis import model_table
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.dependency import sound_conditions
@@ -47,9 +46,9 @@ def recorded(records: list[list[Any]], law: str, generations: int) -> dict[str, 
 
 
 def _identify(windows: list[Window], law: str, generations: int) -> dict[str, Any]:
-    start = without_extension(LITERATURE) if law == EXTENDED_MODEL else LITERATURE
+    start = MODELS[law].initial_values()[0]
     began = time.process_time()
-    fit = identify_global(windows, start, EvolutionSettings(generations=generations))
+    fit = identify_global(MODELS[law], windows, start, EvolutionSettings(generations=generations))
     spread = np.array([float(np.std(w.force)) for w in windows])
     return {
         "parameters": fit.parameter_set.values.tolist(),
@@ -289,7 +288,7 @@ def _loops_figure(data: dict[str, Any]) -> Picture:
         a.plot(v, turn.force, ".", ms=2, color=GREY, label="run")
         for number, law in enumerate(LAWS):
             values = np.array(runs["laws"][law]["parameters"])
-            force = whole.predicted_force(values)[cycle]
+            force = MODELS[law].window_force(whole, values)[cycle]
             a.plot(v, force, ls=DASHES[number], color=INK[number], label=MODELS[law].title)
         a.set(title=title(name), xlabel="Velocity [m/s]")
         a.locator_params(axis="x", nbins=5)

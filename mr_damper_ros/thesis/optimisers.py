@@ -18,9 +18,10 @@ from scipy.optimize import basinhopping, dual_annealing, least_squares
 
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
@@ -127,7 +128,7 @@ def _package_fit(method: str) -> Method:
     """The package's own window fit; starts that are poor compete with some read off the data."""
 
     def search(meter: EvaluationMeter, rng: np.random.Generator) -> None:
-        fit = fit_window(_phases(meter.misfit), _random(rng), method=method)
+        fit = fit_window(MODELS["sigmoid"], _phases(meter.misfit), _random(rng), method=method)
         # Its scales have no bounds, and its Jacobians have seven columns.
         cost = float(meter.misfit.costs(fit.parameters))
         meter.note(fit.parameters, cost, fit.evaluations)

@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published_conditions import Condition, find
 from mr_damper_ros.models.sigmoid.law import (
     coefficient_jacobian,
@@ -15,7 +16,6 @@ from mr_damper_ros.models.sigmoid.law import (
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.thesis.published_runs import synthesise

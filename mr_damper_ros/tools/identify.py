@@ -11,8 +11,9 @@ from mr_damper_ros.estimation.differential_evolution import STRATEGIES, Evolutio
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.interface.findings import searches
 from mr_damper_ros.interface.fit_result import MOST_LEFT
-from mr_damper_ros.interface.identification import IDENTIFIED_MODELS, identify
+from mr_damper_ros.interface.identification import identify
 from mr_damper_ros.io.whole_files import write_text
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.tools.console import FAILED, INTERRUPTED, add_plot_options, run_tool, write_plots
 from mr_damper_ros.tools.progress import ProgressLine
@@ -41,10 +42,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--model",
-        choices=IDENTIFIED_MODELS,
+        choices=tuple(MODELS),
         default=DEFAULT_MODEL,
-        help="sigmoid: the sixteen parameters (default); sigmoid_lag: with the lag of the force, a "
-        "stiffness and an offset as well",
+        help="force law (default %(default)s); sigmoid_lag: with the lag of the force, a stiffness "
+        "and an offset as well",
     )
     parser.add_argument(
         "--method",

@@ -8,16 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.window_fit import WindowFit
-from mr_damper_ros.models.sigmoid.law import (
-    Coefficients,
-    coefficient_jacobian,
-    force_from_coefficients,
-)
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.reservoir import OperatingPoint, nearest_same
-
-_POINTS = 256
 
 
 @dataclass(frozen=True)
@@ -51,23 +47,38 @@ class Baselines:
         return None if index is None else self._fits[index]
 
 
-def force_scale(baselines: Baselines, fit: WindowFit) -> ForceScale:
-    """Scale that maps the baseline's loop onto the loop of a fit, in the least-squares sense.
+def force_scale(model: Model, window: Window, fit: WindowFit, baselines: Baselines) -> ForceScale:
+    """Scale that maps the force of the baseline onto that of a fit, in the least-squares sense.
 
-    Both loops are evaluated over the same sinusoidal cycle of the fit's peak velocity, so noise
-    and phase of the window play no part. The standard error carries the covariance of the fit;
-    that of the baseline is common to all reports and left out.
+    Both are the forces that the sets predict over the motion of the window, so that its noise plays
+    no part. The standard error carries the covariance of the fit; that of the baseline is common to
+    all reports and left out.
     """
     baseline = baselines.get(fit.operating_point)
     if baseline is None:
         return ForceScale()
-    phase = 2.0 * np.pi * np.arange(_POINTS) / _POINTS
-    velocity = fit.operating_point[0] * np.cos(phase)
-    branch = -np.sin(phase)
-    reference = _loop(baseline.coefficients, velocity, branch)
-    present = _loop(fit.coefficients, velocity, branch)
-    jacobian = coefficient_jacobian(Coefficients(*fit.coefficients), velocity, branch)
-    return scale_between(reference, present, jacobian, fit.coefficient_covariance)
+    problem = model.window_problem(window, fit.parameters)
+    settled = problem.settled
+    reference, present = (
+        model.window_force(window, parameters)[settled]
+        for parameters in (baseline.parameters, fit.parameters)
+    )
+    return scale_between(reference, present, problem.jacobian(fit.scales)[settled], fit.covariance)
+
+
+def with_strength(
+    model: Model, window: Window, start: Array, found: ScaleFit, method: str
+) -> WindowFit:
+    """Parameters ``start`` (p,) with the strength of the damper changed, as a fit of the window."""
+    problem = model.window_problem(window, start)
+    moved = np.where(problem.strength, problem.start, 0.0)
+    return fit_of(
+        problem,
+        problem.start + moved * (found.factor - 1.0),
+        np.outer(moved, moved) * found.standard_error**2,
+        method=method,
+        evaluations=2,
+    )
 
 
 def scale_between(
@@ -85,7 +96,3 @@ def scale_between(
     gradient = (reference @ jacobian / power)[determined]
     variance = float(gradient @ covariance[np.ix_(determined, determined)] @ gradient)
     return ForceScale(float(present @ reference) / power, math.sqrt(max(variance, 0.0)))
-
-
-def _loop(coefficients: Array, velocity: Array, branch: Array) -> Array:
-    return force_from_coefficients(Coefficients(*coefficients), velocity, branch)

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
-from mr_damper_ros.estimation.model_fit import model_force, unsettled_samples
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import Model
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Evidence
 
@@ -27,9 +26,9 @@ def evidence_of(
     model: Model, held_back: np.ndarray, window: Window, before: Array, after: Array
 ) -> Evidence:
     """What the held-back samples (mask, shape (n,)) of a window say of two sets (p,)."""
-    settled = ~unsettled_samples(model, window, after)
+    settled = model.settled(window, after)
     spread = float(np.std(window.force))
-    old, new = (model_force(model, window, set_) for set_ in (before, after))
+    old, new = (model.window_force(window, set_) for set_ in (before, after))
     if not np.isfinite(old).all():
         # Whatever was loaded there, anything is better.
         old = np.full(old.size, math.inf)

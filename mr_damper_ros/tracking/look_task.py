@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mr_damper_ros.estimation.model_fit import model_force
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.tracking.acceptance import Evidence
 from mr_damper_ros.tracking.cusum import change_point, fit_scale
-from mr_damper_ros.tracking.following import STRENGTH, lasting_force, scale_of_force, strengthened
-from mr_damper_ros.tracking.force_scale import Baselines
+from mr_damper_ros.tracking.force_scale import Baselines, force_scale, with_strength
 from mr_damper_ros.tracking.held_back import held_back_samples
 from mr_damper_ros.tracking.reservoir import nearest_same
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, WindowSummary
@@ -31,7 +29,7 @@ def run_look(task: FitTask, window: Window) -> FitResult:
     here = window.part(newest).operating_point
     if nearest_same([watch.operating_point], here) is None:
         return FitResult(watch=watch.quiet())
-    predicted = model_force(task.model, window, task.start)
+    predicted = task.model.window_force(window, task.start)
     watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
     if not watch.changed or count < _FEWEST_EARLY:
@@ -40,7 +38,7 @@ def run_look(task: FitTask, window: Window) -> FitResult:
     count -= change_point(predicted[since], window.force[since], _FEWEST_EARLY)
     since = slice(window.sample_count - count, None)
     changed, predicted = window.part(since), predicted[since]
-    lasting = lasting_force(task.model, changed, task.start)
+    lasting = task.model.lasting_force(changed, task.start)
     own, measured = predicted - lasting, changed.force - lasting
     held_back = held_back_samples(count)
     trained = fit_scale(own[~held_back], measured[~held_back]).factor
@@ -53,17 +51,18 @@ def run_look(task: FitTask, window: Window) -> FitResult:
     found = fit_scale(own, measured)
     if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
         return FitResult(watch=watch)  # a sensor has failed, no damper does that
-    fit = strengthened(task.model, changed, task.start, found, EARLY_METHOD)
+    fit = with_strength(task.model, changed, task.start, found, EARLY_METHOD)
     state = task.state
     if state is not None:
-        factors = np.where(STRENGTH, found.factor, 1.0)
+        strength = task.model.window_problem(changed, task.start).strength
+        factors = np.where(strength, found.factor, 1.0)
         state = FilterState(
             state.scales * factors,
             state.covariance * np.outer(factors, factors) + fit.covariance,
             raw.end_ns,
             here,
         )
-    scale = scale_of_force(task.model, changed, fit, Baselines(task.baselines))
+    scale = force_scale(task.model, changed, fit, Baselines(task.baselines))
     return FitResult(
         fit=fit,
         evidence=evidence,

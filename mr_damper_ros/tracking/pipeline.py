@@ -11,8 +11,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import GlobalProgress
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, GlobalProgress
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Control, Done, Failed, Progress, Worker
 from mr_damper_ros.settings.option_table import CheckedSettings, option

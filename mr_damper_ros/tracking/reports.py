@@ -14,10 +14,6 @@ from mr_damper_ros.tracking.force_scale import ForceScale
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, GlobalResult, GlobalTask
 
 
-def _unknown() -> Array:
-    return np.full(7, math.nan)
-
-
 @dataclass(frozen=True, eq=False)
 class Report:
     """Outcome of one window or one global identification, as published; SI units, NaN = unknown.
@@ -45,8 +41,9 @@ class Report:
     frequency: float = math.nan
     current: float = math.nan
     temperature: float = math.nan
-    coefficients: Array = field(default_factory=_unknown)
-    coefficient_errors: Array = field(default_factory=_unknown)
+    coefficient_names: tuple[str, ...] = ()
+    coefficients: Array = field(default_factory=lambda: np.empty(0))
+    coefficient_errors: Array = field(default_factory=lambda: np.empty(0))
     global_due: bool = False
     fluid: FluidTemperature = field(default_factory=FluidTemperature)
 
@@ -61,8 +58,9 @@ def report_of_window(
 ) -> Report:
     """The report of a window; ``set_id`` names the set in use after it."""
     raw, fit, evidence, summary = task.window, result.fit, result.evidence, result.summary
-    coefficients, errors = _unknown(), _unknown()
-    if fit and fit.coefficients.size:
+    names = task.model.coefficient_names
+    coefficients = errors = np.full(len(names), math.nan)
+    if fit:
         coefficients = fit.coefficients
         errors = np.sqrt(np.diag(fit.coefficient_covariance))
     verdict = judgement.verdict
@@ -84,6 +82,7 @@ def report_of_window(
         frequency=summary.frequency if summary else math.nan,
         current=float(np.mean(raw.current)),
         temperature=raw.temperature,
+        coefficient_names=names,
         coefficients=coefficients,
         coefficient_errors=errors,
         global_due=global_due,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
 
 _SAME_VELOCITY = math.log(1.1)
 """Peak velocities within 10 % of each other are one operating point."""

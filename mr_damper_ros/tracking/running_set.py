@@ -10,7 +10,6 @@ import numpy as np
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.acceptance import Evidence
-from mr_damper_ros.tracking.following import fitted_errors, shape_is_known
 from mr_damper_ros.tracking.tasks import WindowSummary
 
 
@@ -30,11 +29,11 @@ def set_of_window(
     model = running.law
     errors = running.standard_errors.copy()
     observable = running.observable.copy()
-    places, found = fitted_errors(model, fit)
+    places, found = model.fitted_errors(fit.scales, fit.covariance)
     errors[places] = found
     observable[places] = np.isfinite(found)
     velocity_range, current_range = summary.peak_velocity_range, summary.current_range
-    if shape_is_known(model, running.observable):
+    if model.knows_shape(running.observable):
         velocity_range = _wider(velocity_range, running.peak_velocity_range)
         current_range = _wider(current_range, running.current_range)
     return ParameterSet(
@@ -58,7 +57,7 @@ def set_of_change(
     model = running.law
     errors = running.standard_errors.copy()
     fitted = np.full(errors.size, math.nan)
-    places, found = fitted_errors(model, fit)
+    places, found = model.fitted_errors(fit.scales, fit.covariance)
     fitted[places] = found
     # The other parameters keep what is known of them.
     changed = model.strength_indices

@@ -10,9 +10,9 @@ import numpy as np
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.window_fit import WindowFit
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Evidence, Judgement
 from mr_damper_ros.tracking.cusum import ChangeWatch

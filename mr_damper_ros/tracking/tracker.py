@@ -14,9 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
-from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT
-from mr_damper_ros.models.sigmoid.sigmoid_model import is_sigmoid
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     ACCEPTED,
@@ -235,15 +233,15 @@ class WindowTracker:
         )
         report = report_of_window(task, result, judgement, set_id, global_due=self._global_is_due())
         # One factor says nothing of the seven coefficients' own errors.
-        return replace(report, coefficient_errors=np.full(7, math.nan))
+        return replace(report, coefficient_errors=np.full_like(report.coefficients, math.nan))
 
     def _global_is_due(self) -> bool:
         period = self._settings.global_period
-        if period == 0 or not is_sigmoid(self._model):
+        if period == 0:
             return False
-        extension = slice(SIGMOID_COUNT, None)
-        if self._model.name != DEFAULT_MODEL and not self.parameters.observable[extension].any():
-            # No window fit finds the lag, the stiffness and the offset; one operating point does.
+        common = self._model.places(self._model.common_names)
+        if common.size and not self.parameters.observable[common].any():
+            # No window fit finds a lag, a stiffness or an offset; one operating point does.
             return self._accepted_since_global > 0
         return self._accepted_since_global >= period and self._reservoir.operating_points > 1
 

@@ -20,7 +20,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import WindowFit
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.tracking.acceptance import AcceptanceHistory
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory
@@ -69,14 +70,20 @@ def to_text(memory: TrackerMemory) -> str:
     return json.dumps(_plain(memory), separators=(",", ":"))
 
 
-def from_text(text: str, parameter_count: int) -> TrackerMemory:
-    """The memory in a line of text, of a tracker whose sets have so many parameters.
+def from_text(text: str, model: Model) -> TrackerMemory:
+    """The memory in a line of text, of a tracker of the model.
 
     Raises StateError where the text is not one, or holds what no tracker has learnt.
     """
     try:
         memory = _read(TrackerMemory, json.loads(text), "memory")
-        _check(memory, parameter_count)
+        # An older version may have known fewer parameters.
+        baselines = tuple(
+            dataclasses.replace(fit, parameters=model.completed(fit.parameters))
+            for fit in memory.baselines
+        )
+        memory = dataclasses.replace(memory, baselines=baselines)
+        _check(memory, len(model.parameters))
     except RecursionError as error:
         raise StateError("the memory of the tracker is nested too deeply") from error
     except (ValueError, OverflowError) as error:

@@ -72,7 +72,7 @@ class TrackerState:
             self._put_aside(str(error))
             return ""
         try:
-            learnt = from_text(memory, parameters.values.size) if memory else None
+            learnt = from_text(memory, parameters.law) if memory else None
         except StateError as error:
             tracker.replace(parameters)
             self._put_aside(f"{error}; going on with {parameters.set_id} alone")

@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import least_squares_covariance, normal_inverse
-from mr_damper_ros.estimation.window_fit import WindowFit
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
 
 METHOD = "unscented"
@@ -38,7 +39,8 @@ _HUBER = 1.345
 class FilterState:
     """Mean (7,) and covariance (7, 7) of the scales after the sample stamped ``stamp_ns``.
 
-    The scales are those of :class:`ScaleMisfit`; ``operating_point`` (peak velocity [m/s],
+    The scales are the unknowns of the model's window problem; ``operating_point`` (peak velocity
+    [m/s],
     current [A]) is where they were last seen.
     """
 
@@ -67,6 +69,7 @@ class UnscentedFilter:
     def __init__(
         self,
         state: FilterState,
+        model: Model,
         window: Window,
         parameters: Array,
         stamp_ns: int,
@@ -74,12 +77,13 @@ class UnscentedFilter:
         drift_rate: float,
         robust: bool = False,
     ) -> None:
-        """``window`` holds the new samples, the last one at ``stamp_ns``; ``parameters`` (16,)
-        have the shape that the scales go with.
+        """``window`` holds the new samples, the last one at ``stamp_ns``; ``parameters`` (p,)
+        of the model have the shape that the scales go with.
         """  # noqa: D205
         self._window = window
+        self._model = model
         self._parameters = parameters
-        self._misfit = ScaleMisfit(window, parameters)
+        self._misfit = model.window_problem(window, parameters)
         self.evaluations = 0
         self._noise = self._measure_noise(state.scales, drift_rate, robust)
         elapsed = max(stamp_ns - state.stamp_ns, 0) * 1e-9
@@ -95,6 +99,16 @@ class UnscentedFilter:
         """Update the state with the chosen samples, a mask of shape (n,)."""
         for block in _blocks(chosen):
             self._update(block)
+
+    def as_fit(self, window: Window) -> WindowFit:
+        """The state as the fit of a window, for all that reports and judges fits."""
+        return fit_of(
+            self._model.window_problem(window, self._parameters),
+            self.state.scales,
+            self.state.covariance,
+            method=METHOD,
+            evaluations=self.evaluations,
+        )
 
     @property
     def noise_level(self) -> float:
@@ -154,7 +168,7 @@ class UnscentedFilter:
         points = state.scales + np.vstack((np.zeros(size), root.T, -root.T))
         weights = np.full(2 * size + 1, 0.5 / (size + _SPREAD))
         weights[0] = _SPREAD / (size + _SPREAD)
-        part = ScaleMisfit(self._window.part(chosen), self._parameters)
+        part = self._model.window_problem(self._window.part(chosen), self._parameters)
         deviation = self._noise.force[chosen]
         residuals = part.residual(points.T[:, :, np.newaxis]) / deviation
         self.evaluations += len(points)
@@ -171,31 +185,6 @@ class UnscentedFilter:
             scales=state.scales - gain @ mean,
             covariance=0.5 * (covariance + covariance.T),
         )
-
-
-def as_fit(state: FilterState, window: Window, parameters: Array, evaluations: int) -> WindowFit:
-    """A state as the fit of a window, for all that reports and judges fits."""
-    misfit = ScaleMisfit(window, parameters)
-    to_coefficients = misfit.base_at(window.operating_point)
-    if state.scales[0] * to_coefficients[0] < 0.0:
-        # Yield force and steepness may change sign together: the positive pair is meant.
-        to_coefficients[:2] *= -1.0
-    rmse = math.sqrt(misfit.sum_of_squares(state.scales) / window.sample_count)
-    return WindowFit(
-        scales=state.scales,
-        covariance=state.covariance,
-        parameters=misfit.parameters(state.scales),
-        coefficients=state.scales * to_coefficients,
-        coefficient_covariance=state.covariance * np.outer(to_coefficients, to_coefficients),
-        operating_point=window.operating_point,
-        rmse=rmse,
-        nrmse=rmse / float(np.std(window.force)),
-        sample_count=window.sample_count,
-        method=METHOD,
-        evaluations=evaluations,
-        success=True,
-        message="converged",
-    )
 
 
 def state_of(fit: WindowFit, stamp_ns: int) -> FilterState | None:

@@ -7,14 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mr_damper_ros.estimation.map_estimate import with_prior
-from mr_damper_ros.estimation.model_fit import model_force, unsettled_samples
-from mr_damper_ros.estimation.window_fit import WindowFit
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Evidence, fault_of_data
 from mr_damper_ros.tracking.cusum import ChangeWatch
-from mr_damper_ros.tracking.following import fit_to_window, scale_of_force
-from mr_damper_ros.tracking.force_scale import Baselines
+from mr_damper_ros.tracking.force_scale import Baselines, force_scale
 from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples
 from mr_damper_ros.tracking.look_task import run_look
 from mr_damper_ros.tracking.reservoir import nearest_same, thinned_to_keep
@@ -24,7 +22,6 @@ from mr_damper_ros.tracking.unscented_filter import (
     METHOD,
     FilterState,
     UnscentedFilter,
-    as_fit,
     state_of,
 )
 
@@ -62,7 +59,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
             return filtered
         held_back = held_back_samples(window.sample_count)
         model = task.model
-        trained = fit_to_window(
+        trained = fit_window(
             model,
             window.part(~held_back),
             task.start,
@@ -77,7 +74,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
             )
         evidence = evidence_of(model, held_back, window, task.start, trained.parameters)
         # What is published uses every sample; the held-back part only judged whether to.
-        final = fit_to_window(
+        final = fit_window(
             model, window, trained.parameters, method="least_squares", robust=settings.robust
         )
         if task.known:
@@ -121,6 +118,7 @@ def _filtered(task: FitTask, window: Window, state: FilterState) -> FitResult | 
     held_back = held_back_samples(new.sample_count)
     follower = UnscentedFilter(
         state,
+        task.model,
         new,
         task.start,
         raw.end_ns,
@@ -128,12 +126,12 @@ def _filtered(task: FitTask, window: Window, state: FilterState) -> FitResult | 
         robust=settings.robust,
     )
     follower.take_in(~held_back)
-    trained = as_fit(follower.state, new, task.start, follower.evaluations).parameters
+    trained = follower.as_fit(new).parameters
     evidence = evidence_of(task.model, held_back, new, task.start, trained)
     if evidence.rmse_after > _ASTRAY * follower.noise_level:
         return None
     follower.take_in(held_back)
-    fit = as_fit(follower.state, window, task.start, follower.evaluations)
+    fit = follower.as_fit(window)
     return _fitted(task, window, fit, evidence, follower.state)
 
 
@@ -141,15 +139,15 @@ def _fitted(
     task: FitTask, window: Window, fit: WindowFit, evidence: Evidence, state: FilterState | None
 ) -> FitResult:
     """The result of a fit: with its force scale, and a watch for changes from its window on."""
-    settled = ~unsettled_samples(task.model, window, fit.parameters)
-    predicted = model_force(task.model, window, fit.parameters)
+    settled = task.model.settled(window, fit.parameters)
+    predicted = task.model.window_force(window, fit.parameters)
     watch = ChangeWatch.after_fit(
         predicted[settled],
         window.force[settled],
         fit.operating_point,
         task.settings.smallest_change,
     )
-    scale = scale_of_force(task.model, window, fit, Baselines(task.baselines))
+    scale = force_scale(task.model, window, fit, Baselines(task.baselines))
     return FitResult(
         fit=fit,
         evidence=evidence,

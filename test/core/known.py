@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
@@ -20,7 +22,7 @@ from mr_damper_ros.models.sigmoid.law import (
     force,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.models.window_problem import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.reports import Report
@@ -42,9 +44,12 @@ PLAUSIBLE = np.array(
         *(9.0, 4.0, 6.0, 18.0, -0.45, -0.11, 0.06, 0.012),
     ]
 )
+
+SIGMOID, EXTENDED = MODELS["sigmoid"], MODELS["sigmoid_lag"]
+
 """Sixteen parameters of a damper whose laws all show within 0.01 to 0.25 m/s and 0 to 1.5 A."""
 
-EXAMPLES = {
+_AT_ANY_CURRENT = {
     "bingham": np.array([500.0, 4000.0, -30.0]),
     "hyperbolic_tangent": np.array([3000.0, 2000.0, 600.0, 90.0, 0.6, -20.0]),
     "nonlinear_biviscous": np.array([4000.0, 60000.0, 500.0, 0.006, -20.0]),
@@ -53,9 +58,19 @@ EXAMPLES = {
     "sigmoid": PLAUSIBLE,
     "sigmoid_lag": np.array([*PLAUSIBLE, 3e-8, 2000.0, -40.0]),
 }
-"""Parameters of a damper by the name of its model."""
+
+EXAMPLES = {
+    name: np.pad(values, (0, len(MODELS[name].parameters) - values.size))
+    for name, values in _AT_ANY_CURRENT.items()
+}
+"""Parameters of a damper by the name of its model, of one that no current changes."""
 
 SHAPE = np.array([PARAMETER_NAMES.index(name) for name in SHAPE_PARAMETER_NAMES])
+
+
+def sum_of_squares(problem: WindowProblem) -> float:
+    """Sum of the squared residual [N²] of a window's problem at its start."""
+    return float(np.sum(problem.residual(problem.start) ** 2))
 
 
 def index(name: str) -> int:

@@ -28,7 +28,6 @@ from benchmarks.dampers import clean_windows, steady_window
 from benchmarks.figure import Figure, table
 from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import scaled
@@ -272,7 +271,7 @@ def test_a_motion_is_predicted_by_the_set_of_the_others(tmp_path: Path) -> None:
         for ampere, current in (("0x5", 0.5), ("1", 1.0)):
             run = known.run(amplitude=amplitude, frequency=frequency, current=current, samples=1000)
             write_record(tmp_path / "processed", f"{name}{ampere}A", run)
-    median, mean = utfsm_left_out.left_out_nrmse(tmp_path, LITERATURE)
+    median, mean = utfsm_left_out.left_out_nrmse(tmp_path, "sigmoid")
     alone = [
         100.0 * known.NOISE / np.std(window.force)
         for window in recordings.processed_windows(tmp_path)

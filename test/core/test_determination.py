@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from known import SIGMOID
 
 from mr_damper_ros.estimation.determination import (
     Determination,
     determination,
     noise_level,
     parameter_spans,
-    plausible_ranges,
 )
 from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
 from mr_damper_ros.estimation.observability import (
@@ -25,15 +25,15 @@ from mr_damper_ros.estimation.observability import (
     operating_points_within,
     varied_parameters,
 )
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 
 TOP_VELOCITY = 2.0 * math.pi * 3.0 * 10e-3
 TOP_CURRENT = 1.5
 RIG = RigRange(amplitude=10e-3, peak_velocity=TOP_VELOCITY, current=TOP_CURRENT)
-RANGES = plausible_ranges(TOP_VELOCITY, TOP_CURRENT)
+RANGES = SIGMOID.plausible_ranges([], TOP_VELOCITY, TOP_CURRENT)
 ROUNDING = 1e-9
 
 
@@ -58,8 +58,8 @@ def pooled(chosen: list[Window]) -> PooledMisfit:
 def determined(chosen: list[Window]) -> Determination:
     misfit = pooled(chosen)
     jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit, known.PLAUSIBLE)
-    spans = parameter_spans(jacobian, known.PLAUSIBLE, RANGES)
-    return determination(jacobian, PARAMETER_NAMES, spans)
+    spans = parameter_spans(SIGMOID, jacobian, known.PLAUSIBLE, RANGES)
+    return determination(SIGMOID, jacobian, spans)
 
 
 # -- rank, condition, combinations -----------------------------------------------------------
@@ -95,7 +95,7 @@ def random_jacobian(seed: int, rank: int) -> Array:
 @given(st.integers(0, 10_000), st.integers(1, 16))
 def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, rank: int) -> None:
     jacobian = random_jacobian(seed, rank)
-    result = determination(jacobian, PARAMETER_NAMES, np.ones(16))
+    result = determination(SIGMOID, jacobian, np.ones(16))
     assert result.rank + len(result.open) == 16
     for combination in result.open:
         if math.isinf(combination.standard_error):
@@ -108,7 +108,7 @@ def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, r
 @known.fixed(25)
 @given(st.integers(0, 10_000), st.integers(1, 15))
 def test_each_open_combination_is_led_by_another_parameter(seed: int, rank: int) -> None:
-    result = determination(random_jacobian(seed, rank), PARAMETER_NAMES, np.ones(16))
+    result = determination(SIGMOID, random_jacobian(seed, rank), np.ones(16))
     leads = [next(iter(combination.weights)) for combination in result.open]
     assert len(set(leads)) == len(leads)
 
@@ -117,10 +117,10 @@ def test_units_do_not_change_what_is_determined() -> None:
     chosen = windows((0.0, 1.0))
     misfit = pooled(chosen)
     jacobian = misfit.jacobian(known.PLAUSIBLE)
-    spans = parameter_spans(jacobian, known.PLAUSIBLE, RANGES)
+    spans = parameter_spans(SIGMOID, jacobian, known.PLAUSIBLE, RANGES)
     units = np.geomspace(1e-6, 1e6, 16)
-    first = determination(jacobian, PARAMETER_NAMES, spans)
-    second = determination(jacobian * units, PARAMETER_NAMES, spans / units)
+    first = determination(SIGMOID, jacobian, spans)
+    second = determination(SIGMOID, jacobian * units, spans / units)
     np.testing.assert_allclose(
         first.singular_values, second.singular_values, atol=ROUNDING * first.singular_values[0]
     )
@@ -129,7 +129,7 @@ def test_units_do_not_change_what_is_determined() -> None:
 def test_two_parameters_with_the_same_effect_are_one_combination() -> None:
     jacobian = 10.0 * np.random.default_rng(0).normal(size=(400, 16))
     jacobian[:, known.index("a3")] = 2.0 * jacobian[:, known.index("a2")]
-    (combination,) = determination(jacobian, PARAMETER_NAMES, np.ones(16)).open
+    (combination,) = determination(SIGMOID, jacobian, np.ones(16)).open
     assert combination.weights == pytest.approx({"a2": 1.0, "a3": -0.5})
     assert combination.words == "a2 - 0.5 a3"
     assert math.isinf(combination.standard_error)
@@ -139,7 +139,7 @@ def test_a_weak_combination_has_the_standard_error_of_its_parameter() -> None:
     columns = np.linalg.qr(np.random.default_rng(1).normal(size=(100, 16)))[0]
     sizes = np.full(16, 100.0)
     sizes[known.index("k0")] = 0.5
-    (combination,) = determination(columns * sizes, PARAMETER_NAMES, np.ones(16)).open
+    (combination,) = determination(SIGMOID, columns * sizes, np.ones(16)).open
     assert combination.words == "k0"
     assert combination.standard_error == pytest.approx(2.0)
 
@@ -153,13 +153,13 @@ def flags(chosen: list[Window]) -> np.ndarray:
     jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit, known.PLAUSIBLE)
     sizes = {name: high - low for name, (low, high) in RANGES.items()}
     names = determined_parameters(
-        jacobian, varied_parameters(*operating_points_within(chosen)), sizes
+        SIGMOID, jacobian, varied_parameters(SIGMOID, *operating_points_within(chosen)), sizes
     )
     return np.array([name in names for name in PARAMETER_NAMES])
 
 
 def advised(chosen: list[Window], rig: RigRange = RIG) -> tuple[ExtraRun, ...]:
-    return extra_runs(pooled(chosen), known.NOISE, known.PLAUSIBLE, flags(chosen), rig)
+    return extra_runs(SIGMOID, pooled(chosen), known.NOISE, known.PLAUSIBLE, flags(chosen), rig)
 
 
 OPEN = {

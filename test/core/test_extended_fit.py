@@ -9,18 +9,20 @@ from itertools import product
 import known
 import numpy as np
 import pytest
+from known import EXTENDED, SIGMOID
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, fit_window
 from mr_damper_ros.kinematics.motion import window_motion
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_NAMES
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, operating_point_coefficients
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
+from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 
 LAW = MODELS["sigmoid_lag"]
 TRUTH = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0])
@@ -95,7 +97,7 @@ def test_a_part_sees_the_lag_of_the_whole(frequency):
     spread = np.std(whole.force)
     chunks = np.arange(whole.sample_count) // 50 % 4 == 3
     for part in (whole, whole.part(chunks), whole.part(chunks).part(slice(10, None, 7))):
-        error = part.predicted_force(TRUTH) - part.force
+        error = EXTENDED.window_force(part, TRUTH) - part.force
         assert known.rms(error) < FINE * spread
 
 
@@ -104,7 +106,7 @@ def test_a_thinned_window_sees_the_lag_of_the_whole(frequency):
     whole = window(frequency, seed=None)
     thinned = whole.thinned(100)
     assert 100 <= thinned.sample_count < 200
-    error = thinned.predicted_force(TRUTH) - thinned.force
+    error = EXTENDED.window_force(thinned, TRUTH) - thinned.force
     assert known.rms(error) < THINNED * FINE * np.std(whole.force)
 
 
@@ -114,9 +116,9 @@ def test_the_scales_of_a_window_are_found_where_the_extension_is_known(frequency
     start = TRUTH.copy()
     start[SCALE_INDICES] *= 1.3
     for method in WINDOW_METHODS:
-        fit = fit_window(here, start, method=method)
+        fit = fit_window(EXTENDED, here, start, method=method)
         truth = ScaleMisfit(here, TRUTH)
-        assert fit.rmse**2 * here.sample_count <= truth.sum_of_squares(truth.start)
+        assert fit.rmse**2 * here.sample_count <= known.sum_of_squares(truth)
         errors = (fit.scales - truth.start) / np.sqrt(np.diag(fit.covariance))
         assert np.max(np.abs(errors)) < STANDARD_ERRORS, method
         np.testing.assert_array_equal(fit.parameters[16:], TRUTH[16:])
@@ -127,9 +129,9 @@ def test_a_poor_start_is_searched_from_as_well_as_what_is_read_off_the_data():
     here = window(0.2)
     start = TRUTH.copy()
     start[SCALE_INDICES] *= 1.3
-    fit = fit_window(here, start, method="least_squares")
+    fit = fit_window(EXTENDED, here, start, method="least_squares")
     truth = ScaleMisfit(here, TRUTH)
-    assert fit.rmse**2 * here.sample_count <= truth.sum_of_squares(truth.start)
+    assert fit.rmse**2 * here.sample_count <= known.sum_of_squares(truth)
 
 
 @MOTIONS
@@ -168,7 +170,7 @@ def test_a_window_without_its_period_cannot_have_a_lag():
     whole = window()
     lone = Window(whole.motion, whole.force, whole.current)
     with pytest.raises(ValueError, match="the sample period of the window is not known"):
-        fit_window(lone, TRUTH)
+        fit_window(EXTENDED, lone, TRUTH)
 
 
 @cache
@@ -230,14 +232,16 @@ def runs(extension: np.ndarray, currents: tuple[float, ...]) -> list[Window]:
             amplitude=amplitude, frequency=frequency, current=current, samples=600, seed=seed
         )
         window = run.window
-        late = window.predicted_force(parameters) - window.predicted_force(known.PLAUSIBLE)
+        late = EXTENDED.window_force(window, parameters) - SIGMOID.window_force(
+            window, known.PLAUSIBLE
+        )
         windows.append(replace(window, force=window.force + late))
     return windows
 
 
 @pytest.fixture(scope="module")
 def found() -> GlobalFit:
-    return identify_global(runs(TRUTH[16:], CURRENTS), np.append(LITERATURE, NONE), QUICK)
+    return identify_global(EXTENDED, runs(TRUTH[16:], CURRENTS), np.append(LITERATURE, NONE), QUICK)
 
 
 def test_the_extension_is_found_with_the_sixteen(found):
@@ -250,7 +254,7 @@ def test_the_extension_is_found_with_the_sixteen(found):
 
 def test_all_runs_are_fitted_down_to_the_noise(found):
     windows = runs(TRUTH[16:], CURRENTS)
-    left = [w.predicted_force(found.parameter_set.values) - w.force for w in windows]
+    left = [EXTENDED.window_force(w, found.parameter_set.values) - w.force for w in windows]
     assert known.rms(np.concatenate(left)) < FITTED_RUNS * known.NOISE
 
 
@@ -271,17 +275,17 @@ def test_a_damper_that_is_early_has_no_lag():
     start = np.append(known.PLAUSIBLE, [1e-8, 0.0, 0.0])
     early = []
     for window in runs(NONE, (0.0, 0.8)):
-        plain = window.predicted_force(known.PLAUSIBLE)
+        plain = SIGMOID.window_force(window, known.PLAUSIBLE)
         ahead = plain + 2e-3 * np.gradient(plain, PERIOD)
         early.append(replace(window, force=ahead + window.force - plain))
-    got = identify_global(early, start, QUICK).parameter_set
+    got = identify_global(EXTENDED, early, start, QUICK).parameter_set
     assert got.values[16] == 0.0
     assert not got.observable[16]
 
 
 def test_of_a_damper_without_lag_none_is_found():
     start = np.append(known.PLAUSIBLE, NONE)
-    got = identify_global(runs(NONE, (0.0, 0.8)), start, QUICK).parameter_set
+    got = identify_global(EXTENDED, runs(NONE, (0.0, 0.8)), start, QUICK).parameter_set
     known_to = np.nan_to_num(got.standard_errors[16:])
     assert np.all(np.abs(got.values[16:]) <= STANDARD_ERRORS * known_to)
 
@@ -290,7 +294,7 @@ def test_of_a_damper_without_lag_none_is_found():
 def test_every_method_identifies_the_extended_law(method):
     windows = runs(TRUTH[16:], (0.6,))[2:]
     start = np.append(known.PLAUSIBLE, NONE)
-    fit = identify_global(windows, start, QUICK, method=method)
+    fit = identify_global(EXTENDED, windows, start, QUICK, method=method)
     assert fit.parameter_set.values.shape == (19,)
     noise = np.median([known.NOISE / np.std(w.force) for w in windows])
     assert fit.median_nrmse < FITTED_QUICKLY * noise

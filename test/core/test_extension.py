@@ -9,13 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.first_order_lag import FirstOrderLag, lagged
 from mr_damper_ros.models.sigmoid.extension import (
     EXTENDED_NAMES,
     Extension,
-    FirstOrderLag,
     extension_of,
     is_extended,
-    lagged,
     name_of_law,
 )
 

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from known import SIGMOID
 
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.rig.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
@@ -71,10 +72,10 @@ def heated(seed: int = 0) -> Heated:
     for _ in range(26):
         block = rig.next_block(2000)
         window = Window.from_samples(block.displacement, block.force, block.current, block.period)
-        fit = fit_window(window, start, method="least_squares")
+        fit = fit_window(SIGMOID, window, start, method="least_squares")
         baselines.add(fit)
         start = fit.parameters
-        scales.append(force_scale(baselines, fit))
+        scales.append(force_scale(SIGMOID, window, fit, baselines))
         celsius.append(float(block.temperature.mean()))
     return Heated(np.array(celsius), tuple(scales))
 

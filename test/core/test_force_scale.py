@@ -7,10 +7,11 @@ import math
 import known
 import numpy as np
 import pytest
+from known import SIGMOID
 
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.tracking.force_scale import Baselines, force_scale
+from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale
 
 WEAKER = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
 
@@ -31,30 +32,32 @@ SCATTER = 0.3
 
 
 def fit_of(run: known.Run) -> WindowFit:
-    return fit_window(run.window, known.PLAUSIBLE, method="least_squares")
+    return fit_window(SIGMOID, run.window, known.PLAUSIBLE, method="least_squares")
 
 
-def scale_between(before: WindowFit, after: WindowFit) -> tuple[float, float]:
+def scale_of(baselines: Baselines, run: known.Run) -> ForceScale:
+    return force_scale(SIGMOID, run.window, fit_of(run), baselines)
+
+
+def scale_between(before: known.Run, after: known.Run) -> tuple[float, float]:
     baselines = Baselines()
-    baselines.add(before)
-    scale = force_scale(baselines, after)
+    baselines.add(fit_of(before))
+    scale = scale_of(baselines, after)
     return scale.value, scale.standard_error
 
 
 def test_a_weaker_damper_has_a_smaller_scale() -> None:
-    value, _ = scale_between(fit_of(known.run(seed=None)), fit_of(known.run(WEAKER, seed=None)))
+    value, _ = scale_between(known.run(seed=None), known.run(WEAKER, seed=None))
     assert value == pytest.approx(0.9, rel=NOISELESS)
 
 
 def test_without_noise_the_scale_has_no_error() -> None:
-    _, error = scale_between(fit_of(known.run(seed=None)), fit_of(known.run(WEAKER, seed=None)))
+    _, error = scale_between(known.run(seed=None), known.run(WEAKER, seed=None))
     assert error < NOISELESS
 
 
 def test_phase_and_noise_of_the_windows_play_no_part() -> None:
-    value, error = scale_between(
-        fit_of(known.run(seed=1, phase=0.3)), fit_of(known.run(WEAKER, seed=2, phase=2.9))
-    )
+    value, error = scale_between(known.run(seed=1, phase=0.3), known.run(WEAKER, seed=2, phase=2.9))
     # Both fits have an error; the scale tells that of the second.
     assert value == pytest.approx(0.9, abs=STANDARD_ERRORS * math.sqrt(2.0) * error)
     assert error < SMALL_ERROR
@@ -65,18 +68,18 @@ def test_the_scale_between_the_published_temperatures_is_that_of_their_forces() 
         known.run(p, current=1.5, seed=None) for p in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
     )
     expected = float(cold.clean @ warm.clean) / float(cold.clean @ cold.clean)
-    assert scale_between(fit_of(cold), fit_of(warm))[0] == pytest.approx(expected, rel=OTHER_PHASES)
+    assert scale_between(cold, warm)[0] == pytest.approx(expected, rel=OTHER_PHASES)
 
 
 def test_the_standard_error_is_the_scatter() -> None:
-    baseline = fit_of(known.run(seed=None))
-    scales = [scale_between(baseline, fit_of(known.run(seed=seed))) for seed in range(60)]
+    baseline = known.run(seed=None)
+    scales = [scale_between(baseline, known.run(seed=seed)) for seed in range(60)]
     values, errors = np.array(scales).T
     assert np.std(values) / np.mean(errors) == pytest.approx(1.0, rel=SCATTER)
 
 
 def test_without_a_baseline_there_is_no_scale() -> None:
-    scale = force_scale(Baselines(), fit_of(known.run()))
+    scale = scale_of(Baselines(), known.run())
     assert math.isnan(scale.value)
     assert math.isnan(scale.standard_error)
 
@@ -87,14 +90,14 @@ def test_without_a_baseline_there_is_no_scale() -> None:
 def test_another_operating_point_has_another_baseline(elsewhere: dict[str, float]) -> None:
     baselines = Baselines()
     baselines.add(fit_of(known.run()))
-    assert math.isnan(force_scale(baselines, fit_of(known.run(**elsewhere))).value)
+    assert math.isnan(scale_of(baselines, known.run(**elsewhere)).value)
 
 
 def test_the_first_fit_stays_the_baseline() -> None:
     baselines = Baselines()
     for parameters in (known.PLAUSIBLE, WEAKER):
         baselines.add(fit_of(known.run(parameters, seed=None)))
-    scale = force_scale(baselines, fit_of(known.run(WEAKER, seed=None)))
+    scale = scale_of(baselines, known.run(WEAKER, seed=None))
     assert scale.value == pytest.approx(0.9, rel=NOISELESS)
 
 
@@ -114,7 +117,7 @@ def test_an_operating_point_at_the_edge_of_a_cell_has_one_baseline(what: str) ->
     for factor, parameters in ((1.0 - EDGE, known.PLAUSIBLE), (1.0 + EDGE, WEAKER)):
         amplitude = speed / (2.0 * math.pi) * (factor if what == "peak velocity" else 1.0)
         i = current * (factor if what == "current" else 1.0)
-        fit = fit_of(known.run(parameters, amplitude=amplitude, current=i, seed=None))
-        scale = force_scale(baselines, fit)
-        baselines.add(fit)
+        run = known.run(parameters, amplitude=amplitude, current=i, seed=None)
+        scale = scale_of(baselines, run)
+        baselines.add(fit_of(run))
     assert scale.value == pytest.approx(0.9, rel=ACROSS_THE_EDGE)

@@ -5,16 +5,17 @@ from __future__ import annotations
 import known
 import numpy as np
 import pytest
+from known import SIGMOID
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.estimation.map_estimate import WANDER, with_prior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, SCALE_INDICES
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
+from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 from mr_damper_ros.signals.arrays import Array
 
-SIGMOID = MODELS["sigmoid"]
 RUNNING = known.PLAUSIBLE
 RANDOM = BandLimitedRandom(rms=4e-3, low=0.2, high=2.0, seed=2)
 
@@ -39,7 +40,7 @@ def random_window(first: int, samples: int, *, unmodelled: float = 0.2, seed: in
     """A window of random motion; ``unmodelled`` [1]: a slow part of the force that no law has."""
     whole = RANDOM.at(np.arange(20_000) * 1e-3).displacement
     window = Window.from_samples(whole, np.zeros(whole.size), 1.0, 1e-3)
-    clean = window.predicted_force(RUNNING)
+    clean = SIGMOID.window_force(window, RUNNING)
     slow = BandLimitedRandom(rms=1.0, low=0.2, high=4.0, seed=10 + seed)
     rest = unmodelled * np.std(clean) * slow.at(np.arange(20_000) * 1e-3).displacement
     force = clean + rest + np.random.default_rng(seed).normal(0.0, known.NOISE, clean.size)
@@ -47,7 +48,7 @@ def random_window(first: int, samples: int, *, unmodelled: float = 0.2, seed: in
 
 
 def own(window: Window) -> WindowFit:
-    return fit_window(window, RUNNING, method="least_squares")
+    return fit_window(SIGMOID, window, RUNNING, method="least_squares")
 
 
 def test_a_steady_sine_is_fitted_as_without_a_running_set() -> None:
@@ -70,7 +71,7 @@ def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
         weighed = with_prior(SIGMOID, alone, window, RUNNING)
         errors.append(
             [
-                known.rms(elsewhere.predicted_force(fit.parameters) - elsewhere.force)
+                known.rms(SIGMOID.window_force(elsewhere, fit.parameters) - elsewhere.force)
                 for fit in (alone, weighed)
             ]
         )
@@ -85,7 +86,7 @@ def test_a_slope_that_a_window_hardly_shows_stays(seed: int) -> None:
     displacement = 0.016 * np.sin(2.0 * np.pi * (time - 0.13))
     whole = Window.from_samples(displacement, np.zeros(400), 1.0, 1e-3)
     rest = BandLimitedRandom(rms=30.0, low=2.0, high=20.0, seed=seed).at(time).displacement
-    made = Window(whole.motion, whole.predicted_force(RUNNING) + rest, whole.current, 1e-3)
+    made = Window(whole.motion, SIGMOID.window_force(whole, RUNNING) + rest, whole.current, 1e-3)
     window = made.part(whole.motion.velocity > -0.002)
     weighed = with_prior(SIGMOID, own(window), window, RUNNING, fastest=0.1)
     backwards = COEFFICIENT_NAMES.index("k_e")
@@ -97,7 +98,7 @@ def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
     window = random_window(0, 1000)
     weighed = with_prior(SIGMOID, own(window), window, RUNNING)
     jacobian = ScaleMisfit(window, RUNNING).jacobian(ScaleMisfit(window, RUNNING).start)
-    force = known.rms(window.predicted_force(RUNNING))
+    force = known.rms(SIGMOID.window_force(window, RUNNING))
     effects = np.sqrt(np.mean(jacobian**2, axis=0) * np.diag(weighed.covariance)) / force
     assert np.all(effects <= WANDER * (1.0 + ROUNDING))
 

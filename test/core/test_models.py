@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.sigmoid.extension import lagged
+from mr_damper_ros.models.first_order_lag import lagged
 from mr_damper_ros.models.sigmoid.law import force, operating_point_coefficients
 
 PERIOD = 1e-3
@@ -78,14 +78,14 @@ def test_interface(name):
 
 def test_bingham():
     w = motion()
-    f_y, c, f0 = EXAMPLES["bingham"]
+    f_y, c, f0 = EXAMPLES["bingham"][:3]
     got = MODELS["bingham"].force(EXAMPLES["bingham"], w, 0.0, PERIOD)
     np.testing.assert_allclose(got, f_y * np.sign(w.velocity) + c * w.velocity + f0)
 
 
 def test_biviscous_is_the_published_six_pieces():
     w = motion(777)
-    c_post, c_pre, f_y, v0, f0 = EXAMPLES["nonlinear_biviscous"]
+    c_post, c_pre, f_y, v0, f0 = EXAMPLES["nonlinear_biviscous"][:5]
     v1 = (f_y - c_pre * v0) / (c_pre - c_post)
     v2 = (f_y + c_pre * v0) / (c_pre - c_post)
     expected = []
@@ -105,7 +105,7 @@ def test_biviscous_is_the_published_six_pieces():
 
 def test_hyperbolic_tangent():
     w = motion()
-    c, k, alpha, beta, delta, f0 = EXAMPLES["hyperbolic_tangent"]
+    c, k, alpha, beta, delta, f0 = EXAMPLES["hyperbolic_tangent"][:6]
     z = np.tanh(beta * w.velocity + delta * np.sign(w.displacement))
     expected = c * w.velocity + k * w.displacement + alpha * z + f0
     got = MODELS["hyperbolic_tangent"].force(EXAMPLES["hyperbolic_tangent"], w, 0.0, PERIOD)
@@ -192,7 +192,7 @@ def hysteresis_rate(z, w, length, share, power):
 
 
 def reference_bouc_wen(times):
-    c0, k0, f0, alpha, *shape = EXAMPLES["bouc_wen"]
+    c0, k0, f0, alpha, *shape = EXAMPLES["bouc_wen"][:7]
     solved = solve_ivp(
         lambda t, z: hysteresis_rate(z, u_v(t)[1], *shape),
         (0.0, times[-1]),
@@ -207,7 +207,7 @@ def reference_bouc_wen(times):
 
 
 def reference_modified(times):
-    c0, k0, c1, k1, f0, alpha, *shape = EXAMPLES["modified_bouc_wen"]
+    c0, k0, c1, k1, f0, alpha, *shape = EXAMPLES["modified_bouc_wen"][:9]
 
     def inner(t, z, y):
         u, v = u_v(t)

@@ -11,6 +11,7 @@ from functools import cache
 import known
 import numpy as np
 import pytest
+from known import SIGMOID
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, GlobalProgress
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
@@ -20,8 +21,8 @@ from mr_damper_ros.estimation.multi_start import (
     SearchRecordError,
     identify_from_seeds,
 )
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 
 FEW = EvolutionSettings(generations=20, population=6, seed=3)
@@ -43,12 +44,12 @@ def searched(
     method: str = "global",
 ) -> MultiStart:
     return identify_from_seeds(
-        windows(), LITERATURE, FEW, count, report, method=method, record=record
+        SIGMOID, windows(), LITERATURE, FEW, count, report, method=method, record=record
     )
 
 
 def empty(method: str = "global", settings: EvolutionSettings = FEW) -> SearchRecord:
-    return SearchRecord(windows(), LITERATURE, settings, method)
+    return SearchRecord(SIGMOID, windows(), LITERATURE, settings, method)
 
 
 def assert_same(first: GlobalFit, second: GlobalFit) -> None:
@@ -75,7 +76,10 @@ def test_each_search_is_that_of_its_seed() -> None:
     assert list(found.fits) == [3, 4]
     for seed, fit in found.fits.items():
         alone = identify_global(
-            windows(), LITERATURE, EvolutionSettings(generations=20, population=6, seed=seed)
+            SIGMOID,
+            windows(),
+            LITERATURE,
+            EvolutionSettings(generations=20, population=6, seed=seed),
         )
         assert_same(fit, alone)
 
@@ -88,7 +92,7 @@ def test_the_best_is_the_one_with_the_lowest_cost() -> None:
 def test_the_cost_counts_in_units_of_the_noise() -> None:
     found = searched(1).best
     expected = [
-        known.rms(window.predicted_force(found.parameter_set.values) - window.force) / noise
+        known.rms(SIGMOID.window_force(window, found.parameter_set.values) - window.force) / noise
         for window, noise in zip(windows(), found.noise, strict=True)
     ]
     assert found.cost == pytest.approx(np.mean(np.square(expected)))
@@ -188,7 +192,7 @@ def test_a_resumed_search_ends_no_worse(method: str, after: int) -> None:
 def test_what_was_found_is_kept_as_soon_as_it_is_there() -> None:
     kept: list[int] = []
     identify_from_seeds(
-        windows(), LITERATURE, FEW, 2, keep=lambda record: kept.append(len(record.fits))
+        SIGMOID, windows(), LITERATURE, FEW, 2, keep=lambda record: kept.append(len(record.fits))
     )
     assert kept == [1, 2]
 
@@ -196,8 +200,8 @@ def test_what_was_found_is_kept_as_soon_as_it_is_there() -> None:
 OTHER = {
     "other settings": empty(settings=EvolutionSettings(generations=21, population=6)),
     "another method": empty("least_squares"),
-    "another start": SearchRecord(windows(), known.PLAUSIBLE, FEW, "global"),
-    "other windows": SearchRecord(windows()[:2], LITERATURE, FEW, "global"),
+    "another start": SearchRecord(SIGMOID, windows(), known.PLAUSIBLE, FEW, "global"),
+    "other windows": SearchRecord(SIGMOID, windows()[:2], LITERATURE, FEW, "global"),
 }
 
 
@@ -218,6 +222,6 @@ def test_what_is_no_record_is_refused(document: object) -> None:
 
 
 def test_a_set_from_before_is_a_candidate_too() -> None:
-    fit = identify_global(windows(), LITERATURE, FEW, known=known.PLAUSIBLE)
+    fit = identify_global(SIGMOID, windows(), LITERATURE, FEW, known=known.PLAUSIBLE)
     assert "an earlier search" in [candidate.origin for candidate in fit.candidates]
     assert math.isfinite(fit.cost)

@@ -7,20 +7,20 @@ import math
 import known
 import numpy as np
 import pytest
+from known import SIGMOID
 from scipy.signal import lfilter
 
+from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.covariance import least_squares_covariance
-from mr_damper_ros.estimation.determination import plausible_ranges
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.profile_likelihood import ProfileLikelihood
-from mr_damper_ros.models.sigmoid.adaptation import adapted
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
     operating_point_coefficients,
 )
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 
 NORMAL_QUANTILE = 1.96
@@ -40,7 +40,7 @@ MEMORY = 0.9
 """Lag-1 autocorrelation of the residual."""
 
 ALL = np.ones(16, dtype=bool)
-RANGES = plausible_ranges(0.19, 1.5)
+RANGES = SIGMOID.plausible_ranges([], 0.19, 1.5)
 
 
 def windows(
@@ -84,7 +84,7 @@ def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
     covariance = least_squares_covariance(misfit.jacobian(values), misfit.residual(values))
     place = known.index(name)
     half = NORMAL_QUANTILE * math.sqrt(covariance[place, place])
-    low, high = ProfileLikelihood(misfit, values, ALL, RANGES).of(name).interval
+    low, high = ProfileLikelihood(SIGMOID, misfit, values, ALL, RANGES).of(name).interval
     assert (high - low) / (2.0 * half) == pytest.approx(1.0, abs=NEARLY_LINEAR)
     assert 0.5 * (low + high) == pytest.approx(values[place], abs=CENTRED * half)
 
@@ -92,7 +92,7 @@ def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
 def test_the_others_give_way(fit: tuple[PooledMisfit, Array]) -> None:
     """With the others held, the value would seem to be known so many times as well, or better."""
     misfit, values = fit
-    profile = ProfileLikelihood(misfit, values, ALL, RANGES).of("I0")
+    profile = ProfileLikelihood(SIGMOID, misfit, values, ALL, RANGES).of("I0")
     held = values.copy()
     held[known.index("I0")] = profile.values[-1]
     rise = misfit.mean_square(held) / misfit.mean_square(values) - 1.0
@@ -103,14 +103,14 @@ def test_where_one_current_was_seen_nothing_bounds_the_laws_over_current() -> No
     misfit = pooled(windows((1.0,)))
     open_names = ("k2", "a2", "I0", "k3", "a3", "I1")
     seen = np.array([name not in open_names for name in PARAMETER_NAMES])
-    likelihood = ProfileLikelihood(misfit, known.PLAUSIBLE, seen, RANGES)
+    likelihood = ProfileLikelihood(SIGMOID, misfit, known.PLAUSIBLE, seen, RANGES)
     for name in ("a2", "I0", "I1"):
         assert likelihood.of(name).interval == (-math.inf, math.inf), name
 
 
 def test_values_rise_and_the_best_has_no_fall() -> None:
     misfit = pooled(windows())
-    profile = ProfileLikelihood(misfit, known.PLAUSIBLE, ALL, RANGES).of("f0")
+    profile = ProfileLikelihood(SIGMOID, misfit, known.PLAUSIBLE, ALL, RANGES).of("f0")
     assert np.all(np.diff(profile.values) > 0.0)
     assert profile.ratio.min() == 0.0
     assert profile.best == profile.values[np.argmin(profile.ratio)]
@@ -119,14 +119,14 @@ def test_values_rise_and_the_best_has_no_fall() -> None:
 
 
 def test_a_name_that_the_law_does_not_have_is_refused() -> None:
-    likelihood = ProfileLikelihood(pooled(windows((1.0,))), known.PLAUSIBLE, ALL, RANGES)
+    likelihood = ProfileLikelihood(SIGMOID, pooled(windows((1.0,))), known.PLAUSIBLE, ALL, RANGES)
     with pytest.raises(ValueError, match="no parameter 'b9' to profile: use one of f0"):
         likelihood.of("b9")
 
 
 def test_a_profile_can_be_stopped() -> None:
     misfit = pooled(windows((1.0,)))
-    likelihood = ProfileLikelihood(misfit, known.PLAUSIBLE, ALL, RANGES, lambda: True)
+    likelihood = ProfileLikelihood(SIGMOID, misfit, known.PLAUSIBLE, ALL, RANGES, lambda: True)
     with pytest.raises(StopRequestedError):
         likelihood.of("f0")
 
@@ -139,7 +139,9 @@ def test_at_one_operating_point_any_change_can_be_made_up_for(name: str, value: 
     run = known.run()
     changed = known.PLAUSIBLE.copy()
     changed[known.index(name)] = value
-    values = adapted([run.window], known.PLAUSIBLE, changed, frozenset(SCALE_PARAMETER_NAMES))
+    values = adapted(
+        SIGMOID, [run.window], known.PLAUSIBLE, changed, frozenset(SCALE_PARAMETER_NAMES)
+    )
     found = np.concatenate(operating_point_coefficients(values, run.top_speed, run.current))
     assert values[known.index(name)] == value
     np.testing.assert_allclose(found, run.coefficients, rtol=MADE_UP_FOR)

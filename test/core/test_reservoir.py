@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.tracking.reservoir import Reservoir, thinned_to_keep
 
 

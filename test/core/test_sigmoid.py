@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.models import published_conditions as thesis
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.published_conditions import Condition
@@ -27,7 +28,6 @@ from mr_damper_ros.models.sigmoid.law import (
     force_from_coefficients,
     operating_point_coefficients,
     parameter_jacobian,
-    peak_velocity,
     secant_damping,
     secant_damping_jacobian,
 )

@@ -10,11 +10,13 @@ import pytest
 from mr_damper_ros.interface.measured_runs import measured_run
 from mr_damper_ros.interface.temperature_map import temperature_maps
 from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.recording import Recording
 
+COLD_SET = ParameterSet(THESIS_28_CELSIUS)
 COLD, HOT = 28.0, 71.0
 FALL = 0.7561
 """Force at 71 °C over that at 28 °C, as the loops of the two published sets have it."""
@@ -43,7 +45,7 @@ def heated(current: float = 1.5, *, thermometer: bool = True) -> Recording:
 
 def test_a_bag_with_a_thermometer_gives_the_map(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", heated())
-    (found,) = temperature_maps([measured_run(tmp_path / "bag")], THESIS_28_CELSIUS).identified
+    (found,) = temperature_maps([measured_run(tmp_path / "bag")], COLD_SET).identified
     assert found.operating_point == pytest.approx((0.0314, 1.5), abs=POINT_TOLERANCE)
     expected = 1.0 - (1.0 - FALL) * (found.high - found.low) / (HOT - COLD)
     assert found.high - found.low > WARMING
@@ -55,7 +57,7 @@ def test_a_bag_without_a_thermometer_gives_none(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", heated(thermometer=False))
     bag = measured_run(tmp_path / "bag")
     assert bag.temperatures == (None,)
-    assert temperature_maps([bag], THESIS_28_CELSIUS).identified == ()
+    assert temperature_maps([bag], COLD_SET).identified == ()
 
 
 def test_each_current_has_its_map(tmp_path: Path) -> None:
@@ -63,7 +65,5 @@ def test_each_current_has_its_map(tmp_path: Path) -> None:
     for path, current in zip(paths, (1.0, 1.5), strict=True):
         write_bag(path, heated(current))
     bags = [measured_run(path) for path in paths]
-    points = [
-        found.operating_point for found in temperature_maps(bags, THESIS_28_CELSIUS).identified
-    ]
+    points = [found.operating_point for found in temperature_maps(bags, COLD_SET).identified]
     assert [current for _, current in points] == pytest.approx([1.0, 1.5])

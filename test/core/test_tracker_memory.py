@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from known import SIGMOID
 
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.tracking.acceptance import fault_of_data
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
@@ -23,8 +25,6 @@ from mr_damper_ros.tracking.tasks import FitResult
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
 from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
-
-COUNT = 16
 
 SCALE_ERROR = 0.05
 """Relative error of the force scale: the damper weakened while its baseline was taken."""
@@ -44,7 +44,7 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
     """Windows at two operating points, whose damper gets weaker and, once, too noisy."""
     reports = []
     for number in range(first, last):
-        weaker = known.PLAUSIBLE * np.where(np.arange(COUNT) == known.index("f0"), 0.97**number, 1)
+        weaker = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.97**number, 1)
         run = known.run(
             weaker,
             current=(1.0, 1.5)[number % 2],
@@ -62,7 +62,7 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
 def resumed(tracked: WindowTracker, **changes: Any) -> WindowTracker:
     """A new tracker, from the text of another."""
     again = tracker(**changes)
-    again.resume(tracked.parameters, from_text(to_text(tracked.memory), COUNT))
+    again.resume(tracked.parameters, from_text(to_text(tracked.memory), SIGMOID))
     return again
 
 
@@ -89,7 +89,7 @@ def test_the_baseline_is_still_that_of_the_first_windows() -> None:
 
 def test_an_unconfirmed_step_is_still_waiting() -> None:
     def stronger(tracked: WindowTracker, number: int) -> Report:
-        twice = known.PLAUSIBLE * np.where(np.arange(COUNT) == known.index("f0"), 2.0, 1.0)
+        twice = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 2.0, 1.0)
         raw = known.raw_window(known.run(twice, samples=SAMPLES, seed=number), number=number)
         return tracked.follow(raw)
 
@@ -167,7 +167,7 @@ def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong:
         entry = entry[key]
     entry[path[-1]] = wrong
     try:
-        memory = from_text(json.dumps(document), COUNT)
+        memory = from_text(json.dumps(document), SIGMOID)
     except StateError:
         return
     again = tracker(tracker="unscented")
@@ -189,16 +189,16 @@ def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong:
 )
 def test_other_texts_are_refused(text: str, sentence: str) -> None:
     with pytest.raises(StateError, match=sentence):
-        from_text(text, COUNT)
+        from_text(text, SIGMOID)
 
 
 def test_the_memory_of_another_model_is_refused() -> None:
     with pytest.raises(StateError, match="number of parameters"):
-        from_text(json.dumps(DOCUMENT), COUNT + 1)
+        from_text(json.dumps(DOCUMENT), MODELS["sigmoid_lag"])
 
 
 def test_nothing_learnt_is_a_memory_too() -> None:
-    memory = from_text(to_text(TrackerMemory()), COUNT)
+    memory = from_text(to_text(TrackerMemory()), SIGMOID)
     assert to_text(memory) == to_text(TrackerMemory())
 
 
@@ -208,7 +208,7 @@ def test_windows_of_any_motion_keep_what_is_behind_their_samples() -> None:
     window = Window.from_samples(displacement, np.sin(6.0 * time), 1.0, 1e-3).thinned(500)
     assert window.whole is not None
     memory = TrackerMemory(reservoir=(window,), reservoir_points=(window.operating_point,))
-    (again,) = from_text(to_text(memory), COUNT).reservoir
+    (again,) = from_text(to_text(memory), SIGMOID).reservoir
     assert np.array_equal(
         again.history.at_samples(again.history.motion.velocity),
         window.history.at_samples(window.history.motion.velocity),
@@ -221,7 +221,7 @@ def test_a_place_beyond_the_window_is_refused() -> None:
     wrong = dataclasses.replace(window, places=np.asarray(window.places) + 2.0)
     memory = TrackerMemory(reservoir=(wrong,), reservoir_points=(window.operating_point,))
     with pytest.raises(StateError, match="such a place"):
-        from_text(to_text(memory), COUNT)
+        from_text(to_text(memory), SIGMOID)
 
 
 def test_a_failed_window_is_counted() -> None:

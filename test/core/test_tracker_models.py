@@ -9,7 +9,6 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
@@ -136,19 +135,21 @@ def test_the_running_set_is_the_weaker_damper(model: str) -> None:
     law = MODELS[model]
     truth = known.EXAMPLES[model].copy()
     truth[law.strength_indices] *= 0.9
-    assert found.observable.all()
-    assert np.all(np.abs(found.values - truth) < STANDARD_ERRORS * found.standard_errors)
+    one_run = law.places(law.free_in_one_run)
+    assert set(np.flatnonzero(found.observable)) == set(one_run)
+    missed = np.abs(found.values - truth)[one_run]
+    assert np.all(missed < STANDARD_ERRORS * found.standard_errors[one_run])
     assert found.current_range == (1.0, 1.0)
     speeds = pytest.approx((0.0314, 0.0314), rel=PEAK_VELOCITY_ERROR)
     assert found.peak_velocity_range == speeds
 
 
 @EACH_OF_ONE_CURRENT
-def test_a_model_without_coefficients_reports_none(model: str) -> None:
-    report = followed(model)[1][-1]
-    assert np.isnan(report.coefficients).all()
-    assert np.isnan(report.coefficient_errors).all()
-    assert report.coefficients.shape == report.coefficient_errors.shape == (7,)
+def test_the_coefficients_of_a_window_are_reported(model: str) -> None:
+    report = followed(model)[1][1]
+    truth = known.EXAMPLES[model][: len(report.coefficients)]
+    assert len(report.coefficients) == len(MODELS[model].coefficient_names)
+    assert np.all(np.abs(report.coefficients - truth) < STANDARD_ERRORS * report.coefficient_errors)
 
 
 def test_the_extended_law_reports_coefficients_and_keeps_what_it_knows_of_the_compliance() -> None:
@@ -230,21 +231,11 @@ def test_a_sudden_loss_of_strength_is_fitted_early(model: str) -> None:
     assert [r for r in changing(model, 1.0) if r.method == EARLY_METHOD] == []
 
 
-def test_a_model_of_one_current_has_no_global_identification() -> None:
-    tracked = tracker("bingham", global_period=1)
-    reports = fed(tracked, window("bingham", 2), window("bingham", 3))
-    assert not any(report.global_due for report in reports)
-    report = tracked.identify(EvolutionSettings())
-    assert not report.accepted
-    assert "model 'bingham' does not tell how the force depends on the current" in report.reason
-
-
 @EACH
 def test_a_tracker_goes_on_from_its_text(model: str) -> None:
     tracked = followed(model)[0]
     again = tracker(model)
-    count = tracked.parameters.values.size
-    again.resume(tracked.parameters, from_text(to_text(tracked.memory), count))
+    again.resume(tracked.parameters, from_text(to_text(tracked.memory), MODELS[model]))
     task, other = (t.window_task(window(model, 6, 0.9)) for t in (tracked, again))
     reports = [tracked.complete(task, run_fit(task)), again.complete(other, run_fit(other))]
     assert reports[0].scale == reports[1].scale
@@ -279,7 +270,7 @@ def test_the_filter_is_for_the_sigmoid_law_only() -> None:
 
 
 def test_an_unknown_model_is_refused() -> None:
-    with pytest.raises(ValueError, match="model 'magic' is unknown"):
+    with pytest.raises(ValueError, match="model must be one of bingham"):
         TrackerSettings(model="magic")
 
 

@@ -9,6 +9,7 @@ from functools import cache
 import known
 import numpy as np
 import pytest
+from known import SIGMOID
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
@@ -70,7 +71,7 @@ def warming() -> tuple[str, ParameterSet, tuple[Report, ...]]:
 def experienced() -> WindowTracker:
     text, parameters, _ = warming()
     tracked = new()
-    tracked.resume(parameters, from_text(text, parameters.values.size))
+    tracked.resume(parameters, from_text(text, parameters.law))
     return tracked
 
 
@@ -163,4 +164,4 @@ def test_a_history_that_cannot_be_is_refused(seen: np.ndarray) -> None:
     history = TemperatureHistory((0.03, 1.5), seen)
     memory = dataclasses.replace(experienced().memory, temperatures=(history,))
     with pytest.raises(StateError, match="cannot be"):
-        from_text(to_text(memory), LITERATURE.size)
+        from_text(to_text(memory), SIGMOID)

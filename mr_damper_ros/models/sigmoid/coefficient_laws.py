@@ -16,42 +16,17 @@ linearly and are solved for; differential evolution searches the rest, at most t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, ProgressClock, evolve
+from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
-_RELATIVE_ERROR = 0.05
-"""No coefficient is trusted more than to this part: the law itself is not exact."""
-
 _EXPONENT_SPAN = 8.0
 """Growth or decay over the range of peak velocity is searched up to e^8, 1 to 3000."""
-
-
-@dataclass(frozen=True, eq=False)
-class CoefficientTable:
-    """Coefficients of k operating points, with positive f_t.
-
-    ``peak_velocity`` [m/s] and ``current`` [A] have shape (k,), ``coefficients`` and their
-    standard ``errors`` shape (k, 7).
-    """
-
-    peak_velocity: Array
-    current: Array
-    coefficients: Array
-    errors: Array
-
-    def weights(self, column: int) -> Array:
-        """Inverse standard deviations (k,) of one coefficient, model error included."""
-        values = self.coefficients[:, column]
-        floor = _RELATIVE_ERROR * max(float(np.sqrt(np.mean(values**2))), 1e-300)
-        errors = np.nan_to_num(self.errors[:, column], nan=1e3 * floor)
-        return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)
 
 
 Values = Mapping[str, Array | float]
@@ -75,30 +50,26 @@ def fit_laws(
     table: CoefficientTable,
     start: Array,
     free: frozenset[str],
-    settings: EvolutionSettings,
-    clock: ProgressClock,
-) -> tuple[Array, int]:
-    """Parameters (16,) whose laws come nearest to the table, and the number of evaluations.
+    search: LawSearch,
+) -> Array:
+    """Parameters (16,) whose laws come nearest to the table.
 
-    Parameters not in ``free`` keep the value they have in ``start`` (16,).
+    Parameters not in ``free`` keep the value they have in ``start`` (16,); ``search`` finds what is
+    not linear.
     """
     values = dict(zip(PARAMETER_NAMES, np.asarray(start, dtype=float).tolist(), strict=True))
     bounds = shape_bounds(float(table.peak_velocity.max()), float(np.abs(table.current).max()))
-    evaluations = 0
     for law in _LAWS:
         names = [name for name in law.unknowns if name in free]
         problem = _LawProblem(law, table, values, free)
-        if names and not clock.stopped:
-            best, _, count = evolve(
+        if names:
+            best = search(
                 partial(problem.misfit, names),
                 [bounds[name] for name in names],
-                settings,
-                clock,
-                stage=law.stage,
-                start=np.array([values[name] for name in names]),
+                np.array([values[name] for name in names]),
+                law.stage,
             )
             values.update(zip(names, best.tolist(), strict=True))
-            evaluations += count
         values.update(problem.solve({name: np.array([[values[name]]]) for name in names})[1])
     v = table.peak_velocity
     if "k6" in free:
@@ -106,7 +77,7 @@ def fit_laws(
     if "k5" in free:
         yield_force, offset = table.coefficients[:, 0], table.coefficients[:, 6]
         values["k5"] = _through_origin(yield_force, offset, table.weights(6))
-    return np.array([values[name] for name in PARAMETER_NAMES]), evaluations
+    return np.array([values[name] for name in PARAMETER_NAMES])
 
 
 def searched_laws(free: frozenset[str]) -> int:

@@ -21,6 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion_history import MotionHistory
+from mr_damper_ros.models.first_order_lag import FirstOrderLag, lagged
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     Coefficients,
@@ -44,13 +46,6 @@ EXTENDED_NAMES = (*PARAMETER_NAMES, *EXTENSION_NAMES)
 """The nineteen parameters of the extended law, in the order of its parameter arrays."""
 
 SIGMOID_COUNT = len(PARAMETER_NAMES)
-
-SETTLING = 7.0
-"""Time constants after which a lag has forgotten its start to a thousandth."""
-
-_SHORTEST, _LONGEST = 1e-9, 1e9
-"""A time constant of fewer sample periods than the first is none; none counts as more than the
-other."""
 
 
 class Extension(NamedTuple):
@@ -121,109 +116,43 @@ def without_extension(sixteen: Array) -> Array:
     return np.concatenate((sixteen, np.zeros(len(EXTENSION_NAMES))))
 
 
-LagState = tuple[Array, Array, Array]
-"""Of the sample before: the signal, the lagged signal and the time constant [s]."""
-
-
-class FirstOrderLag:
-    """First-order lag of signals sampled every ``period`` [s], along their first axis.
-
-    ``time_constant`` (n,) [s] is that at the samples; between two of them their mean holds.
-    Exact where it is constant and the signal linear between samples, whatever the period; a time
-    constant of 0 changes nothing. The lag starts settled, or goes on from ``state``; with
-    ``periodic`` the n samples are one period of the signal.
-    """
-
-    def __init__(
-        self,
-        time_constant: Array,
-        period: float,
-        *,
-        periodic: bool = False,
-        state: LagState | None = None,
-    ) -> None:
-        before = _one_earlier(time_constant)
-        if state is not None:
-            before[0] = state[2]
-        elif not periodic:
-            before[0] = time_constant[0]
-        tau = np.clip(0.5 * (before + time_constant), _SHORTEST * period, _LONGEST * period)
-        ratio = period / tau
-        self._periodic, self._state = periodic, state
-        self._tau, self._ratio = tau, ratio
-        self._decay = np.exp(-ratio)
-        # Weights of the earlier and the later end of the line between two samples.
-        mean = -np.expm1(-ratio) / ratio
-        self._before, self._now = mean - self._decay, 1.0 - mean
-
-    def __call__(self, values: Array) -> Array:
-        """The lagged signal, shape (n,), of one of shape (n,)."""
-        driven = self._before * _one_earlier(values) + self._now * values
-        if self._state is not None:
-            value, late = self._state[0], self._state[1]
-            driven[0] = self._before[0] * value + self._now[0] * values[0] + self._decay[0] * late
-        elif not self._periodic:
-            driven[0] = values[0]
-        return self._recursion(driven)
-
-    def derivative(
-        self, values: Array, lagged: Array, of_values: Array, of_time_constant: Array
-    ) -> Array:
-        """Derivatives (n, p) of the lagged signal where signal and time constant have these (n, p).
-
-        ``values`` (n,) is the signal, ``lagged`` (n,) what :meth:`__call__` made of it.
-        """
-        mean_slope = self._before / self._tau
-        decay_slope = self._decay * self._ratio / self._tau
-        by_time_constant = (
-            decay_slope * _one_earlier(lagged)
-            + (mean_slope - decay_slope) * _one_earlier(values)
-            - mean_slope * values
-        )
-        driven = (
-            self._before[:, np.newaxis] * _one_earlier(of_values)
-            + self._now[:, np.newaxis] * of_values
-            + by_time_constant[:, np.newaxis]
-            * (0.5 * (_one_earlier(of_time_constant) + of_time_constant))
-        )
-        if not self._periodic:
-            driven[0] = of_values[0]
-        return self._recursion(driven)
-
-    def _recursion(self, driven: Array) -> Array:
-        """Solve y[k] = decay[k] y[k-1] + driven[k] by forward substitution."""
-        from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
-
-        bands = np.ones((2, self._decay.size))
-        bands[1, :-1] = -self._decay[1:]
-        result = dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape)
-        if self._periodic:
-            passed = np.cumsum(self._ratio)
-            before = result[-1] / -np.expm1(-passed[-1])
-            result += np.multiply.outer(np.exp(-passed), before)
-        return np.asarray(result)
-
-
-def _one_earlier(values: Array) -> Array:
-    return np.roll(values, 1, axis=0)
-
-
-def lagged(
-    values: Array,
-    time_constant: Array,
-    period: float,
-    *,
-    periodic: bool = False,
-    state: tuple[Array, ...] | None = None,
+def late_force(
+    history: MotionHistory,
+    plain: Array,
+    past: ForceAndDamping,
+    displacement: Array,
+    extension: Extension,
 ) -> Array:
-    """Lag of signals of shape (..., n) along their last axis; see :class:`FirstOrderLag`.
+    """Force [N] of the extended law, shape (..., n), from that of the sigmoid law.
 
-    ``time_constant`` [s] has the same shape. ``state``: the last samples before these, their
-    lagged values and their time constants, each of shape (...).
+    ``plain`` (..., n) is the latter at the samples, ``past`` along the history.
     """
-    result = np.empty(values.shape)
-    for place in np.ndindex(values.shape[:-1]):
-        before = None if state is None else (state[0][place], state[1][place], state[2][place])
-        lag = FirstOrderLag(time_constant[place], period, periodic=periodic, state=before)
-        result[place] = lag(values[place])
-    return result
+    constant = extension.time_constant(past.damping)
+    missing = past.force - lagged(past.force, constant, history.period, periodic=history.periodic)
+    # Only what the lag changes is interpolated: it is smoother than the force.
+    late = plain - np.moveaxis(history.at_samples(np.moveaxis(missing, -1, 0)), 0, -1)
+    return np.asarray(late + extension.stiffness * displacement + extension.offset)
+
+
+def late_force_jacobian(
+    history: MotionHistory,
+    plain: Array,
+    past: ForceAndDamping,
+    by_sigmoid: ForceAndDamping,
+    extension: Extension,
+) -> tuple[Array, Array]:
+    """Derivatives (n, p) of :func:`late_force` by p parameters, and (n,) by the compliance.
+
+    ``plain`` (n, p) are those of the sigmoid force at the samples, ``by_sigmoid`` (m, p) those of
+    ``past`` along the history.
+    """
+    constant = extension.time_constant(past.damping)
+    lag = FirstOrderLag(constant, history.period, periodic=history.periodic)
+    # A damping below zero makes no lag.
+    damping = np.maximum(past.damping, 0.0)
+    lagging = (past.damping > 0.0)[:, np.newaxis]
+    of_force = np.column_stack((by_sigmoid.force, np.zeros(damping.size)))
+    of_constant = np.column_stack((extension.compliance * by_sigmoid.damping * lagging, damping))
+    late = lag.derivative(past.force, lag(past.force), of_force, of_constant)
+    missing = history.at_samples(of_force - late)
+    return plain - missing[:, :-1], -missing[:, -1]

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.signals.arrays import Array
 
 PARAMETER_NAMES = (
@@ -90,18 +91,6 @@ class Coefficients(NamedTuple):
     v_h: Array
     v_d: Array
     f_d: Array
-
-
-def peak_velocity(displacement: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
-    """Peak velocity of the present cycle, sqrt(max(v² - a u, 0)) [m/s].
-
-    In sinusoidal motion it is constant and equal to 2 pi f A. Inputs broadcast; displacement is
-    measured from the centre of the motion.
-    """
-    u, v, a = (
-        _saturated(np.asarray(x, dtype=float)) for x in (displacement, velocity, acceleration)
-    )
-    return np.asarray(np.sqrt(np.maximum(v * v - a * u, 0.0)))
 
 
 def _exp(exponent: Array) -> Array:
@@ -174,6 +163,14 @@ def operating_point_coefficients(
             v_d=v[..., 1, :],
             f_d=_saturated(k5 * f_t),
         )
+
+
+def sign_of_pair(f_t: ArrayLike) -> Array:
+    """Sign by which yield force and steepness are multiplied so that the former is positive.
+
+    They may change sign together without a change of the force: the positive pair is meant.
+    """
+    return np.where(np.asarray(f_t) < 0.0, -1.0, 1.0)
 
 
 def force_from_coefficients(

@@ -1,10 +1,4 @@
-"""Misfit of many windows as a function of all parameters of the law.
-
-Every window counts the same, whatever its length: its samples are weighted by what the window's
-own best seven coefficients leave of the force. Where only sensor noise is left this is the
-maximum-likelihood weight; where the law itself is not exact it keeps one strong run from
-drowning all others.
-"""
+"""Pooled residual of many windows for the sigmoid law and its extension, with exact derivatives."""
 
 from __future__ import annotations
 
@@ -15,6 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.first_order_lag import SETTLING
+from mr_damper_ros.models.operating_points import window_weights
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     Extension,
@@ -23,6 +20,8 @@ from mr_damper_ros.models.sigmoid.extension import (
     force_and_damping,
     force_and_damping_jacobian,
     is_extended,
+    late_force,
+    late_force_jacobian,
 )
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
@@ -34,7 +33,6 @@ from mr_damper_ros.models.sigmoid.law import (
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.scale_misfit import Window
 from mr_damper_ros.signals.arrays import Array
 
 _DEPENDENCES = tuple(
@@ -58,18 +56,11 @@ class PooledMisfit:
 
         Raises ValueError where there are no windows.
         """  # noqa: D205
-        if not windows:
-            raise ValueError("there are no windows to identify from")
         self.windows = tuple(windows)
-        total = sum(window.sample_count for window in windows)
-        share = total / len(self.windows)
-        self._weights = [
-            float(np.sqrt(share / window.sample_count)) / max(sigma, 1e-12)
-            for window, sigma in zip(self.windows, noise, strict=True)
-        ]
+        self._weights = window_weights(windows, noise)
         self._own = _Motions([(w.motion, w.current, w.steady) for w in self.windows])
         self._slowest_lag = slowest_lag
-        self.sample_count = total
+        self.sample_count = sum(window.sample_count for window in windows)
 
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
@@ -133,7 +124,7 @@ class PooledMisfit:
 
     @cached_property
     def _unsettled(self) -> list[np.ndarray]:
-        return [window.history.unsettled(self._slowest_lag) for window in self.windows]
+        return [window.history.unsettled(SETTLING * self._slowest_lag) for window in self.windows]
 
     def _extended(
         self, own: list[ForceAndDamping], past: list[ForceAndDamping], extension: Extension
@@ -141,7 +132,9 @@ class PooledMisfit:
         forces = []
         for place, window in enumerate(self.windows):
             displacement, unsettled = window.motion.displacement, self._unsettled[place]
-            force = window.history.force(own[place].force, past[place], displacement, extension)
+            force = late_force(
+                window.history, own[place].force, past[place], displacement, extension
+            )
             force[unsettled] = window.force[unsettled]
             forces.append(force)
         return forces
@@ -154,8 +147,12 @@ class PooledMisfit:
         by_sixteen = self._past(own_by_sixteen, self._histories.jacobians_along(sixteen))
         blocks = []
         for place, window in enumerate(self.windows):
-            of_sixteen, of_compliance = window.history.jacobian(
-                own_by_sixteen[place].force, past[place], by_sixteen[place], extension
+            of_sixteen, of_compliance = late_force_jacobian(
+                window.history,
+                own_by_sixteen[place].force,
+                past[place],
+                by_sixteen[place],
+                extension,
             )
             displacement = window.motion.displacement
             block = np.column_stack(

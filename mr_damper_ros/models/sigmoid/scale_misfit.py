@@ -1,4 +1,4 @@
-"""A window of samples to identify from, and its misfit as a function of seven scales.
+"""The problem of a window for the sigmoid law: its misfit as a function of seven scales.
 
 With the nine shape parameters frozen, each operating-point coefficient is one scale times a
 known base that follows the motion and the current. The seven scales are well posed in every
@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from itertools import product
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion import Motion, window_motion
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.first_order_lag import SETTLING
+from mr_damper_ros.models.force_model import SearchEffort
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     ForceAndDamping,
@@ -22,8 +24,9 @@ from mr_damper_ros.models.sigmoid.extension import (
     force_and_damping,
     force_and_damping_jacobian,
     is_extended,
+    late_force,
+    late_force_jacobian,
 )
-from mr_damper_ros.models.sigmoid.lag_history import History, following_stride
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_INDICES,
@@ -32,7 +35,9 @@ from mr_damper_ros.models.sigmoid.law import (
     force_from_coefficients,
     operating_point_coefficients,
     secant_damping,
+    sign_of_pair,
 )
+from mr_damper_ros.models.window_problem import relative_change
 from mr_damper_ros.signals.arrays import Array
 
 _K5 = PARAMETER_NAMES.index("k5")
@@ -40,144 +45,22 @@ _K5 = PARAMETER_NAMES.index("k5")
 _STEADY = 1e-9
 """Relative spread of the base coefficients below which they are taken as constant."""
 
+_COLD_STEEPNESS = (2.0, 6.0, 20.0, 60.0)
+_COLD_HYSTERESIS = (0.0, -0.2, -0.4)
 
-@dataclass(frozen=True)
-class Window:
-    """Motion, force [N] and coil current [A] of a window; arrays of shape (n,).
+_STRENGTH = np.array([True, False, False, False, False, False, True])
+"""Of the seven scales, those that rise and fall with the strength of the damper."""
 
-    Only a law with a lag needs the rest: the sample ``period`` [s], and for a part of a window
-    the ``whole`` with the ``places`` (n,) of the samples, counted in samples of the whole (of a
-    steady sine the places suffice).
+_EFFORT = SearchEffort(
+    tolerance=1.5e-8,
+    most_steps=300,
+    polished_starts=1,
+    rough_tolerance=0.01,
+    rough_steps=20,
+)
+"""Seven scales are well posed: the cheapest of the starts leads where the others do."""
 
-    Raises ValueError where lengths differ or values are not finite.
-    """
-
-    motion: Motion
-    force: Array
-    current: Array
-    period: float = math.nan
-    places: Array | None = None
-    whole: Window | None = None
-
-    def __post_init__(self) -> None:
-        n = self.motion.velocity.size
-        for name in ("force", "current"):
-            array = np.asarray(getattr(self, name), dtype=float)
-            if array.shape != (n,):
-                raise ValueError(f"{name} has shape {array.shape}, the motion {n} samples")
-            if not np.all(np.isfinite(array)):
-                raise ValueError(f"the {name} holds NaN or infinite values")
-            object.__setattr__(self, name, array)
-
-    @classmethod
-    def from_samples(
-        cls,
-        displacement: Array,
-        force: Array,
-        current: Array | float,
-        period: float,
-        peak_velocity: Array | None = None,
-    ) -> Window:
-        """Window of samples taken every ``period`` [s]; see :func:`window_motion` for errors.
-
-        ``peak_velocity`` (n,) [m/s], where it is known from what went before the window, takes the
-        place of the window's own unless the motion is a sine.
-        """
-        motion = window_motion(displacement, period)
-        if peak_velocity is not None and motion.sine is None:
-            motion = replace(motion, peak_velocity=peak_velocity)
-        amperes = np.broadcast_to(np.asarray(current, float), np.shape(force))
-        return cls(motion, force, amperes, period)
-
-    def part(self, chosen: slice | Array) -> Window:
-        """The chosen samples: a slice, or a mask of shape (n,)."""
-        m = self.motion
-        motion = Motion(
-            displacement=m.displacement[chosen],
-            velocity=m.velocity[chosen],
-            acceleration=m.acceleration[chosen],
-            peak_velocity=m.peak_velocity[chosen],
-            sine=m.sine,
-        )
-        places = self._places
-        alone = self.steady or not self.period > 0.0
-        whole = None if alone else self.whole or self
-        return Window(
-            motion, self.force[chosen], self.current[chosen], self.period, places[chosen], whole
-        )
-
-    def held_within(self, low: float, high: float) -> Window:
-        """The same window, the peak velocity of its motion held; see :meth:`Motion.held_within`."""
-        whole = None if self.whole is None else self.whole.held_within(low, high)
-        return replace(self, motion=self.motion.held_within(low, high), whole=whole)
-
-    def thinned(self, most: int) -> Window:
-        """Every so many samples of the window, ``most`` or less than twice as many of them."""
-        stride = max(self.sample_count // most, 1)
-        if stride == 1:
-            return self
-        few = self.part(slice(None, None, stride))
-        if few.whole is None or few.places is None:
-            return few
-        whole = few.whole
-        coarser = following_stride(whole.motion, whole.period)
-        motion = whole.part(slice(None, None, coarser))
-        coarse = Window(motion.motion, motion.force, motion.current, coarser * whole.period)
-        places = np.minimum(few.places / coarser, coarse.sample_count - 1.0)
-        return replace(few, places=places, whole=coarse)
-
-    @property
-    def _places(self) -> Array:
-        if self.places is not None:
-            return self.places
-        return np.arange(self.sample_count, dtype=float)
-
-    @cached_property
-    def steady(self) -> bool:
-        """Whether the motion is a sine and the current constant."""
-        return self.motion.sine is not None and float(np.ptp(self.current)) == 0.0
-
-    @cached_property
-    def history(self) -> History:
-        """The motion behind the samples; raises ValueError where the sample period is unknown."""
-        whole = self.whole or self
-        if not whole.period > 0.0:
-            raise ValueError("the sample period of the window is not known: a lag needs it")
-        places = self._places
-        if self.steady and self.motion.sine is not None:
-            peak_velocity, current = float(self.motion.peak_velocity[0]), float(self.current[0])
-            time = places * self.period
-            return History.of_sine(self.motion.sine, peak_velocity, current, time)
-        branch = np.sign(self.motion.acceleration)
-        return History(whole.motion, whole.current, whole.period, places, branch, periodic=False)
-
-    def predicted_force(self, parameters: Array) -> Array:
-        """Force [N] of parameters (16,) or (19,) over the window, shape (n,)."""
-        sixteen = parameters[:SIGMOID_COUNT]
-        plain = force_from_coefficients(*_sigmoid(sixteen, self.motion, self.current))
-        if not is_extended(parameters):
-            return plain
-        history = self.history
-        past = force_and_damping(*_sigmoid(sixteen, history.motion, history.current))
-        return history.force(plain, past, self.motion.displacement, extension_of(parameters))
-
-    @property
-    def sample_count(self) -> int:
-        """Number of samples."""
-        return int(self.force.size)
-
-    @cached_property
-    def operating_point(self) -> tuple[float, float]:
-        """Peak velocity [m/s] and current [A] that stand for the window.
-
-        Where the motion is no sine the peak velocity is the root mean square over the samples,
-        weighted by speed, so that rests and reversals do not count.
-        """
-        weights = np.abs(self.motion.velocity)
-        if not np.any(weights):
-            return 0.0, float(np.mean(self.current))
-        v_m = np.sqrt(np.average(self.motion.peak_velocity**2, weights=weights))
-        return float(v_m), float(np.mean(self.current))
+_SINE_SAMPLES = 256
 
 
 def longest_lag(windows: Sequence[Window], parameters: Array) -> float:
@@ -185,11 +68,13 @@ def longest_lag(windows: Sequence[Window], parameters: Array) -> float:
     if not is_extended(parameters):
         return 0.0
     extension, sixteen = extension_of(parameters), parameters[:SIGMOID_COUNT]
-    dampings = (secant_damping(*_sigmoid(sixteen, w.motion, w.current)) for w in windows)
+    dampings = (secant_damping(*coefficients_along(sixteen, w.motion, w.current)) for w in windows)
     return max(float(np.max(extension.time_constant(damping))) for damping in dampings)
 
 
-def _sigmoid(sixteen: Array, motion: Motion, current: Array) -> tuple[Coefficients, Array, Array]:
+def coefficients_along(
+    sixteen: Array, motion: Motion, current: Array
+) -> tuple[Coefficients, Array, Array]:
     """Coefficients along a motion, and the velocity and acceleration that go with them."""
     coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
     return coefficients, motion.velocity, motion.acceleration
@@ -213,6 +98,27 @@ class ScaleMisfit:
         self._velocity = motion.velocity
         self._branch = np.sign(motion.acceleration)
         self._late = _Late(self, self._start) if is_extended(self._start) else None
+        self.settled = (
+            np.ones(window.sample_count, dtype=bool)
+            if self._late is None
+            else ~self._late.unsettled
+        )
+        self.differences = 0
+
+    @property
+    def effort(self) -> SearchEffort:
+        """How far to search."""
+        return _EFFORT
+
+    @property
+    def bounds(self) -> None:
+        """The scales have none."""
+        return None
+
+    @property
+    def strength(self) -> np.ndarray:
+        """Mask (7,)."""
+        return _STRENGTH
 
     @property
     def _unit(self) -> Array:
@@ -232,8 +138,8 @@ class ScaleMisfit:
         """Coefficients for unit scales at (peak velocity [m/s], current [A]), shape (7,)."""
         return np.concatenate(operating_point_coefficients(self._unit, *operating_point))
 
-    def coefficients(self, scales: Array) -> Coefficients:
-        """Operating-point coefficients for scales of shape (7,)."""
+    def along_window(self, scales: Array) -> Coefficients:
+        """Operating-point coefficients at the samples, for scales of shape (7, ...)."""
         count, *others = scales.shape
         base = self._base.reshape(count, *(1,) * (len(others) - 1), -1)
         return Coefficients(*(scales.reshape(count, *(others or (1,))) * base))
@@ -243,32 +149,27 @@ class ScaleMisfit:
         predicted = self.plain_force(scales) if self._late is None else self._late.force(scales)
         return np.asarray(predicted - self.window.force)
 
-    def sum_of_squares(self, scales: Array) -> float:
-        """Sum of the squared residual [N²]."""
-        residual = self.residual(scales)
-        return float(residual @ residual)
-
     def jacobian(self, scales: Array) -> Array:
         """Derivatives of the residual with respect to the scales, shape (n, 7)."""
         return self.plain_jacobian(scales) if self._late is None else self._late.jacobian(scales)
 
     def plain_force(self, scales: Array) -> Array:
         """Sigmoid force [N], shape (n,), whatever the law adds to it."""
-        return force_from_coefficients(self.coefficients(scales), self._velocity, self._branch)
+        return force_from_coefficients(self.along_window(scales), self._velocity, self._branch)
 
     def plain_jacobian(self, scales: Array) -> Array:
         """Derivatives of :meth:`plain_force` with respect to the scales, shape (n, 7)."""
-        derivatives = coefficient_jacobian(self.coefficients(scales), self._velocity, self._branch)
+        derivatives = coefficient_jacobian(self.along_window(scales), self._velocity, self._branch)
         derivatives *= self._base.T
         return derivatives
 
     def along(self, scales: Array) -> ForceAndDamping:
         """Sigmoid force and damping of the window, each of shape (n,)."""
-        return force_and_damping(self.coefficients(scales), self._velocity, self._branch)
+        return force_and_damping(self.along_window(scales), self._velocity, self._branch)
 
     def jacobian_along(self, scales: Array) -> ForceAndDamping:
         """Derivatives of :meth:`along` with respect to the scales, each of shape (n, 7)."""
-        coefficients = self.coefficients(scales)
+        coefficients = self.along_window(scales)
         both = force_and_damping_jacobian(coefficients, self._velocity, self._branch)
         for derivatives in both:
             derivatives *= self._base.T
@@ -280,6 +181,42 @@ class ScaleMisfit:
         values[SCALE_INDICES] = scales
         values[_K5] = scales[6] / scales[0] if scales[0] != 0.0 else 0.0
         return values
+
+    def cold_starts(self) -> list[Array]:
+        """Scales read off the data: a yield force near the peaks, some steepness and hysteresis."""
+        window = self.window
+        top, bottom = float(window.force.max()), float(window.force.min())
+        top_speed = float(np.max(np.abs(window.motion.velocity)))
+        base = self.base_at(window.operating_point)
+        base = np.where(base == 0.0, 1.0, base)
+        return [
+            self.parameters(
+                np.array(
+                    [
+                        *(0.4 * (top - bottom), steepness / top_speed, 0.2 / top_speed),
+                        *(0.2 / top_speed, hysteresis * top_speed, 0.0, -0.5 * (top + bottom)),
+                    ]
+                )
+                / base
+            )
+            for steepness, hysteresis in product(_COLD_STEEPNESS, _COLD_HYSTERESIS)
+        ]
+
+    def coefficients(self, scales: Array, covariance: Array) -> tuple[Array, Array]:
+        """Operating-point coefficients (7,) and their covariance (7, 7), with positive f_t."""
+        base = self.base_at(self.window.operating_point)
+        base[:2] *= sign_of_pair(scales[0] * base[0])
+        return scales * base, covariance * np.outer(base, base)
+
+    def usual_change(self, part: float, fastest: float) -> Array:
+        """Change (7,) of each scale that changes the force by this part, see the protocol."""
+        change = relative_change(self, part)
+        if not math.isfinite(fastest):
+            return change
+        sine = _sine(fastest, self.window.operating_point[1])
+        return np.minimum(
+            change, relative_change(ScaleMisfit(sine, self._start[:SIGMOID_COUNT]), part)
+        )
 
 
 class _Late:
@@ -295,22 +232,32 @@ class _Late:
             self._past = ScaleMisfit(past, parameters[:SIGMOID_COUNT])
         damping = self._past.along(own.start).damping
         slowest = float(np.max(self._extension.time_constant(damping)))
-        self._unsettled = self._history.unsettled(slowest)
+        self.unsettled = self._history.unsettled(SETTLING * slowest)
 
     def force(self, scales: Array) -> Array:
         past, displacement = self._past.along(scales), self._window.motion.displacement
         plain = past.force if self._past is self._own else self._own.plain_force(scales)
-        force = self._history.force(plain, past, displacement, self._extension)
-        force[..., self._unsettled] = self._window.force[self._unsettled]
+        force = late_force(self._history, plain, past, displacement, self._extension)
+        force[..., self.unsettled] = self._window.force[self.unsettled]
         return force
 
     def jacobian(self, scales: Array) -> Array:
         past, by_scales = self._past.along(scales), self._past.jacobian_along(scales)
         own = self._past is self._own
         plain = by_scales.force if own else self._own.plain_jacobian(scales)
-        derivatives, _ = self._history.jacobian(plain, past, by_scales, self._extension)
-        derivatives[self._unsettled] = 0.0
+        derivatives, _ = late_force_jacobian(self._history, plain, past, by_scales, self._extension)
+        derivatives[self.unsettled] = 0.0
         return derivatives
+
+
+def _sine(peak_velocity: float, current: float) -> Window:
+    """A cycle of a sine, to see what scales do to the force of it."""
+    angle: Array = 2.0 * np.pi * np.arange(_SINE_SAMPLES) / _SINE_SAMPLES
+    nothing = np.zeros(_SINE_SAMPLES)
+    velocity, acceleration = peak_velocity * np.cos(angle), -np.sin(angle)
+    speeds = np.full(_SINE_SAMPLES, peak_velocity)
+    motion = Motion(nothing, velocity, acceleration, speeds, sine=None)
+    return Window(motion, nothing, np.full(_SINE_SAMPLES, current))
 
 
 def _one_if_steady(base: Array) -> Array:

@@ -2,68 +2,51 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from collections.abc import Sequence
+from typing import ClassVar
 
-from mr_damper_ros.models.force_model import Model, MotionLike, Parameter, State
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.first_order_lag import SETTLING, lagged
+from mr_damper_ros.models.force_model import Model, State
+from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
+from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
+from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws, searched_laws, shape_bounds
 from mr_damper_ros.models.sigmoid.extension import (
     COMPLIANCE,
+    EXTENDED_MODEL,
     EXTENSION_NAMES,
     SIGMOID_COUNT,
     Extension,
+    extension_of,
     force_and_damping,
-    lagged,
+    late_force,
 )
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
+    SCALE_INDICES,
     SCALE_PARAMETER_NAMES,
+    coefficient_parameter_jacobian,
     force_from_coefficients,
     operating_point_coefficients,
+    sign_of_pair,
+)
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.scale_misfit import (
+    ScaleMisfit,
+    coefficients_along,
+    longest_lag,
+    scale_parameter_errors,
 )
 from mr_damper_ros.signals.arrays import Array
 
-
-def _sigmoid(
-    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
-) -> tuple[Array, State]:
-    coefficients = operating_point_coefficients(parameters, motion.peak_velocity, current)
-    return force_from_coefficients(coefficients, motion.velocity, motion.acceleration), ()
-
-
-def _extended(
-    parameters: Array, motion: MotionLike, current: Array, period: float, state: State | None
-) -> tuple[Array, State]:
-    sixteen = parameters[..., :SIGMOID_COUNT]
-    coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
-    plain, damping = force_and_damping(coefficients, motion.velocity, motion.acceleration)
-    extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:, np.newaxis], -2, 0))
-    time_constant = extension.time_constant(damping)
-    late = lagged(plain, time_constant, period, state=state)
-    force = np.asarray(late + extension.stiffness * motion.displacement + extension.offset)
-    return force, (plain[..., -1], late[..., -1], time_constant[..., -1])
-
-
-def _starts(half_span: float, middle: float, speed: float, amplitude: float) -> Array:
-    starts = []
-    for steepness in (3.0, 10.0, 30.0):
-        for hysteresis in (-0.3, -0.1):
-            # f0 counts twice where a1 is zero.
-            values = {
-                "f0": 0.4 * half_span,
-                "a0": steepness / speed,
-                "k1c": 0.2 / speed,
-                "k1e": 0.2 / speed,
-                "k4": hysteresis,
-                "k5": -middle / half_span,
-            }
-            starts.append([values.get(name, 0.0) for name in PARAMETER_NAMES])
-    return np.array(starts)
-
-
-def _extended_starts(half_span: float, middle: float, speed: float, amplitude: float) -> Array:
-    plain = _starts(half_span, middle, speed, amplitude)
-    compliance = 0.02 * amplitude / half_span
-    return np.hstack([plain, np.tile([compliance, 0.0, 0.0], (len(plain), 1))])
-
+_LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
+"""Peak velocity [m/s] of the test that the literature's set is for: 1 Hz, 2.5 mm, at 0 A."""
 
 _UNITS = {
     **dict.fromkeys(("a0", "a1", "a4", "k0", "k1c", "k1e"), "s/m"),
@@ -74,45 +57,275 @@ _UNITS = {
     "f0": "N",
 }
 
-_SIGMOID_PARAMETERS = tuple(Parameter(name, _UNITS[name]) for name in PARAMETER_NAMES)
-_WANG = (
-    "Wang, Ma, Rakheja and Su, 43rd IEEE Conference on Decision and Control, 2004; "
-    "thesis eq. 7-11 and appendix D"
+_GAIN_RANGE = 100.0
+"""Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
+
+_SOFT = 2.0
+"""A step over current that is this part of the largest current wide, inverted."""
+
+_USUAL_LAG = 0.02
+"""Time constant [s] that a lag of coil and fluid hardly exceeds. Until it is known, what it may
+hide at the begin of a window is left out."""
+
+_PEAK_VELOCITIES = dict.fromkeys(("a1", "k0", "a4"), 2)
+_CURRENTS = {
+    **dict.fromkeys(("k2", "k3"), 2),
+    **dict.fromkeys(("a2", "a3"), 3),
+    **dict.fromkeys(("I0", "I1"), 4),
+}
+
+_SIXTEEN = tuple(
+    Parameter(
+        name,
+        _UNITS[name],
+        peak_velocities=_PEAK_VELOCITIES.get(name, 1),
+        currents=_CURRENTS.get(name, 1),
+    )
+    for name in PARAMETER_NAMES
 )
 
-SIGMOID = Model(
-    "sigmoid",
-    "sigmoid",
-    _SIGMOID_PARAMETERS,
-    _sigmoid,
-    _WANG,
-    _starts,
-    free_in_one_run=SCALE_PARAMETER_NAMES,
-    strength=("f0",),
-)
 
-EXTENDED_SIGMOID = Model(
-    "sigmoid_lag",
-    "sigmoid with lag, stiffness, offset",
-    (
-        *_SIGMOID_PARAMETERS,
+class SigmoidModel(Model):
+    """The sixteen-parameter law of Wang et al. (2004)."""
+
+    name = "sigmoid"
+    title = "sigmoid"
+    source = (
+        "Wang, Ma, Rakheja and Su, 43rd IEEE Conference on Decision and Control, 2004; "
+        "thesis eq. 7-11 and appendix D"
+    )
+    equation = (
+        r"F = \left(f_t \tanh\tfrac{\alpha (v + \operatorname{sgn}(a) v_h + v_d)}{2} - f_d\right)"
+        r" (1 + k |v|)"
+    )
+    parameters = _SIXTEEN
+    free_in_one_run: ClassVar[tuple[str, ...]] = SCALE_PARAMETER_NAMES
+    strength = ("f0",)
+    weighed = True
+    many_at_once = True
+    coefficient_quantities = (
+        Quantity("f_t", "N", "yield force"),
+        Quantity("alpha", "s/m", "steepness"),
+        Quantity("k_c", "s/m", "viscous slope, extension"),
+        Quantity("k_e", "s/m", "viscous slope, compression"),
+        Quantity("v_h", "m/s", "hysteresis velocity"),
+        Quantity("v_d", "m/s", "velocity offset"),
+        Quantity("f_d", "N", "force offset, subtracted"),
+    )
+    linear = (*SCALE_PARAMETER_NAMES, "k2", "k3")
+    shape_groups = (("a1", "k2", "a2", "I0"), ("k0",), ("a4",), ("k3", "a3", "I1"))
+
+    def follow(
+        self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N] of the law; it remembers nothing."""
+        coefficients = operating_point_coefficients(parameters, motion.peak_velocity, current)
+        return force_from_coefficients(coefficients, motion.velocity, motion.acceleration), ()
+
+    def starts(self, reading: LoopReading) -> Array:
+        """Some steepness, some hysteresis, no dependence on velocity or current."""
+        starts = []
+        for steepness in (3.0, 10.0, 30.0):
+            for hysteresis in (-0.3, -0.1):
+                # f0 counts twice where a1 is zero.
+                values = {
+                    "f0": 0.4 * reading.force,
+                    "a0": steepness / reading.speed,
+                    "k1c": 0.2 / reading.speed,
+                    "k1e": 0.2 / reading.speed,
+                    "k4": hysteresis,
+                    "k5": -reading.middle / reading.force,
+                }
+                starts.append([values.get(name, 0.0) for name in PARAMETER_NAMES])
+        return np.array(starts)
+
+    def initial_values(self) -> tuple[Array, str, float]:
+        """The set from the literature."""
+        return LITERATURE.copy(), "literature", _LITERATURE_PEAK_VELOCITY
+
+    def window_force(self, window: Window, parameters: Array) -> Array:
+        """Force [N] at the samples of a window, shape (..., n), for parameters (..., 16)."""
+        return force_from_coefficients(
+            *coefficients_along(parameters, window.motion, window.current)
+        )
+
+    def window_problem(self, window: Window, parameters: Array) -> ScaleMisfit:
+        """The seven scales of a window."""
+        return ScaleMisfit(window, parameters)
+
+    def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
+        """Places and standard errors (7,) of the scale parameters."""
+        return SCALE_INDICES, scale_parameter_errors(unknowns, covariance)
+
+    def coefficients_at(
+        self, parameters: Array, peak_velocity: ArrayLike, current: ArrayLike
+    ) -> Array:
+        """The seven coefficients (7, n), with positive f_t."""
+        v_m, i = np.broadcast_arrays(np.atleast_1d(peak_velocity), np.atleast_1d(current))
+        values = np.stack(operating_point_coefficients(parameters[:SIGMOID_COUNT], v_m, i))
+        values[:2] *= sign_of_pair(values[0])
+        return values
+
+    def coefficient_gradient(
+        self, parameters: Array, peak_velocity: float, current: float
+    ) -> Array:
+        """Derivatives (7, p), but for the sign of the first two."""
+        sixteen = parameters[:SIGMOID_COUNT]
+        gradient = coefficient_parameter_jacobian(sixteen, peak_velocity, current)[0]
+        return np.pad(gradient, ((0, 0), (0, parameters.size - SIGMOID_COUNT)))
+
+    def without_dependence(self, parameters: Array, top_current: float) -> Array:
+        """The same scales; v_h and v_d stay proportional to the peak velocity.
+
+        Where k2 or k3 is freed, the coefficient rises smoothly up to the top current and saturates
+        beyond.
+        """
+        values = np.array(parameters, dtype=float)
+        values[self.places(("a1", "k0", "a4", "k2", "k3", "I0", "I1"))] = 0.0
+        values[self.places(("a2", "a3"))] = 2.0 / max(top_current, 1e-12)
+        return values
+
+    def plausible_ranges(
+        self, windows: Sequence[Window], top_velocity: float, top_current: float
+    ) -> dict[str, tuple[float, float]]:
+        """Ranges of the nine shape parameters."""
+        gains = dict.fromkeys(("k2", "k3"), (-_GAIN_RANGE, _GAIN_RANGE))
+        return {**shape_bounds(top_velocity, top_current), **gains}
+
+    def searched_laws(self, free: frozenset[str]) -> int:
+        """How many of the laws need a search for these free parameters."""
+        return searched_laws(free)
+
+    def fit_laws(
+        self,
+        table: CoefficientTable,
+        start: Array,
+        free: frozenset[str],
+        search: LawSearch,
+    ) -> Array:
+        """The six decoupled laws, see :mod:`coefficient_laws`."""
+        sixteen, rest = np.split(start, [SIGMOID_COUNT])
+        return np.concatenate((fit_laws(table, sixteen, free, search), rest))
+
+    def softened(self, parameters: Array, held: np.ndarray, top_current: float) -> Array:
+        """The set with steps over current that are not too steep to be moved."""
+        steps = self.places(("a2", "a3"))
+        values = np.array(parameters)
+        values[steps[~held[steps]]] = _SOFT / max(top_current, 1e-12)
+        return values
+
+    def draw_shape(
+        self, rng: np.random.Generator, top_velocity: float, top_current: float
+    ) -> dict[str, float]:
+        """Coefficients that change by a few times over the range."""
+        drawn = {
+            "a1": rng.uniform(-1.5, 1.5) / top_velocity,
+            "k0": rng.uniform(0.0, 10.0) / top_velocity,
+            "a4": rng.uniform(-1.5, 1.5) / top_velocity,
+            "k2": math.exp(rng.uniform(0.0, 3.0)),
+            "k3": rng.uniform(-1.0, 1.0),
+        }
+        for slope, shift in (("a2", "I0"), ("a3", "I1")):
+            drawn[slope] = math.exp(rng.uniform(0.5, 2.5)) / top_current
+            drawn[shift] = rng.uniform(-0.5, 0.5) * top_current
+        return drawn
+
+    def pooled_problem(
+        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
+    ) -> PooledMisfit:
+        """All windows by one evaluation of the laws."""
+        return PooledMisfit(windows, noise, self._slowest_lag(windows, known))
+
+    def _slowest_lag(self, windows: Sequence[Window], known: Array | None) -> float:
+        return 0.0
+
+
+class ExtendedSigmoidModel(SigmoidModel):
+    """The sixteen parameters with a compliance in series, a stiffness and an offset."""
+
+    name = EXTENDED_MODEL
+    title = "sigmoid with lag, stiffness, offset"
+    source = f"{SigmoidModel.source}; the extension is this package's"
+    equation = (
+        r"\tau \dot F_l + F_l = F_\mathrm{sigmoid},\quad"
+        r" \tau = \mathrm{compliance} \cdot f_t \tanh(\alpha x / 2) / x,\quad"
+        r" F = F_l + \mathrm{stiffness} \cdot u + \mathrm{offset}"
+    )
+    parameters = (
+        *_SIXTEEN,
         *(
             Parameter(name, unit, 0.0 if name == COMPLIANCE else -np.inf)
             for name, unit in zip(EXTENSION_NAMES, ("m/N", "N/m", "N"), strict=True)
         ),
-    ),
-    _extended,
-    f"{_WANG}; the extension is this package's",
-    _extended_starts,
-    free_in_one_run=(*SCALE_PARAMETER_NAMES, *EXTENSION_NAMES),
-    remembers=True,
-    strength=("f0",),
-)
+    )
+    free_in_one_run = (*SCALE_PARAMETER_NAMES, *EXTENSION_NAMES)
+    remembers = True
+    many_at_once = False
 
+    @property
+    def scale_names(self) -> tuple[str, ...]:
+        """Those of the sigmoid law: the extension is common to all runs."""
+        return SCALE_PARAMETER_NAMES
 
-def is_sigmoid(model: Model) -> bool:
-    """Whether a model is the sigmoid law or its extension, which has operating-point coefficients.
+    def follow(
+        self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N]; remembered are the sigmoid force, its lagged value and the time constant."""
+        sixteen = parameters[..., :SIGMOID_COUNT]
+        coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
+        plain, damping = force_and_damping(coefficients, motion.velocity, motion.acceleration)
+        extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:, np.newaxis], -2, 0))
+        time_constant = extension.time_constant(damping)
+        late = lagged(plain, time_constant, period, state=state)
+        force = np.asarray(late + extension.stiffness * motion.displacement + extension.offset)
+        return force, (plain[..., -1], late[..., -1], time_constant[..., -1])
 
-    These have fits of their own, of one window and of many.
-    """
-    return model.parameter_names[: len(PARAMETER_NAMES)] == PARAMETER_NAMES
+    def starts(self, reading: LoopReading) -> Array:
+        """Those of the sigmoid law with a small compliance."""
+        plain = super().starts(reading)
+        compliance = 0.02 * reading.amplitude / reading.force
+        return np.hstack([plain, np.tile([compliance, 0.0, 0.0], (len(plain), 1))])
+
+    def initial_values(self) -> tuple[Array, str, float]:
+        """The set from the literature, without lag, stiffness and offset."""
+        values, name, speed = super().initial_values()
+        return np.concatenate((values, np.zeros(len(EXTENSION_NAMES)))), name, speed
+
+    def window_force(self, window: Window, parameters: Array) -> Array:
+        """Force [N] at the samples of a window, shape (..., n), for parameters (..., 19)."""
+        if parameters.ndim > 1:
+            sets = parameters.reshape(-1, parameters.shape[-1])
+            forces = np.array([self.window_force(window, one) for one in sets])
+            return forces.reshape(*parameters.shape[:-1], window.sample_count)
+        sixteen = parameters[:SIGMOID_COUNT]
+        plain = super().window_force(window, sixteen)
+        history = window.history
+        past = force_and_damping(*coefficients_along(sixteen, history.motion, history.current))
+        displacement = window.motion.displacement
+        return late_force(history, plain, past, displacement, extension_of(parameters))
+
+    def settled(self, window: Window, parameters: Array) -> np.ndarray:
+        """Mask (n,) of samples at which the lag has forgotten the past before the window."""
+        return ~window.history.unsettled(SETTLING * longest_lag([window], parameters))
+
+    def plausible_ranges(
+        self, windows: Sequence[Window], top_velocity: float, top_current: float
+    ) -> dict[str, tuple[float, float]]:
+        """Those of the sigmoid law, and of the extension from what the data span.
+
+        The compliance gives way to the force by no more than the amplitude of any window; the
+        stiffness and the offset make no more than all of the force in it.
+        """
+        forces = [float(np.max(np.abs(window.force))) for window in windows]
+        stiffnesses = [
+            force / window.motion.amplitude for force, window in zip(forces, windows, strict=True)
+        ]
+        return {
+            **super().plausible_ranges(windows, top_velocity, top_current),
+            COMPLIANCE: (0.0, 1.0 / max(stiffnesses)),
+            "stiffness": (-min(stiffnesses), min(stiffnesses)),
+            "offset": (-min(forces), min(forces)),
+        }
+
+    def _slowest_lag(self, windows: Sequence[Window], known: Array | None) -> float:
+        return _USUAL_LAG if known is None else longest_lag(windows, known)

@@ -15,13 +15,6 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.sine import Sine
-from mr_damper_ros.models.sigmoid.extension import (
-    SETTLING,
-    Extension,
-    FirstOrderLag,
-    ForceAndDamping,
-    lagged,
-)
 from mr_damper_ros.signals.arrays import Array
 
 _SAMPLES_PER_CYCLE = 1000
@@ -31,11 +24,11 @@ _FEWER_PER_CYCLE = 200
 """So many follow a hysteresis, which yields over a tenth of a cycle or so."""
 
 _LONGEST_SETTLING = 0.25
-"""No more than this part of a window is left out because the lag may not have settled."""
+"""No more than this part of a window is left out because its past is not known."""
 
 
 @dataclass(frozen=True, eq=False)
-class History:
+class MotionHistory:
     """Motion and current (m,), ``period`` [s] apart, behind the n samples of a window.
 
     ``places`` (n,) are where the window's samples lie, counted in samples of the history;
@@ -51,7 +44,9 @@ class History:
     periodic: bool
 
     @classmethod
-    def of_sine(cls, sine: Sine, peak_velocity: float, current: float, time: Array) -> History:
+    def of_sine(
+        cls, sine: Sine, peak_velocity: float, current: float, time: Array
+    ) -> MotionHistory:
         """One cycle of a steady sine; ``time`` [s] of the samples, on the clock of the sine."""
         count = _SAMPLES_PER_CYCLE
         period = 1.0 / (sine.frequency * count)
@@ -89,7 +84,7 @@ class History:
         return earlier, later, share
 
     @cached_property
-    def coarse(self) -> History:
+    def coarse(self) -> MotionHistory:
         """The same with fewer samples, for what changes less steeply than a sigmoid."""
         stride = following_stride(self.motion, self.period, _FEWER_PER_CYCLE)
         if self.periodic:
@@ -112,40 +107,6 @@ class History:
             places=self.places / stride,
         )
 
-    def force(
-        self, plain: Array, past: ForceAndDamping, displacement: Array, extension: Extension
-    ) -> Array:
-        """Force [N] of the extended law, shape (..., n), from that of the sigmoid law.
-
-        ``plain`` (..., n) is the latter at the samples, ``past`` along the history.
-        """
-        constant = extension.time_constant(past.damping)
-        missing = past.force - lagged(past.force, constant, self.period, periodic=self.periodic)
-        # Only what the lag changes is interpolated: it is smoother than the force.
-        late = plain - np.moveaxis(self.at_samples(np.moveaxis(missing, -1, 0)), 0, -1)
-        return np.asarray(late + extension.stiffness * displacement + extension.offset)
-
-    def jacobian(
-        self, plain: Array, past: ForceAndDamping, by_sigmoid: ForceAndDamping, extension: Extension
-    ) -> tuple[Array, Array]:
-        """Derivatives (n, p) of :meth:`force` by p parameters, and (n,) by the compliance.
-
-        ``plain`` (n, p) are those of the sigmoid force at the samples, ``by_sigmoid`` (m, p) those
-        of ``past`` along the history.
-        """
-        constant = extension.time_constant(past.damping)
-        lag = FirstOrderLag(constant, self.period, periodic=self.periodic)
-        # A damping below zero makes no lag.
-        damping = np.maximum(past.damping, 0.0)
-        lagging = (past.damping > 0.0)[:, np.newaxis]
-        of_force = np.column_stack((by_sigmoid.force, np.zeros(damping.size)))
-        of_constant = np.column_stack(
-            (extension.compliance * by_sigmoid.damping * lagging, damping)
-        )
-        late = lag.derivative(past.force, lag(past.force), of_force, of_constant)
-        missing = self.at_samples(of_force - late)
-        return plain - missing[:, :-1], -missing[:, -1]
-
     def at_samples(self, values: Array) -> Array:
         """Values (m, ...) along the history, interpolated at the samples of the window (n, ...)."""
         if self.is_window:
@@ -154,12 +115,12 @@ class History:
         share = share.reshape(-1, *(1,) * (values.ndim - 1))
         return np.asarray((1.0 - share) * values[earlier] + share * values[later])
 
-    def unsettled(self, time_constant: float) -> np.ndarray:
-        """Mask (n,) of samples so early that a lag [s] may still show that its start is unknown."""
+    def unsettled(self, duration: float) -> np.ndarray:
+        """Mask (n,) of samples that follow the unknown past by less than this duration [s]."""
         if self.periodic:
             return np.zeros(self.places.size, dtype=bool)
         longest = _LONGEST_SETTLING * self.current.size * self.period
-        return np.asarray(self.places * self.period < min(SETTLING * time_constant, longest))
+        return np.asarray(self.places * self.period < min(duration, longest))
 
 
 def following_stride(

@@ -1,0 +1,144 @@
+"""A window of samples to identify from: motion, force and current, and the motion behind them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mr_damper_ros.kinematics.motion import Motion, window_motion
+from mr_damper_ros.kinematics.motion_history import MotionHistory, following_stride
+from mr_damper_ros.signals.arrays import Array
+
+
+@dataclass(frozen=True)
+class Window:
+    """Motion, force [N] and coil current [A] of a window; arrays of shape (n,).
+
+    Only a law with a lag needs the rest: the sample ``period`` [s], and for a part of a window
+    the ``whole`` with the ``places`` (n,) of the samples, counted in samples of the whole (of a
+    steady sine the places suffice).
+
+    Raises ValueError where lengths differ or values are not finite.
+    """
+
+    motion: Motion
+    force: Array
+    current: Array
+    period: float = math.nan
+    places: Array | None = None
+    whole: Window | None = None
+
+    def __post_init__(self) -> None:
+        n = self.motion.velocity.size
+        for name in ("force", "current"):
+            array = np.asarray(getattr(self, name), dtype=float)
+            if array.shape != (n,):
+                raise ValueError(f"{name} has shape {array.shape}, the motion {n} samples")
+            if not np.all(np.isfinite(array)):
+                raise ValueError(f"the {name} holds NaN or infinite values")
+            object.__setattr__(self, name, array)
+
+    @classmethod
+    def from_samples(
+        cls,
+        displacement: Array,
+        force: Array,
+        current: Array | float,
+        period: float,
+        peak_velocity: Array | None = None,
+    ) -> Window:
+        """Window of samples taken every ``period`` [s]; see :func:`window_motion` for errors.
+
+        ``peak_velocity`` (n,) [m/s], where it is known from what went before the window, takes the
+        place of the window's own unless the motion is a sine.
+        """
+        motion = window_motion(displacement, period)
+        if peak_velocity is not None and motion.sine is None:
+            motion = replace(motion, peak_velocity=peak_velocity)
+        amperes = np.broadcast_to(np.asarray(current, float), np.shape(force))
+        return cls(motion, force, amperes, period)
+
+    def part(self, chosen: slice | Array) -> Window:
+        """The chosen samples: a slice, or a mask of shape (n,)."""
+        m = self.motion
+        motion = Motion(
+            displacement=m.displacement[chosen],
+            velocity=m.velocity[chosen],
+            acceleration=m.acceleration[chosen],
+            peak_velocity=m.peak_velocity[chosen],
+            sine=m.sine,
+        )
+        places = self._places
+        alone = self.steady or not self.period > 0.0
+        whole = None if alone else self.whole or self
+        return Window(
+            motion, self.force[chosen], self.current[chosen], self.period, places[chosen], whole
+        )
+
+    def held_within(self, low: float, high: float) -> Window:
+        """The same window, the peak velocity of its motion held; see :meth:`Motion.held_within`."""
+        whole = None if self.whole is None else self.whole.held_within(low, high)
+        return replace(self, motion=self.motion.held_within(low, high), whole=whole)
+
+    def thinned(self, most: int) -> Window:
+        """Every so many samples of the window, ``most`` or less than twice as many of them."""
+        stride = max(self.sample_count // most, 1)
+        if stride == 1:
+            return self
+        few = self.part(slice(None, None, stride))
+        if few.whole is None or few.places is None:
+            return few
+        whole = few.whole
+        coarser = following_stride(whole.motion, whole.period)
+        motion = whole.part(slice(None, None, coarser))
+        coarse = Window(motion.motion, motion.force, motion.current, coarser * whole.period)
+        places = np.minimum(few.places / coarser, coarse.sample_count - 1.0)
+        return replace(few, places=places, whole=coarse)
+
+    @property
+    def _places(self) -> Array:
+        if self.places is not None:
+            return self.places
+        return np.arange(self.sample_count, dtype=float)
+
+    @cached_property
+    def steady(self) -> bool:
+        """Whether the motion is a sine and the current constant."""
+        return self.motion.sine is not None and float(np.ptp(self.current)) == 0.0
+
+    @cached_property
+    def history(self) -> MotionHistory:
+        """The motion behind the samples; raises ValueError where the sample period is unknown."""
+        whole = self.whole or self
+        if not whole.period > 0.0:
+            raise ValueError("the sample period of the window is not known: a lag needs it")
+        places = self._places
+        if self.steady and self.motion.sine is not None:
+            peak_velocity, current = float(self.motion.peak_velocity[0]), float(self.current[0])
+            time = places * self.period
+            return MotionHistory.of_sine(self.motion.sine, peak_velocity, current, time)
+        branch = np.sign(self.motion.acceleration)
+        return MotionHistory(
+            whole.motion, whole.current, whole.period, places, branch, periodic=False
+        )
+
+    @property
+    def sample_count(self) -> int:
+        """Number of samples."""
+        return int(self.force.size)
+
+    @cached_property
+    def operating_point(self) -> tuple[float, float]:
+        """Peak velocity [m/s] and current [A] that stand for the window.
+
+        Where the motion is no sine the peak velocity is the root mean square over the samples,
+        weighted by speed, so that rests and reversals do not count.
+        """
+        weights = np.abs(self.motion.velocity)
+        if not np.any(weights):
+            return 0.0, float(np.mean(self.current))
+        v_m = np.sqrt(np.average(self.motion.peak_velocity**2, weights=weights))
+        return float(v_m), float(np.mean(self.current))

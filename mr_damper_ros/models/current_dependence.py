@@ -1,0 +1,234 @@
+"""Laws written for one current, made laws for all: each coefficient follows the current.
+
+A coefficient that cannot be negative grows in proportion, c (1 + c_1 i + c_2 i²), so that a damper
+which loses its strength loses the same part of it at every current; one of either sign is shifted,
+c + c_1 i + c_2 i². Linear or quadratic is what the literature uses (Spencer, Dyke, Sain and
+Carlson, 1997; Kwok, Ha, Nguyen, Li and Samali, 2006). A parameter file with the coefficients of one
+current alone means that they depend on no current.
+
+The current that counts is that of the coil, which follows the supply's with a first-order lag
+(Spencer et al.: du/dt = -eta (u - v); the time constant is 1/eta).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.first_order_lag import lagged
+from mr_damper_ros.models.force_model import Model, State
+from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
+from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
+from mr_damper_ros.signals.arrays import Array
+
+COIL = "coil_time_constant"
+"""Name of the parameter of the coil's lag [s]."""
+
+_SLOWEST_COIL = 1.0
+_GROWTH = 100.0
+"""Plausible growth of a coefficient over the range of the current: up to so many times."""
+
+_FAINTEST = 0.01
+"""A coefficient that grows is at no current at least this part of what it is on average."""
+
+_ORDER = (("", ""), ("_1", "/A"), ("_2", "/A²"))
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient of a law at one current: its unit, its bounds, what it means.
+
+    ``degree`` is that of the polynomial in the current that it follows.
+    """
+
+    name: str
+    unit: str
+    low: float = -np.inf
+    high: float = np.inf
+    degree: int = 0
+    meaning: str = ""
+
+    @property
+    def grows(self) -> bool:
+        """Whether the current multiplies it, because it cannot be negative, or shifts it."""
+        return self.low >= 0.0
+
+    @property
+    def dependence(self) -> tuple[Parameter, ...]:
+        """The parameters of its dependence on the current."""
+        return tuple(
+            Parameter(
+                f"{self.name}{suffix}",
+                ("1" if self.grows else self.unit) + per,
+                currents=order,
+                default=0.0,
+            )
+            for order, (suffix, per) in enumerate(_ORDER[1 : self.degree + 1], start=2)
+        )
+
+
+class CurrentDependentModel(Model):
+    """A law of the coefficients of one current, and how these follow the current."""
+
+    at_one_current: ClassVar[tuple[Coefficient, ...]]
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Derive the parameters from the coefficients."""
+        super().__init_subclass__(**options)
+        plain = tuple(Parameter(c.name, c.unit, c.low, c.high) for c in cls.at_one_current)
+        groups = tuple(c.dependence for c in cls.at_one_current)
+        every = tuple(parameter for group in groups for parameter in group)
+        coil = Parameter(COIL, "s", 0.0, _SLOWEST_COIL, currents=2, default=0.0)
+        cls.parameters = (*plain, *every, coil)
+        cls.free_in_one_run = tuple(c.name for c in cls.at_one_current)
+        cls.coefficient_quantities = tuple(
+            Quantity(c.name, c.unit, c.meaning) for c in cls.at_one_current
+        )
+        cls.linear = tuple(parameter.name for parameter in (*plain, *every))
+        cls.shape_groups = tuple(tuple(p.name for p in group) for group in groups if group)
+        cls.strength = tuple(
+            name
+            for c, group in zip(cls.at_one_current, groups, strict=True)
+            if c.unit.startswith("N")
+            for name in (c.name, *(() if c.grows else (p.name for p in group)))
+        )
+        indices = {parameter.name: place for place, parameter in enumerate(cls.parameters)}
+        cls._orders = tuple(tuple(indices[p.name] for p in group) for group in groups)
+
+    _orders: ClassVar[tuple[tuple[int, ...], ...]]
+    """Places of the parameters of each coefficient's dependence, linear first."""
+
+    @abstractmethod
+    def force_at(
+        self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force (..., n) [N] and the state after it; each coefficient has shape (..., 1 or n)."""
+
+    @abstractmethod
+    def starts_at_one_current(self, reading: LoopReading) -> Array:
+        """Starts (k, c) for the coefficients, from what can be read off a record."""
+
+    def starts(self, reading: LoopReading) -> Array:
+        """Those at one current, without any dependence."""
+        plain = self.starts_at_one_current(reading)
+        return np.hstack([plain, np.zeros((len(plain), len(self.parameters) - plain.shape[1]))])
+
+    def follow(
+        self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N]; the state ends with the current of the supply and of the coil."""
+        before = None if state is None else state[-2:]
+        in_coil = _in_coil(current, parameters[..., -1], period, before)
+        values = [self._at(parameters, place, in_coil) for place in range(len(self.at_one_current))]
+        force, kept = self.force_at(values, motion, period, None if state is None else state[:-2])
+        shape = parameters.shape[:-1]
+        supply = np.full(shape, current[-1])
+        return force, (*kept, supply, np.broadcast_to(in_coil[..., -1], shape))
+
+    def _at(self, parameters: Array, place: int, current: Array) -> Array:
+        """One coefficient (..., n) at currents (..., n)."""
+        coefficient = self.at_one_current[place]
+        change: Array | float = 0.0
+        for order, column in reversed(list(enumerate(self._orders[place], start=1))):
+            change = change + parameters[..., column, np.newaxis] * current**order
+        value = parameters[..., place, np.newaxis]
+        value = value * (1.0 + change) if coefficient.grows else value + change
+        return np.clip(value, coefficient.low, coefficient.high)
+
+    def coefficients_at(
+        self, parameters: Array, peak_velocity: ArrayLike, current: ArrayLike
+    ) -> Array:
+        """The coefficients (c, n) at n currents [A]; they do not depend on the peak velocity."""
+        amperes = np.broadcast_arrays(
+            np.atleast_1d(np.asarray(current, dtype=float)), np.atleast_1d(peak_velocity)
+        )[0]
+        values = (self._at(parameters, place, amperes) for place in range(len(self.at_one_current)))
+        return np.stack([np.broadcast_to(value, amperes.shape) for value in values])
+
+    def plausible_ranges(
+        self, windows: Sequence[Window], top_velocity: float, top_current: float
+    ) -> dict[str, tuple[float, float]]:
+        """Ranges of the dependences on the current, and of the coil's time constant."""
+        readings = [LoopReading.of(window) for window in windows]
+        ranges = {COIL: (0.0, _SLOWEST_COIL)}
+        for coefficient in self.at_one_current:
+            size = _GROWTH
+            if not coefficient.grows:
+                size *= max(reading.size(coefficient.unit) for reading in readings)
+            for order, parameter in enumerate(coefficient.dependence, start=1):
+                reach = size / max(top_current, 1e-12) ** order
+                ranges[parameter.name] = (-reach, reach)
+        return ranges
+
+    def fit_laws(
+        self,
+        table: CoefficientTable,
+        start: Array,
+        free: frozenset[str],
+        search: LawSearch,
+    ) -> Array:
+        """Weighted linear least squares over the current, coefficient by coefficient."""
+        values = np.array(start, dtype=float)
+        for place, coefficient in enumerate(self.at_one_current):
+            if coefficient.name not in free:
+                continue
+            weights = table.weights(place)
+            target = table.coefficients[:, place]
+            fixed = np.ones(table.current.size)
+            columns, powers = [], []
+            for order, column in enumerate(self._orders[place], start=1):
+                power = table.current**order
+                if self.parameters[column].name in free:
+                    columns.append(column)
+                    powers.append(power)
+                elif coefficient.grows:
+                    fixed = fixed + values[column] * power
+                else:
+                    target = target - values[column] * power
+            basis = np.stack([fixed, *powers], axis=-1) * weights[:, np.newaxis]
+            found = np.linalg.lstsq(basis, weights * target, rcond=None)[0]
+            if coefficient.grows:
+                # What is nothing at no current could not grow.
+                least = max(coefficient.low, _FAINTEST * float(np.mean(np.abs(target))), 1e-12)
+                found[0] = max(found[0], least)
+                found[1:] /= found[0]
+            values[place], values[columns] = found[0], found[1:]
+        return np.clip(values, *self.bounds)
+
+    def draw_shape(
+        self, rng: np.random.Generator, top_velocity: float, top_current: float
+    ) -> dict[str, float]:
+        """Growth to a few times, in a curve that does not turn within the range."""
+        drawn = {}
+        for coefficient in self.at_one_current:
+            if not coefficient.grows:
+                continue
+            growth = float(np.exp(rng.uniform(0.0, 2.5))) - 1.0
+            for order, parameter in enumerate(coefficient.dependence, start=1):
+                bend = 1.0 if order == 1 else -rng.uniform(0.0, 0.5)
+                drawn[parameter.name] = growth * bend / max(top_current, 1e-12) ** order
+        return drawn
+
+
+def _in_coil(current: Array, time_constant: Array, period: float, before: State | None) -> Array:
+    """Current [A] of the coil, shape (..., n), or (..., 1) where it is constant.
+
+    ``current`` (n,) is the supply's, ``time_constant`` (...) [s]; ``before``: the supply's and the
+    coil's current of the sample before.
+    """
+    past = current[:1] if before is None else np.stack(before)
+    if np.all(current == current[0]) and np.all(past == current[0]):
+        return np.broadcast_to(current[0], (*time_constant.shape, 1))
+    if not np.any(time_constant > 0.0):
+        return np.broadcast_to(current, (*time_constant.shape, current.size))
+    every = np.broadcast_to(current, (*time_constant.shape, current.size))
+    constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
+    state = None if before is None else (*before, time_constant)
+    return lagged(every, constants, period, state=state)

@@ -1,0 +1,126 @@
+"""First-order lag of a sampled signal, with a time constant that may change from sample to sample.
+
+Used for the compliance in series with the damper, which makes the force late, and for the coil,
+whose current follows the supply's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+
+SETTLING = 7.0
+"""Time constants after which a lag has forgotten its start to a thousandth."""
+
+_SHORTEST, _LONGEST = 1e-9, 1e9
+"""A time constant of fewer sample periods than the first is none; none counts as more than the
+other."""
+
+
+LagState = tuple[Array, Array, Array]
+"""Of the sample before: the signal, the lagged signal and the time constant [s]."""
+
+
+class FirstOrderLag:
+    """First-order lag of signals sampled every ``period`` [s], along their first axis.
+
+    ``time_constant`` (n,) [s] is that at the samples; between two of them their mean holds.
+    Exact where it is constant and the signal linear between samples, whatever the period; a time
+    constant of 0 changes nothing. The lag starts settled, or goes on from ``state``; with
+    ``periodic`` the n samples are one period of the signal.
+    """
+
+    def __init__(
+        self,
+        time_constant: Array,
+        period: float,
+        *,
+        periodic: bool = False,
+        state: LagState | None = None,
+    ) -> None:
+        before = _one_earlier(time_constant)
+        if state is not None:
+            before[0] = state[2]
+        elif not periodic:
+            before[0] = time_constant[0]
+        tau = np.clip(0.5 * (before + time_constant), _SHORTEST * period, _LONGEST * period)
+        ratio = period / tau
+        self._periodic, self._state = periodic, state
+        self._tau, self._ratio = tau, ratio
+        self._decay = np.exp(-ratio)
+        # Weights of the earlier and the later end of the line between two samples.
+        mean = -np.expm1(-ratio) / ratio
+        self._before, self._now = mean - self._decay, 1.0 - mean
+
+    def __call__(self, values: Array) -> Array:
+        """The lagged signal, shape (n,), of one of shape (n,)."""
+        driven = self._before * _one_earlier(values) + self._now * values
+        if self._state is not None:
+            value, late = self._state[0], self._state[1]
+            driven[0] = self._before[0] * value + self._now[0] * values[0] + self._decay[0] * late
+        elif not self._periodic:
+            driven[0] = values[0]
+        return self._recursion(driven)
+
+    def derivative(
+        self, values: Array, lagged: Array, of_values: Array, of_time_constant: Array
+    ) -> Array:
+        """Derivatives (n, p) of the lagged signal where signal and time constant have these (n, p).
+
+        ``values`` (n,) is the signal, ``lagged`` (n,) what :meth:`__call__` made of it.
+        """
+        mean_slope = self._before / self._tau
+        decay_slope = self._decay * self._ratio / self._tau
+        by_time_constant = (
+            decay_slope * _one_earlier(lagged)
+            + (mean_slope - decay_slope) * _one_earlier(values)
+            - mean_slope * values
+        )
+        driven = (
+            self._before[:, np.newaxis] * _one_earlier(of_values)
+            + self._now[:, np.newaxis] * of_values
+            + by_time_constant[:, np.newaxis]
+            * (0.5 * (_one_earlier(of_time_constant) + of_time_constant))
+        )
+        if not self._periodic:
+            driven[0] = of_values[0]
+        return self._recursion(driven)
+
+    def _recursion(self, driven: Array) -> Array:
+        """Solve y[k] = decay[k] y[k-1] + driven[k] by forward substitution."""
+        from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
+
+        bands = np.ones((2, self._decay.size))
+        bands[1, :-1] = -self._decay[1:]
+        result = dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape)
+        if self._periodic:
+            passed = np.cumsum(self._ratio)
+            before = result[-1] / -np.expm1(-passed[-1])
+            result += np.multiply.outer(np.exp(-passed), before)
+        return np.asarray(result)
+
+
+def _one_earlier(values: Array) -> Array:
+    return np.roll(values, 1, axis=0)
+
+
+def lagged(
+    values: Array,
+    time_constant: Array,
+    period: float,
+    *,
+    periodic: bool = False,
+    state: tuple[Array, ...] | None = None,
+) -> Array:
+    """Lag of signals of shape (..., n) along their last axis; see :class:`FirstOrderLag`.
+
+    ``time_constant`` [s] has the same shape. ``state``: the last samples before these, their
+    lagged values and their time constants, each of shape (...).
+    """
+    result = np.empty(values.shape)
+    for place in np.ndindex(values.shape[:-1]):
+        before = None if state is None else (state[0][place], state[1][place], state[2][place])
+        lag = FirstOrderLag(time_constant[place], period, periodic=periodic, state=before)
+        result[place] = lag(values[place])
+    return result

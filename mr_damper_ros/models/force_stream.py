@@ -1,0 +1,77 @@
+"""Force of a motion that goes on, block by block."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.force_model import Model, State
+from mr_damper_ros.signals.arrays import Array
+
+_KEPT = 0.5
+"""Seconds of motion from which a state is found anew: lag and hysteresis forget sooner."""
+
+
+class ForceStream:
+    """Force of a motion that goes on: the same as in one piece, however it is cut into blocks.
+
+    The state goes on where the parameters change, unless :meth:`retrace` finds it anew.
+    """
+
+    def __init__(self, model: Model, period: float) -> None:
+        if not period > 0.0:
+            raise ValueError(f"the sample period is {period} s: it must be positive")
+        self.model = model
+        self._period = period
+        self._state: State | None = None
+        # Blocks of the last while, each with the state before it, and the samples in them.
+        self._past: deque[tuple[State | None, Motion, Array]] = deque()
+        self._past_count = 0
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the force so far depends on the samples before."""
+        return self.model.remembers
+
+    def follow(self, parameters: ArrayLike, motion: Motion, current: ArrayLike) -> Array:
+        """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).
+
+        ``current`` [A] is a number or has shape (n,). Raises ValueError where the number of
+        parameters is wrong.
+        """
+        values = np.asarray(parameters, dtype=float)
+        count = len(self.model.parameters)
+        if values.shape[-1:] != (count,):
+            raise ValueError(
+                f"model '{self.model.name}' has {count} parameters "
+                f"({', '.join(self.model.parameter_names)}): got shape {values.shape}"
+            )
+        amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
+        if self.model.remembers:
+            self._keep(motion, amperes)
+        with np.errstate(over="ignore", invalid="ignore"):
+            force, self._state = self.model.follow(
+                values, motion, amperes, self._period, self._state
+            )
+        return force
+
+    def _keep(self, motion: Motion, amperes: Array) -> None:
+        self._past.append((self._state, motion, amperes))
+        self._past_count += amperes.size
+        while (self._past_count - self._past[0][2].size) * self._period >= _KEPT:
+            self._past_count -= self._past.popleft()[2].size
+
+    def retrace(self, parameters: ArrayLike) -> None:
+        """Follow the last half second once more, with other parameters.
+
+        What the model remembers is then what it would be had these been in use; a lagging force,
+        for one, would else be that of the old parameters for a while.
+        """
+        past, self._past, self._past_count = self._past, deque(), 0
+        if past:
+            self._state = past[0][0]
+        for _, motion, amperes in past:
+            self.follow(parameters, motion, amperes)

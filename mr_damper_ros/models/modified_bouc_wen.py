@@ -1,0 +1,97 @@
+"""The modified Bouc-Wen model of Spencer, Dyke, Sain and Carlson (1997)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
+from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.hysteresis import (
+    HYSTERESIS,
+    each_sample,
+    hysteresis_step,
+    integrated,
+    relaxation,
+)
+from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.signals.arrays import Array
+
+
+class ModifiedBoucWen(CurrentDependentModel):
+    """A Bouc-Wen model in series with a damper, both in parallel with a spring."""
+
+    name = "modified_bouc_wen"
+    title = "modified Bouc–Wen"
+    source = "Spencer, Dyke, Sain and Carlson, J. Engineering Mechanics 123, 1997; thesis eq. 3-6"
+    equation = (
+        r"F = c_1 \dot y + k_1 u + f_0,\quad"
+        r" \dot y = \frac{\alpha z + c_0 v + k_0 (u - y)}{c_0 + c_1},\quad"
+        r" \dot z = \left(w - |z|^n (s w + (1 - s) |w| \operatorname{sgn} z)\right) / u_y,"
+        r"\quad w = v - \dot y"
+    )
+    at_one_current = (
+        Coefficient("c0", "N s/m", 0.0, degree=1, meaning="damping at high velocity"),
+        Coefficient("k0", "N/m", 0.0, meaning="inner stiffness"),
+        Coefficient("c1", "N s/m", 1e-3, degree=1, meaning="damping in series"),
+        Coefficient("k1", "N/m", meaning="stiffness of the gas"),
+        Coefficient("f0", "N", meaning="constant force"),
+        *HYSTERESIS,
+    )
+    remembers = True
+
+    def force_at(
+        self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N]; remembered are z, the inner spring's length and the last velocity."""
+        outer_damping, stiffness, offset = coefficients[2:5]
+        inner, kept = integrated(_inner_velocity, coefficients, motion, period, state, 3)
+        return np.asarray(outer_damping * inner + stiffness * motion.displacement + offset), kept
+
+    def starts_at_one_current(self, reading: LoopReading) -> Array:
+        """Mostly yield, early or late, in series with a soft or a stiff damper."""
+        force, middle, speed, amplitude = reading
+        viscous = force / speed
+        return np.array(
+            [
+                [0.2 * viscous, 0.0, stiff * viscous, 0.0]
+                + [middle, 0.8 * force, part * amplitude, 0.5, 1.5]
+                for stiff in (2.0, 8.0)
+                for part in (0.01, 0.1)
+            ]
+        )
+
+
+def _inner_velocity(
+    coefficients: list[Array], motion: Motion, period: float, memory: list[float]
+) -> Array:
+    """Velocity [m/s] of the inner point, shape (n,).
+
+    The memory holds z, the displacement s of the rod against the inner point, and the velocity of
+    the last sample. Only s enters the equations, so the centre of the motion may move.
+    """
+    count = motion.velocity.size
+    # The dampings and the force of full yield may follow the current.
+    c0s, c1s, alphas = (each_sample(coefficients[place], count) for place in (0, 2, 5))
+    k0, length, share, power = (float(coefficients[place][0]) for place in (1, 6, 7, 8))
+    z, s, last = memory
+    inner = []
+    for v, c0, c1, alpha in zip(motion.velocity.tolist(), c0s, c1s, alphas, strict=True):
+        both = c0 + c1
+        if math.isnan(z):
+            z = s = 0.0
+        else:
+            # Strang's splitting: half a step of s, a step of z, half a step of s.
+            easing = 0.5 * period * relaxation(-0.5 * period * k0 / both)
+            w = 0.5 * (v + last)
+            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
+            slip = w - (alpha * z + c0 * w + k0 * s) / both
+            z = hysteresis_step(z, slip, alpha / both, length, share, power, period)
+            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
+        last = v
+        inner.append((alpha * z + c0 * v + k0 * s) / both)
+    memory[:] = z, s, last
+    return np.array(inner)

@@ -1,0 +1,78 @@
+"""What an identification over many operating points works on, whatever the model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.signals.arrays import Array
+
+_RELATIVE_ERROR = 0.05
+"""No coefficient is trusted more than to this part: the law itself is not exact."""
+
+LawSearch = Callable[[Callable[[Array], Array], Sequence[tuple[float, float]], Array, str], Array]
+"""Minimises a function of individuals (u, s) to (s,) within bounds, from a start (u,).
+
+The last argument names the stage of the search; the result (u,) is the best individual.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientTable:
+    """Coefficients of k operating points; of the sigmoid law those with positive f_t.
+
+    ``peak_velocity`` [m/s] and ``current`` [A] have shape (k,), ``coefficients`` and their
+    standard ``errors`` shape (k, c).
+    """
+
+    peak_velocity: Array
+    current: Array
+    coefficients: Array
+    errors: Array
+
+    def weights(self, column: int) -> Array:
+        """Inverse standard deviations (k,) of one coefficient, model error included."""
+        values = self.coefficients[:, column]
+        floor = _RELATIVE_ERROR * max(float(np.sqrt(np.mean(values**2))), 1e-300)
+        errors = np.nan_to_num(self.errors[:, column], nan=1e3 * floor)
+        return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)
+
+
+class PooledProblem(Protocol):
+    """Weighted residual (n,) of many windows, and its Jacobian (n, p), for parameters (p,).
+
+    Every window counts the same, whatever its length: its samples are weighted by what the
+    window's own best fit leaves of the force. Where only sensor noise is left this is the
+    maximum-likelihood weight; where the law itself is not exact it keeps one strong run from
+    drowning all others.
+    """
+
+    windows: tuple[Window, ...]
+    sample_count: int
+
+    def residual(self, parameters: Array) -> Array:
+        """Weighted model minus measurement [1] of all windows, shape (n,)."""
+
+    def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
+        """Derivatives of the residual, shape (n, p), or only the given columns of it."""
+
+    def mean_square(self, parameters: Array) -> float:
+        """Mean of the squared weighted residual: 1 where nothing but the noise is left."""
+
+    def population_cost(self, parameters: Array) -> Array:
+        """The mean square of many sets, shape (s, p) to (s,)."""
+
+
+def window_weights(windows: Sequence[Window], noise: Sequence[float]) -> list[float]:
+    """Weight [1/N] of the samples of each window; ValueError where there are no windows."""
+    if not windows:
+        raise ValueError("there are no windows to identify from")
+    share = sum(window.sample_count for window in windows) / len(windows)
+    return [
+        float(np.sqrt(share / window.sample_count)) / max(sigma, 1e-12)
+        for window, sigma in zip(windows, noise, strict=True)
+    ]

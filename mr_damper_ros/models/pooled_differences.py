@@ -1,0 +1,91 @@
+"""Pooled residual of many windows for a model that says no more than its force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.operating_points import window_weights
+from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.signals.arrays import Array
+
+_STEP = 1e-6
+"""Step of a difference, relative to the size of the parameter."""
+
+_SMALLEST = 0.1
+"""A parameter counts as no smaller than this part of its typical size."""
+
+
+class PooledDifferences:
+    """Weighted residual of windows; derivatives are by differences. See :class:`PooledProblem`."""
+
+    def __init__(
+        self,
+        model: Model,
+        windows: Sequence[Window],
+        noise: Sequence[float],
+        known: Array | None = None,
+    ) -> None:
+        self.windows = tuple(windows)
+        self.sample_count = sum(window.sample_count for window in windows)
+        self._model = model
+        self._weights = window_weights(windows, noise)
+        readings = [LoopReading.of(window) for window in windows]
+        self._sizes = np.array(
+            [
+                float(np.median([reading.size(parameter.unit) for reading in readings]))
+                for parameter in model.parameters
+            ]
+        )
+        self._settled = [
+            np.ones(window.sample_count, dtype=bool)
+            if known is None
+            else model.settled(window, known)
+            for window in windows
+        ]
+
+    def residual(self, parameters: Array) -> Array:
+        """Weighted model minus measurement [1] of all windows, shape (n,)."""
+        return np.concatenate([part for _, part in self._residuals(parameters)])
+
+    def mean_square(self, parameters: Array) -> float:
+        """Mean of the squared weighted residual: 1 where nothing but the noise is left."""
+        return float(np.mean(np.square(self.residual(parameters))))
+
+    def population_cost(self, parameters: Array) -> Array:
+        """The mean square of many sets, shape (s, p) to (s,)."""
+        total = np.zeros(parameters.shape[0])
+        for _, part in self._residuals(parameters):
+            total += np.sum(np.square(part), axis=-1)
+        return total / self.sample_count
+
+    def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
+        """Derivatives of the residual, shape (n, p), or only the given columns of it."""
+        places = np.arange(parameters.size) if columns is None else np.asarray(columns, dtype=int)
+        values = parameters[places]
+        steps = _STEP * np.maximum(np.abs(values), _SMALLEST * self._sizes[places])
+        steps = np.where(values + steps > self._model.bounds[1][places], -steps, steps)
+        moved = np.tile(parameters, (places.size + 1, 1))
+        moved[1 + np.arange(places.size), places] += steps
+        # Cut by cut: all at once would take as much memory as there are parameters.
+        return np.concatenate(
+            [(part[1:] - part[0]).T / steps for _, part in self._residuals(moved)]
+        )
+
+    def _residuals(self, parameters: Array) -> list[tuple[Window, Array]]:
+        """Weighted residual (..., n) of each window, for parameters (..., p)."""
+        return [
+            (
+                window,
+                weight
+                * np.where(
+                    settled, self._model.window_force(window, parameters) - window.force, 0.0
+                ),
+            )
+            for window, weight, settled in zip(
+                self.windows, self._weights, self._settled, strict=True
+            )
+        ]

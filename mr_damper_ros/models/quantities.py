@@ -1,0 +1,79 @@
+"""Parameters and coefficients with their units, and what of them can be read off a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.kinematics.window import Window
+
+_OUTERMOST = 0.98
+"""Quantile of the speed and of the displacement that counts as the largest."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter: its unit, and the bounds within which it has a meaning.
+
+    It can be told from its fellows only where the data hold so many different ``peak_velocities``
+    and ``currents``. A file that does not name it means the ``default``, if there is one.
+    """
+
+    name: str
+    unit: str
+    low: float = -np.inf
+    high: float = np.inf
+    peak_velocities: int = 1
+    currents: int = 1
+    default: float | None = None
+
+
+class Quantity(NamedTuple):
+    """A coefficient at one operating point: its name, its unit, what it means."""
+
+    name: str
+    unit: str
+    meaning: str = ""
+
+
+class LoopReading(NamedTuple):
+    """What can be read off a record: where a search may start.
+
+    Half the span of the ``force`` [N] and its ``middle`` [N], the largest ``speed`` [m/s] and the
+    ``amplitude`` [m].
+    """
+
+    force: float
+    middle: float
+    speed: float
+    amplitude: float
+
+    @classmethod
+    def of(cls, window: Window) -> LoopReading:
+        """That of a window."""
+        top, bottom = float(window.force.max()), float(window.force.min())
+        speed = float(np.quantile(np.abs(window.motion.velocity), _OUTERMOST))
+        amplitude = float(np.quantile(np.abs(window.motion.displacement), _OUTERMOST))
+        return cls(
+            max(0.5 * (top - bottom), 1e-9),
+            0.5 * (top + bottom),
+            max(speed, 1e-9),
+            max(amplitude, 1e-9),
+        )
+
+    def size(self, unit: str) -> float:
+        """Typical size of a quantity of this unit."""
+        per_ampere = unit.removesuffix("/A²").removesuffix("/A")
+        sizes = {
+            "N": self.force,
+            "N s/m": self.force / self.speed,
+            "N/m": self.force / self.amplitude,
+            "s/m": 1.0 / self.speed,
+            "m/s": self.speed,
+            "m": self.amplitude,
+            "m/N": self.amplitude / self.force,
+            "s": self.amplitude / self.speed,
+        }
+        return sizes.get(per_ampere, 1.0)
