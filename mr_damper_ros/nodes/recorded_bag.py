@@ -52,7 +52,7 @@ class RecordedBag:
             self._reader = Reader(path)
             self._reader.open()
         except BagError as error:
-            raise ConfigurationError(str(error)) from error
+            raise ConfigurationError(f"{path}: {error}") from error
         except Exception as error:  # a damaged file fails in many ways
             raise ConfigurationError(f"the bag {path} cannot be read: {error}") from error
         self.details: dict[str, str] = {
