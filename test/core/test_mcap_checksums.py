@@ -12,6 +12,7 @@ import pytest
 from backports import zstd
 from lz4 import frame as lz4
 
+from benchmarks.hostile_files import checksum_places
 from mr_damper_ros.io.bag_files import check_bag_files
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_streams import BagError
@@ -88,24 +89,12 @@ def test_a_file_without_checksums_is_read(bag: Path) -> None:
     file = bag / "bag.mcap"
     with_checksums = file.read_bytes()
     without = bytearray(with_checksums)
-    for place in crc_places(with_checksums):
+    for place in checksum_places(with_checksums):
         without[place : place + 4] = bytes(4)
     file.write_bytes(bytes(without))
     assert read_bag(bag)[0].sample_count == 300
     add_checksums(file)
     assert file.read_bytes() == with_checksums
-
-
-def crc_places(whole: bytes) -> list[int]:
-    """Where the checksums of chunks, data section and summary are."""
-    places, position = [], 8
-    while position < len(whole) - 8:
-        operation, length = struct.unpack_from("<BQ", whole, position)
-        offset = {CHUNK: 24, 0x0F: 0, 0x02: 16}.get(operation)
-        if offset is not None:
-            places.append(position + 9 + offset)
-        position += 9 + length
-    return places
 
 
 def packed(file: Path, compression: str, content: bytes, size: int) -> None:

@@ -19,6 +19,7 @@ from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import facts, identifiability, one_set, optimisers, repeated, sensitivity
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.de import STRATEGIES, evolve
+from mr_damper_ros.thesis.optimiser_methods import available
 from mr_damper_ros.thesis.report import (
     Chapter,
     Compared,
@@ -267,7 +268,7 @@ def test_wilson(wins, count, low, high):
     assert optimisers.wilson(wins, count) == pytest.approx((low, high), abs=FOUR_DECIMALS)
 
 
-EVERY_OPTIMISER = pytest.mark.parametrize("method", optimisers.available())
+EVERY_OPTIMISER = pytest.mark.parametrize("method", available())
 
 
 @cache
@@ -287,7 +288,7 @@ def test_every_optimiser_ends_between_the_noise_and_the_force_itself(method):
     assert result["floor"] / BELOW_THE_TRUTH <= result["rmse"] < FORCE_SPREAD
 
 
-@pytest.mark.parametrize("method", [m for m in optimisers.available() if not m.endswith("_7")])
+@pytest.mark.parametrize("method", [m for m in available() if not m.endswith("_7")])
 def test_an_optimiser_of_sixteen_unknowns_stays_within_its_bounds(method):
     inside = np.array(searched(method)["parameters"])
     assert np.all((inside >= facts.SEARCH_LOW) & (inside <= facts.SEARCH_HIGH))
