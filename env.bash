@@ -2,7 +2,7 @@
 #     . ./env.bash
 
 _mr_damper_env() {
-  local root shell mode flags programs profiles
+  local root shell mode flags programs profiles foreign
   if [ -n "${BASH_VERSION:-}" ]; then
     shell=bash
     root=$(CDPATH="" cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd -P)
@@ -32,7 +32,15 @@ _mr_damper_env() {
   export VIRTUAL_ENV="$root/.venv"
   flags=$-
   set +eu # the scripts of colcon are not written for these
-  [ "$mode" = jazzy ] || unset AMENT_PREFIX_PATH # another clone's, it would be mixed with this
+  if [ "$mode" != jazzy ]; then
+    unset AMENT_PREFIX_PATH # another clone's, it would be mixed with this
+    foreign=$(printf '%s\n' "${PYTHONPATH:-}" | tr ':' '\n' | grep -v "^$root/" | tr '\n' ' ')
+    case $foreign in
+      *[!\ ]*) echo "mr_damper_ros: PYTHONPATH is set anew, without ${foreign% }: what lies there" \
+        "would take the place of this environment's packages." >&2 ;;
+    esac
+    unset PYTHONPATH
+  fi
   . "$root/install/setup.$shell"
   case $flags in *e*) set -e ;; esac
   case $flags in *u*) set -u ;; esac

@@ -80,12 +80,33 @@ pip_install() {
     "$@" >>"$log" 2>&1; then
     return
   fi
+  if grep -qE 'DO NOT MATCH THE HASHES|are required in --require-hashes' "$log"; then
+    fail "a package that pip was given is not the one whose hash is pinned in requirements/: have" \
+      "your mirror serve the original files; pip's own words are in $log."
+  fi
   if grep -qiE 'NewConnectionError|ConnectTimeout|ReadTimeout|name resolution|ProxyError|Connection (refused|reset)|unreachable|No matching distribution|No route' "$log"; then
     fail "pip could not fetch the packages: connect this machine to the network (or point pip to" \
       "your mirror or proxy) and call make again; pip's own words are in $log."
   fi
   grep -E '^ *(ERROR|error):' "$log" | tail -n 3 >&2 || true
   fail "pip could not install the packages; its own words are in $log."
+}
+
+# without_hashes FILE: what it pins, for machines that the hashes are not made for.
+without_hashes() {
+  grep -v -- '--hash=' "$1" | sed 's/ \\$//'
+}
+
+# check_place FOLDER: fails with a sentence where nothing can be built, rather than midway.
+check_place() {
+  local odd
+  odd=$(printf '%s' "$1" | LC_ALL=C sed 's|[A-Za-z0-9/._+@-]*||g; s|\(.\).*|\1|')
+  case $1 in
+    *[[:space:]]*) fail "the path '$1' contains a space, which neither CMake packages nor scripts" \
+      "of virtual environments survive: move the folder to a path without spaces." ;;
+  esac
+  [ -z "$odd" ] || fail "the path '$1' contains more than plain letters, digits and . _ + - @," \
+    "and CMake cannot build messages there: move the folder to a path without accents and signs."
 }
 
 # hash_of FILES...: one hash of the contents and names of the files (folders: of all files below).

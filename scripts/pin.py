@@ -16,6 +16,13 @@ import tempfile
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent.parent / "requirements"
+PYTHONS = {
+    "constraints.txt": ("3.10", "3.11", "3.12", "3.13"),
+    "noble.txt": ("3.10", "3.11", "3.12"),  # NumPy 1.26 ends at 3.12
+}
+"""Versions that each file is for."""
+NO_WHEEL = ("empy",)
+"""What the index has as source only; its hash is that of the source."""
 HEADER = "# Written by scripts/pin.py from {sources}; do not edit by hand.\n"
 
 
@@ -56,6 +63,67 @@ def merge(resolved: dict[str, dict[str, str]]) -> list[str]:
     return lines
 
 
+def pinned(lines: list[str], python: str) -> list[str]:
+    """Return what the lines pin for a Python ("3.11"), as ``name==version``."""
+    parts = (line.partition(" ; ") for line in lines)
+    return [spec for spec, _, marker in parts if not marker or f'"{python}"' in marker]
+
+
+def hashes(pins: list[str], python: str) -> dict[str, str]:
+    """Return the SHA-256 of the file that pip takes for each pin with a Python ("3.11")."""
+    tag = "cp" + python.replace(".", "")
+    abis = [part for abi in (tag, "abi3", "none") for part in ("--abi", abi)]
+    platforms = [f"manylinux_2_{minor}_x86_64" for minor in range(40, 4, -1)]
+    platforms += ["manylinux2014_x86_64", "manylinux2010_x86_64", "manylinux1_x86_64"]
+    with tempfile.TemporaryDirectory() as folder:
+        listed, report = Path(folder, "pins.txt"), Path(folder, "report.json")
+        listed.write_text("\n".join(pins) + "\n")
+        command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--no-deps"]
+        command += ["--ignore-installed", "--ignore-requires-python", "--target", folder]
+        command += ["--only-binary", ":all:", "--no-binary", ",".join(NO_WHEEL)]
+        command += ["--implementation", "cp", "--python-version", python, *abis]
+        command += [part for name in platforms for part in ("--platform", name)]
+        command += ["--report", str(report), "-r", str(listed)]
+        subprocess.run(command, check=True)
+        content = json.loads(report.read_text())
+    return {
+        canonical(item["metadata"]["name"]): item["download_info"]["archive_info"]["hashes"][
+            "sha256"
+        ]
+        for item in content["install"]
+    }
+
+
+def canonical(name: str) -> str:
+    """Return the name as the files here write it."""
+    return name.lower().replace("_", "-")
+
+
+def with_hashes(lines: list[str], pythons: tuple[str, ...]) -> list[str]:
+    """Return the lines, each followed by the hashes of all files that it may stand for."""
+    found: dict[str, list[str]] = {line: [] for line in lines}
+    for python in pythons:
+        pins = pinned(lines, python)
+        of_package = hashes(pins, python)
+        for line in lines:
+            name = canonical(line.partition("==")[0])
+            if line.partition(" ; ")[0] in pins and of_package[name] not in found[line]:
+                found[line].append(of_package[name])
+    return [
+        " \\\n    ".join([line, *(f"--hash=sha256:{value}" for value in values)])
+        for line, values in found.items()
+    ]
+
+
+def add_hashes(target: str) -> None:
+    """Write the hashes of what a file pins into it, in place of those that it has."""
+    path = FOLDER / target
+    head, *lines = path.read_text().splitlines()
+    pins = [line.removesuffix(" \\") for line in lines if "--hash" not in line]
+    path.write_text("\n".join([head, *with_hashes(pins, PYTHONS[target])]) + "\n")
+    print(f"{target}: hashes")
+
+
 def write(target: str, names: list[str], pythons: list[str]) -> None:
     """Resolve the ``*.in`` files called ``names`` and write ``target``."""
     files = [FOLDER / f"{name}.in" for name in names]
@@ -64,15 +132,20 @@ def write(target: str, names: list[str], pythons: list[str]) -> None:
     text = HEADER.format(sources=sources) + "\n".join(merge(resolved)) + "\n"
     (FOLDER / target).write_text(text)
     print(f"{target}: {', '.join(resolved)}")
+    add_hashes(target)
 
 
 def main() -> None:
     """Pin everything."""
     pythons = sys.argv[1:]
+    if pythons == ["--hashes-only"]:
+        for target in PYTHONS:
+            add_hashes(target)
+        return
     if not pythons:
         sys.exit("Give the Python interpreters to resolve for: scripts/pin.py python3.10 …")
     write("constraints.txt", ["build", "ros", "core", "dev"], pythons)
-    noble = [python for python in pythons if "3.13" not in python]  # NumPy 1.26 ends at 3.12
+    noble = [python for python in pythons if "3.13" not in python]
     write("noble.txt", ["noble", "dev"], noble)
     write("doc.txt", ["core", "doc"], pythons)
 

@@ -14,14 +14,18 @@ CDPATH="" cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
 . scripts/common.bash
 
 root=$(pwd -P)
-case $root in
-  *[[:space:]]*) fail "the path '$root' contains a space, which neither CMake packages nor scripts" \
-    "of virtual environments survive: move the folder to a path without spaces." ;;
-esac
+check_place "$root"
 unset MAKEFLAGS MFLAGS MAKELEVEL PYTHONHOME VIRTUAL_ENV
+[ -n "${HOME:-}" ] || export HOME=$root # colcon and pip want one
+
+# What is built may lie in a folder that cannot be written; what is not built cannot.
+must_write() {
+  [ -w . ] || fail "nothing can be written to $root, and something must be built there: copy the" \
+    "folder to where you may write, or make it writable, and call make again."
+}
 
 # One set-up at a time: two calls of make must not build into the same folders.
-if command -v flock >/dev/null 2>&1; then
+if [ -w . ] && command -v flock >/dev/null 2>&1; then
   exec 9>.setup.lock
   flock -n 9 || { say "Waiting for another set-up in this folder"; flock 9; }
 fi
@@ -34,15 +38,26 @@ usable() {
   [ "$("$1/bin/python" -c "$code")" = "$("$PYTHON" -c "$code" 2>/dev/null)" ]
 }
 
+# has_hashes: the pinned hashes are those of the files for this machine.
+has_hashes() {
+  [ "$(uname -s) $(uname -m)" = "Linux x86_64" ]
+}
+
 if [ "${1:-}" = noble ]; then
   unset PYTHONPATH
-  stamp="$root $(hash_of requirements/noble.in requirements/noble.txt)"
+  stamp="$root $(hash_of requirements/noble.txt)"
   usable .venv-noble "$stamp" && exit
+  must_write
   python=$(find_python 12)
   say "Installing the package versions of Ubuntu 24.04 into .venv-noble with $("$python" --version)"
   rm -rf .venv-noble
   "$python" -m venv .venv-noble || fail "$python could not make the environment .venv-noble."
-  pip_install .venv-noble --only-binary :all: -r requirements/noble.in -c requirements/noble.txt
+  if has_hashes; then
+    pip_install .venv-noble --only-binary :all: --no-deps --require-hashes -r requirements/noble.txt
+  else
+    without_hashes requirements/noble.txt >.venv-noble/noble.txt
+    pip_install .venv-noble --only-binary :all: --no-deps -r .venv-noble/noble.txt
+  fi
   echo "$stamp" >.venv-noble/stamp
   exit
 fi
@@ -86,9 +101,7 @@ PATH=$(without_own "$PATH")
 unset COLCON_PREFIX_PATH
 if [ "$mode" = wheels ]; then
   unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
-  requirements="requirements/build.in requirements/ros.in requirements/core.in requirements/dev.in"
-  requirements="$requirements requirements/constraints.txt scripts/repair_wheels.py"
-  stamp="wheels $root $(hash_of $requirements)"
+  stamp="wheels $root $(hash_of requirements/constraints.txt scripts/repair_wheels.py)"
 else
   AMENT_PREFIX_PATH=$(without_own "${AMENT_PREFIX_PATH:-}")
   CMAKE_PREFIX_PATH=$(without_own "${CMAKE_PREFIX_PATH:-}")
@@ -126,6 +139,7 @@ built() {
 
 # ---- tools: all that is missing in one sentence, before anything is downloaded ----
 if ! usable .venv "$stamp" || ! built mr_damper_msgs "$msgs_stamp"; then
+  must_write
   missing=""
   command -v "${CC:-cc}" >/dev/null 2>&1 || command -v gcc >/dev/null 2>&1 \
     || command -v clang >/dev/null 2>&1 || missing="a C compiler"
@@ -149,9 +163,10 @@ if ! usable .venv "$stamp"; then
     say "Installing ROS 2 Jazzy and its tools into .venv with $("$python" --version) (about a minute)"
     rm -rf .venv build install log
     "$python" -m venv .venv || fail "$python could not make the environment .venv."
-    pip_install .venv -c requirements/constraints.txt -r requirements/build.in
-    pip_install .venv -c requirements/constraints.txt --no-build-isolation \
-      -r requirements/ros.in -r requirements/core.in -r requirements/dev.in
+    # What builds the others comes first.
+    sed -nE '/^(setuptools|wheel)==/,/[^\\]$/p' requirements/constraints.txt >.venv/build.txt
+    pip_install .venv --no-deps --require-hashes -r .venv/build.txt
+    pip_install .venv --no-deps --require-hashes --no-build-isolation -r requirements/constraints.txt
     .venv/bin/python scripts/repair_wheels.py
     write_local_setup
   else
@@ -173,8 +188,10 @@ needs["yaml-stubs"] = "types-PyYAML"
 print(*(package for module, package in needs.items() if find_spec(module) is None))
 PYTHON
     )
+    # Only some are wanted here, on any machine: by version.
+    without_hashes requirements/noble.txt >.venv/noble.txt
     # shellcheck disable=SC2086 # a list of words
-    [ -z "$wanted" ] || pip_install .venv -c requirements/noble.txt $wanted
+    [ -z "$wanted" ] || pip_install .venv -c .venv/noble.txt $wanted
   fi
   echo "$stamp" >.venv/stamp
 fi
@@ -184,6 +201,7 @@ packages=()
 built mr_damper_msgs "$msgs_stamp" || packages+=(mr_damper_msgs)
 built mr_damper_ros "$package_stamp" || packages+=(mr_damper_ros)
 [ ${#packages[@]} -gt 0 ] || exit 0
+must_write
 
 export VIRTUAL_ENV=$root/.venv PATH=$root/.venv/bin:$PATH
 if [ "$mode" = wheels ]; then

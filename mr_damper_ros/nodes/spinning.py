@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -30,6 +31,8 @@ from mr_damper_ros.settings.option_table import ParameterTable, describe
 SUCCESS = 0
 FAILURE = 1
 BAD_CONFIGURATION = 2
+
+_LOG_ADVICE = "set ROS_LOG_DIR to a folder that the log can be written to"
 
 _WAKE_UP = 0.1
 """Seconds after which a spinning node looks whether it is to stop, or at its end."""
@@ -62,6 +65,9 @@ def run(
             f"unknown argument {others[0]}: parameters are set by --ros-args -p NAME:=VALUE"
         )
 
+    if not any(os.environ.get(name) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")):
+        return _reject(f"HOME is not set: {_LOG_ADVICE}")
+
     # rclpy's own handlers shut the context down in the midst of whatever is being done: callbacks
     # fail, and the events executor may abort the process when that happens in its first spin. With
     # these the node ends in good order, and a signal before rclpy has started is not lost.
@@ -71,7 +77,10 @@ def run(
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
-        return _reject(f"the command line cannot be used: {_without_source_position(error)}")
+        reason = _without_source_position(error)
+        if "logging" in reason:
+            return _reject(f"{reason}: {_LOG_ADVICE}")
+        return _reject(f"the command line cannot be used: {reason}")
     try:
         return _spin(factory, ended, stop)
     except _CONFIGURATION_ERRORS as error:

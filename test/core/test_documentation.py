@@ -81,7 +81,7 @@ def test_the_python_of_the_pages_runs(clone: Path, block: tuple[Path, str]) -> N
 def test_the_commands_of_the_pages_run(clone: Path, page: Path) -> None:
     for _, code in (block for block in COMMANDS if block[0] == page):
         for line in code.replace("\\\n", " ").replace("/tmp/", f"{clone}/").splitlines():
-            program, *arguments = shlex.split(line)
+            program, *arguments = shlex.split(line.removeprefix("ros2 run mr_damper_ros "))
             if program in PROGRAMS:
                 assert PROGRAMS[program].main(arguments) == 0, line
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rclpy.node import NodeNameNonExistentError
 from support import Listener
 
 POLICY = Path(__file__).parents[2] / "config" / "security" / "policy.xml"
+ROOT = Path(__file__).parents[2]
 NODES = ("bridge", "identifier", "model")
 
 ACTION_TOPICS = ("feedback", "status")
@@ -43,16 +46,18 @@ def _full_name(name: str, node: str) -> str:
 
 
 def done(listener: Listener, node: str) -> dict[str, set[str]]:
-    """What a running node does, by the graph."""
+    """What a running node does, by the graph; nothing as long as its name is not known there."""
     graph = listener.node
-    return {
-        what: {name for name, _ in names(node, "/")}
-        for what, names in (
-            ("publish", graph.get_publisher_names_and_types_by_node),
-            ("subscribe", graph.get_subscriber_names_and_types_by_node),
-            ("reply", graph.get_service_names_and_types_by_node),
-        )
-    }
+    found: dict[str, set[str]] = {"publish": set(), "subscribe": set(), "reply": set()}
+    ways = (
+        graph.get_publisher_names_and_types_by_node,
+        graph.get_subscriber_names_and_types_by_node,
+        graph.get_service_names_and_types_by_node,
+    )
+    with contextlib.suppress(NodeNameNonExistentError):
+        for names, way in zip(found.values(), ways, strict=True):
+            names |= {name for name, _ in way(node, "/")}
+    return found
 
 
 @pytest.mark.parametrize("node", NODES)
@@ -67,8 +72,22 @@ def test_a_node_is_allowed_exactly_what_it_does(start: Any, listener: Listener, 
     assert done(listener, node) == wanted
 
 
+def test_replay_is_allowed_what_it_does_with_the_inputs_of_a_bag(
+    start: Any, listener: Listener
+) -> None:
+    start("replay", bag=ROOT / "bags" / "5.0mm_1Hz_1.5A", start_paused=True)
+    listener.wait_for_finding("replay: replay", "paused")
+    wanted = allowed("replay")
+    wanted["publish"] -= {"/temperature"}  # this bag has none
+    listener.until(
+        lambda: all(wanted[what] <= names for what, names in done(listener, "replay").items()),
+        f"all that the policy allows: {wanted}",
+    )
+    assert done(listener, "replay") == wanted
+
+
 def test_every_node_has_an_enclave_of_its_own() -> None:
     root = ElementTree.parse(POLICY).getroot()
     assert (root.tag, root.get("version")) == ("policy", "0.2.0")
     paths = [enclave.get("path") for enclave in root.findall("enclaves/enclave")]
-    assert paths == [f"/mr_damper/{node}" for node in NODES]
+    assert paths == [f"/mr_damper/{node}" for node in (*NODES, "replay")]

@@ -67,3 +67,20 @@ def test_identifier_and_model_say_what_they_wait_for(start: Any, tmp_path: Path)
     identifier.wait_for_log("waiting for /left/mts/samples and /left/supply/current; state is kept")
     assert str(tmp_path) in identifier.errors
     model.wait_for_log("waiting for /mts/samples, /supply/current and /damper/parameters")
+
+
+@pytest.mark.parametrize("environment", [{}, {"HOME": "/proc"}, {"ROS_LOG_DIR": "/proc/nowhere"}])
+def test_no_place_for_the_log_is_one_sentence(environment: dict[str, str]) -> None:
+    names = ("HOME", "ROS_HOME", "ROS_LOG_DIR")
+    without = {key: value for key, value in os.environ.items() if key not in names}
+    done = subprocess.run(
+        [installed_programs() / "model"],
+        env={**without, **environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "set ROS_LOG_DIR to a folder that the log can be written to" in done.stderr
+    assert_one_sentence(done.stderr)

@@ -1,0 +1,154 @@
+"""Every command of the documentation names programs, options and files that exist.
+
+What needs no installed ROS is run in test/core/test_documentation.py and below.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import launch_stand_in
+import pytest
+from mr_damper_msgs.msg import PredictedForce
+from support import Listener, installed_programs
+
+from mr_damper_ros.nodes.bridge_node import BridgeParameters
+from mr_damper_ros.nodes.identifier_parameters import IdentifierParameters
+from mr_damper_ros.nodes.model_node import ModelParameters
+from mr_damper_ros.nodes.quality import OVERRIDES, objection
+from mr_damper_ros.nodes.replay_node import ReplayParameters
+from mr_damper_ros.settings.option_table import options
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted((ROOT / "doc").glob("**/*.md"))]
+PAGES = [page for page in PAGES if page.parent.name != "generated"]
+SHARE = "$(ros2 pkg prefix --share mr_damper_ros)/"
+
+TABLES: dict[str, type] = {
+    "bridge": BridgeParameters,
+    "identifier": IdentifierParameters,
+    "model": ModelParameters,
+    "replay": ReplayParameters,
+}
+
+OTHERS = {"cd", "ln", "colcon", "rosdep", ".", "export", "for", "done", "kill", "sudo"}
+"""First words of commands that this package cannot check."""
+
+
+def commands(page: Path) -> list[str]:
+    """Lines of the page's shell code: of its blocks, and of what is indented."""
+    text = page.read_text(encoding="utf-8")
+    shell = "".join(re.findall(r"```bash\n(.*?)```", text, re.DOTALL))
+    text = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    for block in re.findall(r"\n\n((?: {4}.*\n)+)", text):
+        if re.match(r" {4}(ros2|make|export|cd|\.) ", block):
+            shell += re.sub(r"^ {4}", "", block, flags=re.MULTILINE)
+    lines = shell.replace("\\\n", " ").splitlines()
+    return [line.partition(" # ")[0].strip() for line in lines if line.strip()]
+
+
+ALL = [(page, line) for page in PAGES for line in commands(page)]
+
+
+def words_of(line: str) -> list[str]:
+    return shlex.split(re.sub(r"^(\w+=\S+ )+", "", line.replace(SHARE, "")))
+
+
+def check_path(path: str) -> None:
+    """Paths of the repository exist; others are the reader's."""
+    if path.startswith(("bags/", "doc/", "config/")):
+        assert (ROOT / path).exists(), path
+
+
+def check_node(node: str, arguments: list[str]) -> None:
+    known = {item.name: item for item in options(TABLES[node])}
+    assert arguments[:1] in ([], ["--ros-args"])
+    for flag, value in zip(arguments[1::2], arguments[2::2], strict=True):
+        assert flag in ("-p", "-r", "--params-file", "--enclave"), flag
+        if flag != "-p":
+            continue
+        name, _, text = value.partition(":=")
+        if name.startswith(OVERRIDES):
+            assert objection(name, int(text) if text.isdigit() else text) == ""
+            continue
+        item = known[name]
+        if item.kind is str:
+            assert item.objection(text) == ""
+        check_path(text)
+
+
+def check_tool(tool: str, arguments: list[str]) -> None:
+    done = subprocess.run(
+        [installed_programs() / tool, "--help"], capture_output=True, text=True, check=True
+    )
+    for word in arguments:
+        if word.startswith("--"):
+            assert word in done.stdout, f"{tool} has no option {word}"
+        check_path(word)
+
+
+def check_launch(file: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded = launch_stand_in.load(ROOT / "launch" / file, monkeypatch)
+    given = dict(argument.split(":=") for argument in arguments)
+    described = loaded.generate_launch_description()
+    names = {item.name for item in described if isinstance(item, launch_stand_in.Argument)}
+    assert set(given) <= names
+    check_path(given.get("bag", ""))
+
+
+@pytest.mark.parametrize(("page", "line"), ALL, ids=lambda part: str(part)[-40:])
+def test_what_a_command_names_exists(
+    page: Path, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, *rest = words_of(line)
+    if first == "make":
+        targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+        assert rest[0] in targets
+    elif first != "ros2":
+        assert first in OTHERS or "=" in first, f"{page.name}: {line}"
+    elif rest[:2] == ["run", "mr_damper_ros"]:
+        check = check_node if rest[2] in TABLES else check_tool
+        check(rest[2], rest[3:])
+    elif rest[:2] == ["launch", "mr_damper_ros"]:
+        check_launch(rest[2], rest[3:], monkeypatch)
+    elif rest[:2] == ["bag", "play"]:
+        assert "--delay" in rest, "publishers and subscribers find each other only after the start"
+        for word in rest:
+            check_path(word)
+    else:
+        assert rest[0] in ("bag", "security", "lifecycle", "param", "service", "action", "topic")
+
+
+def test_all_pages_with_commands_are_read() -> None:
+    assert len(ALL) > 25
+    assert {page.name for page, _ in ALL} >= {"README.md", "security.md", "live_rig.md", "time.md"}
+
+
+def test_the_three_terminals_of_the_readme_identify_a_bag(
+    start: Any, listener: Listener, tmp_path: Path
+) -> None:
+    """The lines of the README as they stand, by the stand-in for the command where it is needed."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```bash\n(ros2 run mr_damper_ros identifier.*?)```", text, re.DOTALL)
+    lines = block.replace("/tmp/damper", str(tmp_path)).splitlines()
+    assert len(lines) == 3
+    forces = listener.listen(PredictedForce, "/damper/predicted_force")
+    script = "".join(f'{line} & pids+=" $!"\n' for line in lines[:2])
+    script += lines[2] + " -p rate:=4.0\nsleep 1\nkill $pids\nwait\n"
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=90,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "end of the bag" in done.stderr
+    assert (tmp_path / "identifier.yaml").exists()
+    listener.until(lambda: any(message.valid for message in forces), "a valid force")
