@@ -23,7 +23,7 @@ from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, BlockSequence, SampleBlock
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+from mr_damper_ros.signals.zero_order_hold import CurrentError, ZeroOrderHold
 
 _FOREVER = 1e9
 """Seconds; longer than any recording."""
@@ -153,15 +153,16 @@ class _Currents:
 
     def add(self, message: Any) -> None:
         stamp, value = _stamp_ns(message), float(message.current)
-        if not math.isfinite(value):
-            raise BagError(
-                f"the bag '{self._bag}' cannot be used: the current on {self._topic} stamped "
-                f"{stamp / NANOSECONDS:.3f} s is {value}"
-            )
         last = self.rounds[-1].held.last_stamp_ns if self.rounds else None
         if last is None or stamp < last - _JUMP_BACK * NANOSECONDS:
             self.rounds.append(_Round(stamp, ZeroOrderHold(keep=_FOREVER)))
-        self.rounds[-1].held.add(stamp, value)
+        try:
+            self.rounds[-1].held.add(stamp, value)
+        except CurrentError as error:
+            raise BagError(
+                f"the bag '{self._bag}' cannot be used: the current on {self._topic} stamped "
+                f"{stamp / NANOSECONDS:.3f} s is {value}"
+            ) from error
 
 
 def _assemble(

@@ -15,7 +15,7 @@ from mr_damper_ros.io.text_table import read_text_table
 from mr_damper_ros.io.units import Column, parse_columns
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
+from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
 
 _JITTER_TO_MENTION = 0.01
 """Deviation of the times from an even pace, in periods, that is mentioned."""
@@ -117,8 +117,8 @@ def _recording(
         return table.place(first + row)
 
     values = {quantity: array[part] for quantity, array in values.items()}
-    for quantity, array in values.items():
-        _check_finite(path, quantity, array, place)
+    if "velocity" in values:
+        _check_finite(path, "velocity", values["velocity"], place)
     details = {"provenance": f"imported from {path.name}", "columns": description}
     if start is not None or stop is not None:
         details["part"] = f"rows {part.start + 1} to {part.stop}"
@@ -127,16 +127,20 @@ def _recording(
         if note:
             details["note"] = note
     origin = 0 if time[0] > _EPOCH else DEFAULT_START_NS
-    recording = Recording(
-        name=path.stem,
-        start_ns=origin + round(float(time[0]) * NANOSECONDS),
-        period=period,
-        displacement=values["displacement"],
-        force=values["force"],
-        current=values.get("current", np.full(time.size, current)),
-        temperature=values.get("temperature"),
-        details=details,
-    )
+    try:
+        recording = Recording(
+            name=path.stem,
+            start_ns=origin + round(float(time[0]) * NANOSECONDS),
+            period=period,
+            displacement=values["displacement"],
+            force=values["force"],
+            current=values.get("current", np.full(time.size, current)),
+            temperature=values.get("temperature"),
+            details=details,
+        )
+    except NotFiniteError as error:
+        value = values[error.quantity][error.sample]
+        raise _not_finite(path, error.quantity, place(error.sample), value) from error
     recording.check_plausible()
     if "velocity" in values:
         _check_velocity(recording, values["velocity"])
@@ -147,10 +151,14 @@ def _check_finite(path: Path, quantity: str, values: Array, place: Callable[[int
     finite = np.isfinite(values)
     if not finite.all():
         row = int(np.argmin(finite))
-        raise RecordError(
-            f"the {quantity} in {place(row)} of {path.name} is {values[row]}: "
-            "mend it, or choose a part of the record without it"
-        )
+        raise _not_finite(path, quantity, place(row), values[row])
+
+
+def _not_finite(path: Path, quantity: str, place: str, value: float) -> RecordError:
+    return RecordError(
+        f"the {quantity} in {place} of {path.name} is {value}: "
+        "mend it, or choose a part of the record without it"
+    )
 
 
 def _part(path: Path, elapsed: Array, start: float | None, stop: float | None) -> slice:

@@ -29,6 +29,15 @@ class RecordingError(ValueError):
     """A recording that cannot be used; the message says what to change."""
 
 
+class NotFiniteError(RecordingError):
+    """A sample of a recording is not a finite number: of which ``quantity``, and its index."""
+
+    def __init__(self, sentence: str, quantity: str, sample: int) -> None:
+        super().__init__(sentence)
+        self.quantity = quantity
+        self.sample = sample
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Samples of displacement, force and current at a fixed period, without gaps.
@@ -38,8 +47,10 @@ class Recording:
     ``start_ns`` + k ``period`` (nanoseconds since the epoch, seconds). ``details`` says in words
     where the recording comes from; it goes into a bag's metadata.
 
-    Raises RecordingError where there are no samples, lengths differ, a value is not finite, or
-    the period is not positive.
+    This is the door: what is computed from a recording takes its values for finite.
+
+    Raises RecordingError where there are no samples, lengths differ, a value is not finite
+    (NotFiniteError), or the period is not positive.
     """
 
     name: str
@@ -79,9 +90,11 @@ class Recording:
         finite = np.isfinite(array)
         if not finite.all():
             index = int(np.argmin(finite))
-            raise RecordingError(
+            raise NotFiniteError(
                 f"the {name} of sample {index} of '{self.name}' is {array[index]}: "
-                "cut the recording before it or mend the value"
+                "cut the recording before it or mend the value",
+                name,
+                index,
             )
         array.flags.writeable = False
         return array

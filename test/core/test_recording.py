@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.signals.recording import Recording, RecordingError
+from mr_damper_ros.signals.recording import NotFiniteError, Recording, RecordingError
 
 TIME = np.arange(100) * 1e-3
 
@@ -28,6 +28,14 @@ def changed(values: np.ndarray, index: int, value: float) -> np.ndarray:
     values = values.copy()
     values[index] = value
     return values
+
+
+@pytest.mark.parametrize("quantity", ["displacement", "force", "current", "temperature"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_the_door_refuses_what_is_not_finite(quantity: str, value: float) -> None:
+    with pytest.raises(NotFiniteError) as error:
+        recording(**{quantity: changed(TIME, 42, value)})
+    assert (error.value.quantity, error.value.sample) == (quantity, 42)
 
 
 @pytest.mark.parametrize(

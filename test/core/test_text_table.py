@@ -65,6 +65,18 @@ def test_lines_are_named_after_comments_and_empty_lines(tmp_path: Path) -> None:
         read_record(path, COLUMNS, current=0.5)
 
 
+@pytest.mark.parametrize("place", range(5))
+def test_no_column_lets_in_what_is_not_finite(tmp_path: Path, place: int) -> None:
+    quantities = ("time:s", "displacement:mm", "force:N", "current:A", "temperature:degC")
+    rows = np.column_stack((1e-3 * np.arange(50), *np.random.default_rng(0).random((4, 50))))
+    rows[20, place] = np.inf
+    path = tmp_path / "run.csv"
+    np.savetxt(path, rows, delimiter=",")
+    quantity = quantities[place].partition(":")[0]
+    with pytest.raises(RecordError, match=f"the {quantity} in line 21 of run.csv is inf"):
+        read_record(path, ",".join(quantities))
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".mat"])
 @pytest.mark.parametrize("kind", ["a named pipe", "a socket", "a device", "a folder"])
 def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str, suffix: str) -> None:
