@@ -28,14 +28,8 @@ _REPORTS = 10
 """Reports that may wait: only the newest ones matter."""
 
 _HEAD_START = 1e-3
-"""Seconds for which the node rests once a force is out: on a computer with no processor to spare
-who waits for the force may be put on this one, and would wait for the rest of the work, too."""
-
-_PART_OF_PAUSE = 0.1
-"""The head start is no more than this part of the pause since the last block ..."""
-
-_UNHURRIED = 1e-3
-"""... and after a pause shorter than this [s] there is none: the node may be behind."""
+"""Seconds from a force to the rest of the work on its block: on a computer with no processor to
+spare who waits for the force may be put on this one, and would wait for that work, too."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +75,8 @@ class ModelNode(Node):
         self._last: Prediction | None = None
         self._next_wrench_ns: int | None = None
         self._slowest = 0.0
-        self._idle_since = -math.inf
+        self._published = -math.inf
+        self._unfinished: tuple[Prediction, SampleBlock] | None = None
         self._refused_parameters = ""
         if self._options.parameter_file:
             self._predictor.set_parameters(_read(self._options.parameter_file))
@@ -146,12 +141,31 @@ class ModelNode(Node):
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
+        self._finish()
         prediction = self._predictor.predict(block)
         self._force.publish(self._message.of(prediction))
-        self._slowest = max(self._slowest, time.perf_counter() - began)
-        pause = began - self._idle_since
-        if pause > _UNHURRIED:
-            time.sleep(min(_HEAD_START, _PART_OF_PAUSE * pause))
+        self._published = time.perf_counter()
+        self._slowest = max(self._slowest, self._published - began)
+        self._unfinished = (prediction, block)
+
+    def finish_in_time(self) -> float:
+        """Do the rest of the work on the last block once its time has come.
+
+        Returns the seconds until then, infinite where there is nothing to do.
+        """
+        if self._unfinished is None:
+            return math.inf
+        left = self._published + _HEAD_START - time.perf_counter()
+        if left > 0.0:
+            return left
+        self._finish()
+        return math.inf
+
+    def _finish(self) -> None:
+        """Do what a block needs besides its force, unless that is done already."""
+        if self._unfinished is None:
+            return
+        (prediction, block), self._unfinished = self._unfinished, None
         self._last = prediction
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
@@ -160,7 +174,6 @@ class ModelNode(Node):
             self._error.add(prediction.force, block.force, block.period)
             self._mirror(prediction)
         self._predictor.catch_up()
-        self._idle_since = time.perf_counter()
 
     def _mirror(self, prediction: Prediction) -> None:
         """Publish the last sample of the block as a wrench, where one is due."""
@@ -230,4 +243,4 @@ def _read(path: str) -> ParameterSet:
 
 def main() -> int:
     """Run the node."""
-    return run(ModelNode, ModelParameters)
+    return run(ModelNode, ModelParameters, between=ModelNode.finish_in_time)

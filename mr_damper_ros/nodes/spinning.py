@@ -45,10 +45,13 @@ def run(
     parameters: type[ParameterTable],
     arguments: Sequence[str] | None = None,
     ended: Callable[[N], int | None] = lambda _: None,
+    between: Callable[[N], float] = lambda _: _WAKE_UP,
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
 
-    ``ended`` is the exit code once the node's work is over, None as long as it is not. A
+    ``ended`` is the exit code once the node's work is over, None as long as it is not. ``between``
+    is called between two callbacks, for what need not be done in one; it returns after how many
+    seconds it is to be called again where no callback comes before. A
     configuration that the node cannot start with is one sentence on stderr and exit code 2.
     """
     arguments = list(sys.argv if arguments is None else arguments)
@@ -82,7 +85,7 @@ def run(
             return _reject(f"{reason}: {_LOG_ADVICE}")
         return _reject(f"the command line cannot be used: {reason}")
     try:
-        return _spin(factory, ended, stop)
+        return _spin(factory, ended, between, stop)
     except _CONFIGURATION_ERRORS as error:
         return _reject(str(error))
     except _NodeError as error:
@@ -101,7 +104,12 @@ class _Stop:
         self.requested = True
 
 
-def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: _Stop) -> int:
+def _spin(
+    factory: Callable[[], N],
+    ended: Callable[[N], int | None],
+    between: Callable[[N], float],
+    stop: _Stop,
+) -> int:
     try:
         node = factory()
     except rclpy_implementation.RCLError as error:
@@ -117,7 +125,7 @@ def _spin(factory: Callable[[], N], ended: Callable[[N], int | None], stop: _Sto
     gc.freeze()
     try:
         while not stop.requested:
-            executor.spin_once(timeout_sec=_WAKE_UP)
+            executor.spin_once(timeout_sec=min(between(node), _WAKE_UP))
             code = ended(node)
             if code is not None:
                 return code
