@@ -20,6 +20,9 @@ START = ParameterSet(WEAK, set_id="start")
 ROUNDING = 1e-4
 """Relative: a simplex stops within its tolerance, which rounding may move."""
 
+OTHER_SCALE = 5e-4
+"""Relative: that version compared the loops of a sine, this one the forces over the window."""
+
 
 def state_in(folder: Path | str, name: str = "identifier") -> tuple[WindowTracker, TrackerState]:
     tracker = WindowTracker(TrackerSettings(method="least_squares"), START)
@@ -127,6 +130,20 @@ def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
     # What that version made of the same window.
     assert report.nrmse_before == pytest.approx(0.016445012097722766, rel=ROUNDING)
     assert report.nrmse_after == pytest.approx(0.007296376904043102, rel=ROUNDING)
-    assert report.scale.value == pytest.approx(0.9996800931297712, rel=ROUNDING)
+    assert report.scale.value == pytest.approx(0.9996800931297712, rel=OTHER_SCALE)
     assert report.set_id == "window-4"
+    state.close()
+
+
+def test_a_state_from_before_a_model_had_more_parameters_is_gone_on_with(tmp_path: Path) -> None:
+    # Bingham's model had three parameters; those of the current have defaults.
+    kept = Path(__file__).parent / "data" / "bingham_before_rooms.yaml"
+    (tmp_path / "identifier.yaml").write_bytes(kept.read_bytes())
+    settings = TrackerSettings(model="bingham", method="least_squares")
+    start = ParameterSet(known.EXAMPLES["bingham"], model="bingham", set_id="start")
+    tracker = WindowTracker(settings, start)
+    state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
+    assert state.resume() == "parameters window-1 and 1 baselines, 1 windows"
+    assert state.fault == ""
+    assert tracker.parameters.values.size == len(tracker.parameters.law.parameter_names)
     state.close()
