@@ -181,13 +181,15 @@ def searches(found: MultiStart) -> Findings:
     names = best.parameter_set.law.parameter_names
     lines = []
     if best.candidates:
-        costs = ", ".join(f"{c.cost:.5g} ({c.origin})" for c in best.candidates)
-        lines.append(f"cost of the local searches, 1 = noise: {costs}")
+        costs = "; ".join(f"{c.cost:.3g} ({c.origin})" for c in best.candidates)
+        lines.append(
+            "mean square that each local search left, where noise alone would leave 1: " + costs
+        )
     if len(found.fits) > 1:
         spread, places = found.spread, [fit.cost for fit in found.fits.values()]
         lines.append(
-            f"{len(found.fits)} searches ended at costs {min(places):.6g} to {max(places):.6g}, "
-            f"{len(found.as_good)} of them within 1 % of the best"
+            f"{len(found.fits)} searches left mean squares of {min(places):.6g} to "
+            f"{max(places):.6g}; {len(found.as_good)} of them lie within 1 % of the best"
         )
         if len(found.as_good) > 1:
             widest = int(np.argmax(spread))

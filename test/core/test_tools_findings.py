@@ -163,7 +163,7 @@ def test_the_searches_and_their_spread_are_told(
     best = min(document["searches"], key=lambda search: search["cost"])
     assert document["parameters"] == best["parameters"]
     assert set(document["spread"]) == set(document["parameters"])
-    assert "2 searches ended at costs" in said
+    assert "2 searches left mean squares of" in said
 
 
 def test_a_stopped_search_is_resumed_from_its_file(tmp_path: Path, runs: list[Path]) -> None:
