@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from equations import EQUATIONS
 from law_figures import coefficient_figure, shape_figure
 from sphinx.ext.autodoc.mock import mock
 
@@ -40,6 +39,18 @@ NODES = {
     "model": "The force predicted from displacement, current and parameters.",
     "replay": "Plays a bag onto its topics, with `/clock`, for machines without `ros2 bag`.",
 }
+
+_YIELD = "$u_y$ is `yield_length`, $s$ is `share`; $z$ lies within −1 and 1."
+
+SYMBOLS = {
+    "bouc_wen": _YIELD,
+    "modified_bouc_wen": _YIELD,
+    "sigmoid": "How the coefficients follow from the parameters: [the sigmoid law]"
+    "(../force_law.md).",
+    "sigmoid_lag": "$x = v + v_h \\operatorname{sgn}(a) + v_d$; see "
+    "[the extended law](../extended_law.md).",
+}
+"""What in an equation is not named as the parameters are."""
 
 PROGRAMS = ("import_record", "identify", "validate", "thesis_bags", "reproduce")
 
@@ -75,19 +86,35 @@ def models_page() -> str:
     parts = [
         "# The force laws",
         "",
-        "Any of them can be identified and predicts forces in the nodes; the default is `sigmoid`, "
-        "explained in [the sigmoid law](../force_law.md). Displacement $u$ is counted from the "
-        "centre of the motion, $v$ is the velocity, $a$ the acceleration, $i$ the current.",
+        "Any of them can be identified, over many runs too, and predicts forces in the nodes. The "
+        "default is `sigmoid`, explained in [the sigmoid law](../force_law.md). Displacement $u$ "
+        "is counted from the centre of the motion, $v$ is the velocity, $a$ the acceleration, $i$ "
+        "the current.",
+        "",
+        "A law that was published for a single current is given the usual dependence on it: a "
+        "coefficient $c$ that cannot be negative grows as $c\\,(1 + c_1 i + c_2 i^2)$, one of "
+        "either sign is shifted, $c + c_1 i + c_2 i^2$. The parameters that end in `_1` and `_2` "
+        "are these. The current of the coil follows that of the supply with `coil_time_constant`.",
         "",
     ]
     for name, model in MODELS.items():
         title = model.title[0].upper() + model.title[1:]
-        equation, explanation = EQUATIONS[name]
-        parts += [f"## {title}", "", f"`{name}`", "", "$$", equation, "$$", ""]
-        parts += [f"{explanation} Source: {model.source}.", ""]
-        rows = [(f"`{p.name}`", p.unit, _bounds(p.low, p.high)) for p in model.parameters]
-        parts += _table(("parameter", "unit", "bounds"), rows)
+        parts += [f"## {title}", "", f"`{name}`", "", "$$", _drawable(model.equation), "$$", ""]
+        parts += [f"{SYMBOLS.get(name, '')} Source: {model.source}.", ""]
+        meanings = {quantity.name: quantity.meaning for quantity in model.coefficient_quantities}
+        rows = [
+            (f"`{p.name}`", p.unit, _bounds(p.low, p.high), meanings.get(p.name, ""))
+            for p in model.parameters
+        ]
+        parts += _table(("parameter", "unit", "bounds", "meaning"), rows)
     return "\n".join(parts)
+
+
+def _drawable(equation: str) -> str:
+    """An equation in lines of their own, with bars and signs that are set as those of functions."""
+    equation = re.sub(r"\|(\w)\|", r"{\\left| \1 \\right|}", equation)
+    equation = re.sub(r"\\operatorname\{sgn\} (\w)", r"\\operatorname{sgn}(\1)", equation)
+    return equation.replace(r",\quad", r" \\ ")
 
 
 def nodes_page() -> str:
@@ -223,8 +250,9 @@ def _definitions(entries: list[tuple[str, ...]]) -> list[str]:
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    """A table in Markdown."""
-    lines = [head, ("---",) * len(head), *rows]
+    """A table in Markdown; columns with nothing in them are left out."""
+    kept = [place for place in range(len(head)) if any(row[place] for row in rows)]
+    lines = [[row[place] for place in kept] for row in (head, ("---",) * len(head), *rows)]
     return [*("| " + " | ".join(line) + " |" for line in lines), ""]
 
 

@@ -48,9 +48,10 @@ def parameter_estimates(found: ParameterSet) -> dict[str, Estimate]:
 
 def text_table(heading: str, estimates: Estimates) -> str:
     """A table for a terminal: name, value, standard error, unit, meaning."""
-    lines = [f"{heading:>11} {'value':>12}  standard error  unit"]
+    width = max(map(len, (heading, *estimates)))
+    lines = [f"{heading:>{width}} {'value':>12}  standard error  unit"]
     lines += [
-        f"{name:>11} {entry.value:12.6g}  {_error(entry):>14}  {entry.unit:<4}  "
+        f"{name:>{width}} {entry.value:12.6g}  {_error(entry):>14}  {entry.unit:<4}  "
         f"{entry.meaning}".rstrip()
         for name, entry in estimates.items()
     ]

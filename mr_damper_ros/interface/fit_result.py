@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mr_damper_ros.estimation.differential_evolution import Report
@@ -23,7 +22,6 @@ from mr_damper_ros.interface.estimates import (
 from mr_damper_ros.interface.findings import Findings
 from mr_damper_ros.interface.measured_runs import MeasuredRun, all_windows
 from mr_damper_ros.interface.temperature_map import temperature_maps
-from mr_damper_ros.io.whole_files import write_text
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.signals.arrays import Array
@@ -129,7 +127,7 @@ class Identification:
         if self.explains:
             return ended
         return (
-            f"{ended}, but THE SET EXPLAINS TOO LITTLE OF THE FORCE: NRMSE {self.nrmse:.0%}, "
+            f"{ended}, but THE SET EXPLAINS TOO LITTLE OF THE FORCE: NRMSE {self.nrmse:.1%}, "
             f"where {MOST_LEFT:.0%} is the most; are columns, units and signs right?"
         )
 
@@ -178,7 +176,7 @@ class Identification:
 
         Raises OSError where the file cannot be written.
         """
-        write_text(Path(path), self.parameter_set.to_yaml())
+        self.parameter_set.save(path)
 
     def document(self) -> dict[str, Any]:
         """The result as JSON can hold it."""

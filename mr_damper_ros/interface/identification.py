@@ -29,10 +29,10 @@ from mr_damper_ros.interface.measured_runs import (
     all_windows,
     measured_runs,
 )
-from mr_damper_ros.io.whole_files import write_text
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
 from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.state_directory import read_parameter_file
 

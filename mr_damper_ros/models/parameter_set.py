@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
 import reprlib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
 from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.arrays import Array
 
 DEFAULT_MODEL = "sigmoid"
@@ -155,6 +158,25 @@ class ParameterSet:
             },
         }
         return str(yaml.safe_dump(document, sort_keys=False))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the set as YAML, for :meth:`load` and the nodes. Raises OSError."""
+        write_text(Path(path), self.to_yaml())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> ParameterSet:
+        """Parameter set from a file, written by :meth:`save`, by ``identify`` or by hand.
+
+        Raises ParameterError with one sentence that says what to change, and OSError.
+        """
+        try:
+            return cls.from_yaml(Path(path).read_text(encoding="utf-8"))
+        except UnicodeDecodeError as error:
+            raise ParameterError(
+                f"{os.fspath(path)} is no parameter file: it is not text"
+            ) from error
+        except ParameterError as error:
+            raise ParameterError(f"{os.fspath(path)}: {error}") from error
 
     @classmethod
     def from_yaml(cls, text: str) -> ParameterSet:

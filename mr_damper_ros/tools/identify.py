@@ -1,4 +1,4 @@
-"""``identify``: one parameter set of the sigmoid law for all bags given."""
+"""``identify``: one parameter set of a force law for all bags given."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.interface.findings import searches
 from mr_damper_ros.interface.fit_result import MOST_LEFT
 from mr_damper_ros.interface.identification import identify
-from mr_damper_ros.io.whole_files import write_text
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.tools.console import FAILED, INTERRUPTED, add_plot_options, run_tool, write_plots
 from mr_damper_ros.tools.progress import ProgressLine
 
@@ -32,7 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="identify",
-        description="Fit one parameter set of the sigmoid force law to all bags given.",
+        description="Fit one parameter set of a force law to all bags given, of any amplitudes, "
+        "frequencies and currents.",
         epilog=f"Exit code: 0; {EXPLAINS_TOO_LITTLE} where the set leaves an NRMSE above "
         f"{100 * MOST_LEFT:.0f} %, with all results written; {FAILED} where a bag or an option "
         f"cannot be used; {INTERRUPTED} after Ctrl-C pressed twice.",

@@ -241,3 +241,41 @@ def test_the_workers_of_a_script_give_the_same(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     here = mr.identify(ONE_RUN, ANOTHER, generations=5)
     assert float(done.stdout) == pytest.approx(here.nrmse, rel=1e-3)
+
+
+# -- parameter files, and the other laws ---------------------------------------------------------
+
+
+def test_a_set_is_saved_and_loaded_to_the_last_digit(
+    result: mr.Identification, tmp_path: Path
+) -> None:
+    file = tmp_path / "folder" / "set.yaml"
+    result.parameter_set.save(file)
+    again = mr.ParameterSet.load(file)
+    assert again.to_yaml() == result.parameter_set.to_yaml()
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [(b"\xff\xfe\x00", "not text"), (b"parameters: {f0: 1}", "is missing")],
+    ids=["bytes", "half a set"],
+)
+def test_a_file_that_is_no_set_is_named(tmp_path: Path, content: bytes, sentence: str) -> None:
+    file = tmp_path / "set.yaml"
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match=sentence) as caught:
+        mr.ParameterSet.load(file)
+    assert str(file) in str(caught.value)
+
+
+def test_every_law_gives_one_set_for_runs_at_several_currents() -> None:
+    found = mr.identify(ONE_RUN, ANOTHER, model="hyperbolic_tangent", method="least_squares")
+    assert found.success
+    assert found.parameters["alpha_1"].observable
+    assert found.parameter_set.current_range == pytest.approx((0.5, 1.5))
+
+
+def test_the_coefficients_of_any_law_have_units_and_meanings() -> None:
+    found = mr.identify(ONE_RUN, model="nonlinear_biviscous", method="least_squares")
+    assert found.coefficients["f_y"].unit == "N"
+    assert "yield force" in str(found)

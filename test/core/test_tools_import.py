@@ -16,7 +16,7 @@ from scipy.io import savemat
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.units import UNITS, ColumnError, parse_columns
-from mr_damper_ros.io.whole_files import write_text
+from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tools import import_record
 from mr_damper_ros.tools.console import run_tool
