@@ -19,6 +19,7 @@ FOLDER = Path(__file__).resolve().parent.parent / "requirements"
 PYTHONS = {
     "constraints.txt": ("3.10", "3.11", "3.12", "3.13"),
     "noble.txt": ("3.10", "3.11", "3.12"),  # NumPy 1.26 ends at 3.12
+    "doc.txt": ("3.10", "3.11", "3.12", "3.13"),
 }
 """Versions that each file is for."""
 NO_WHEEL = ("empy",)

@@ -43,38 +43,30 @@ has_hashes() {
   [ "$(uname -s) $(uname -m)" = "Linux x86_64" ]
 }
 
-if [ "${1:-}" = noble ]; then
+# environment VENV NEWEST FILE: the environment with exactly what the file pins, and without ROS.
+environment() {
   unset PYTHONPATH
-  stamp="$root $(hash_of requirements/noble.txt)"
-  usable .venv-noble "$stamp" && exit
+  local venv=$1 newest=$2 file=$3 python stamp
+  stamp="$root $(hash_of "$file")"
+  usable "$venv" "$stamp" && return
   must_write
-  python=$(find_python 12)
-  say "Installing the package versions of Ubuntu 24.04 into .venv-noble with $("$python" --version)"
-  rm -rf .venv-noble
-  "$python" -m venv .venv-noble || fail "$python could not make the environment .venv-noble."
+  python=$(find_python "$newest")
+  say "Installing what $file pins into $venv with $("$python" --version)"
+  rm -rf "$venv"
+  "$python" -m venv "$venv" || fail "$python could not make the environment $venv."
   if has_hashes; then
-    pip_install .venv-noble --only-binary :all: --no-deps --require-hashes -r requirements/noble.txt
+    pip_install "$venv" --only-binary :all: --no-deps --require-hashes -r "$file"
   else
-    without_hashes requirements/noble.txt >.venv-noble/noble.txt
-    pip_install .venv-noble --only-binary :all: --no-deps -r .venv-noble/noble.txt
+    without_hashes "$file" >"$venv/pinned.txt"
+    pip_install "$venv" --only-binary :all: --no-deps -r "$venv/pinned.txt"
   fi
-  echo "$stamp" >.venv-noble/stamp
-  exit
-fi
+  echo "$stamp" >"$venv/stamp"
+}
 
-if [ "${1:-}" = doc ]; then
-  unset PYTHONPATH
-  stamp="$root $(hash_of requirements/core.in requirements/doc.in requirements/doc.txt)"
-  usable .venv-doc "$stamp" && exit
-  python=$(find_python 13)
-  say "Installing what builds the documentation into .venv-doc with $("$python" --version)"
-  rm -rf .venv-doc
-  "$python" -m venv .venv-doc || fail "$python could not make the environment .venv-doc."
-  pip_install .venv-doc --only-binary :all: -r requirements/core.in -r requirements/doc.in \
-    -c requirements/doc.txt
-  echo "$stamp" >.venv-doc/stamp
-  exit
-fi
+case ${1:-} in
+  noble) environment .venv-noble 12 requirements/noble.txt; exit ;;
+  doc) environment .venv-doc 13 requirements/doc.txt; exit ;;
+esac
 
 mode=$(ros_mode)
 
