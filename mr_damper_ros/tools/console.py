@@ -25,7 +25,8 @@ def run_tool(
 ) -> int:
     """Parse the arguments (those of the process where None) and return the exit code of ``run``.
 
-    What a user can mend (ValueError and its kinds in this package, OSError) becomes one sentence
+    What a user can mend (ValueError and its kinds in this package, OSError, data larger than the
+    memory) becomes one sentence
     on standard error and exit code 2; anything else is a fault of the program and keeps its
     traceback.
     """
@@ -46,6 +47,8 @@ def run_tool(
         return _fail(parser, f"{where}{error.strerror or error}")
     except ValueError as error:
         return _fail(parser, str(error))
+    except MemoryError:
+        return _fail(parser, "there is not enough memory for these data: take a part of them")
 
 
 def _fail(parser: argparse.ArgumentParser, sentence: str) -> int:

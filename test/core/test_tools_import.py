@@ -441,6 +441,16 @@ def test_expected_failures_have_exit_codes(
     assert capsys.readouterr().err.strip().startswith("tool: ")
 
 
+def test_too_little_memory_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    def run(options: argparse.Namespace) -> int:
+        raise MemoryError
+
+    assert run_tool(argparse.ArgumentParser("tool"), run, []) == 2
+    assert capsys.readouterr().err == (
+        "tool: there is not enough memory for these data: take a part of them\n"
+    )
+
+
 def test_a_fault_of_the_program_keeps_its_traceback() -> None:
     def run(options: argparse.Namespace) -> int:
         raise KeyError("a fault")
