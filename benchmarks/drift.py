@@ -16,7 +16,8 @@ from mr_damper_ros.models.sigmoid.law import force
 from mr_damper_ros.rig.emulator import TemperatureDependentDamper, ThermalModel
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.trackers import TRACKERS
 
 DURATION = 600.0
 COLD, HOT = 28.0, 71.0

@@ -11,7 +11,8 @@ from benchmarks.figure import Figure
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force
 from mr_damper_ros.rig.emulator import ConstantDamper, ForceStep, scaled
-from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.trackers import TRACKERS
 
 FACTOR = 0.9
 WITHIN = 0.01

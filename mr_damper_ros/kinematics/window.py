@@ -105,6 +105,11 @@ class Window:
         return np.arange(self.sample_count, dtype=float)
 
     @cached_property
+    def has_constant_current(self) -> bool:
+        """Whether the current is the same all along, also where samples were left out."""
+        return float(np.ptp((self.whole or self).current)) == 0.0
+
+    @cached_property
     def steady(self) -> bool:
         """Whether the motion is a sine and the current constant."""
         return self.motion.sine is not None and float(np.ptp(self.current)) == 0.0

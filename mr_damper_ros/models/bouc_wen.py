@@ -32,13 +32,14 @@ class BoucWen(CurrentDependentModel):
         *HYSTERESIS,
     )
     remembers = True
+    memory = 2
 
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N]; remembered are z and the velocity of the last sample."""
         damping, stiffness, offset, strength, *hysteresis = coefficients
-        z, kept = integrated(_yielded, hysteresis, motion, period, state, 2)
+        z, kept = integrated(_yielded, hysteresis, motion, period, state, self.memory)
         viscous = damping * motion.velocity + stiffness * motion.displacement
         return np.asarray(viscous + offset + strength * z), kept
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.first_order_lag import lagged
+from mr_damper_ros.models.first_order_lag import SETTLING, lagged
 from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
@@ -78,6 +78,8 @@ class CurrentDependentModel(Model):
     """A law of the coefficients of one current, and how these follow the current."""
 
     at_one_current: ClassVar[tuple[Coefficient, ...]]
+    memory: ClassVar[int] = 0
+    """Arrays of the law's own state."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Derive the parameters from the coefficients."""
@@ -123,14 +125,45 @@ class CurrentDependentModel(Model):
     def follow(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; the state ends with the current of the supply and of the coil."""
-        before = None if state is None else state[-2:]
-        in_coil = _in_coil(current, parameters[..., -1], period, before)
-        values = [self._at(parameters, place, in_coil) for place in range(len(self.at_one_current))]
-        force, kept = self.force_at(values, motion, period, None if state is None else state[:-2])
+        """Force [N]; where the coil lags, the state ends with its and the supply's current."""
+        time_constant = parameters[..., -1]
+        lags = bool(np.any(time_constant > 0.0))
+        own = None if state is None else state[: self.memory]
+        before = state[self.memory :] if state is not None and lags else ()
+        in_coil = _in_coil(current, time_constant, period, before or None) if lags else current
+        force, kept = self.force_at(self._all_at(parameters, in_coil), motion, period, own)
+        if not lags:
+            return force, kept
         shape = parameters.shape[:-1]
-        supply = np.full(shape, current[-1])
-        return force, (*kept, supply, np.broadcast_to(in_coil[..., -1], shape))
+        return force, (*kept, np.full(shape, current[-1]), in_coil[..., -1])
+
+    def window_force(self, window: Window, parameters: Array) -> Array:
+        """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
+        time_constant = parameters[..., -1]
+        if self.remembers or not self._lag_shows(window, time_constant):
+            return super().window_force(window, parameters)
+        # The law itself forgets: only the current is followed through the history.
+        history = window.history
+        late = _in_coil(history.current, time_constant, history.period, None)
+        in_coil = np.moveaxis(history.at_samples(np.moveaxis(late, -1, 0)), 0, -1)
+        values = self._all_at(parameters, in_coil)
+        return self.force_at(values, window.motion, history.period, None)[0]
+
+    def settled(self, window: Window, parameters: Array) -> np.ndarray:
+        """Mask (n,) of samples at which law and coil have forgotten what came before the window."""
+        settled = super().settled(window, parameters)
+        if self._lag_shows(window, parameters[-1:]):
+            settled &= ~window.history.unsettled(SETTLING * float(parameters[-1]))
+        return settled
+
+    def _lag_shows(self, window: Window, time_constant: Array) -> bool:
+        return bool(np.any(time_constant > 0.0)) and not window.has_constant_current
+
+    def _all_at(self, parameters: Array, current: Array) -> list[Array]:
+        """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
+        if np.all(current == current[..., :1]):
+            current = current[..., :1]
+        return [self._at(parameters, place, current) for place in range(len(self.at_one_current))]
 
     def _at(self, parameters: Array, place: int, current: Array) -> Array:
         """One coefficient (..., n) at currents (..., n)."""
@@ -149,7 +182,7 @@ class CurrentDependentModel(Model):
         amperes = np.broadcast_arrays(
             np.atleast_1d(np.asarray(current, dtype=float)), np.atleast_1d(peak_velocity)
         )[0]
-        values = (self._at(parameters, place, amperes) for place in range(len(self.at_one_current)))
+        values = self._all_at(parameters, amperes)
         return np.stack([np.broadcast_to(value, amperes.shape) for value in values])
 
     def plausible_ranges(
@@ -218,16 +251,11 @@ class CurrentDependentModel(Model):
 
 
 def _in_coil(current: Array, time_constant: Array, period: float, before: State | None) -> Array:
-    """Current [A] of the coil, shape (..., n), or (..., 1) where it is constant.
+    """Current [A] of the coil, shape (..., n), for the supply's (n,).
 
-    ``current`` (n,) is the supply's, ``time_constant`` (...) [s]; ``before``: the supply's and the
-    coil's current of the sample before.
+    ``time_constant`` (...) [s]; ``before``: the supply's and the coil's current of the sample
+    before.
     """
-    past = current[:1] if before is None else np.stack(before)
-    if np.all(current == current[0]) and np.all(past == current[0]):
-        return np.broadcast_to(current[0], (*time_constant.shape, 1))
-    if not np.any(time_constant > 0.0):
-        return np.broadcast_to(current, (*time_constant.shape, current.size))
     every = np.broadcast_to(current, (*time_constant.shape, current.size))
     constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
     state = None if before is None else (*before, time_constant)

@@ -34,7 +34,7 @@ class ForceStream:
     @property
     def remembers(self) -> bool:
         """Whether the force so far depends on the samples before."""
-        return self.model.remembers
+        return self.model.remembers or bool(self._state)
 
     def follow(self, parameters: ArrayLike, motion: Motion, current: ArrayLike) -> Array:
         """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).

@@ -34,21 +34,22 @@ class ModifiedBoucWen(CurrentDependentModel):
         r"\quad w = v - \dot y"
     )
     at_one_current = (
-        Coefficient("c0", "N s/m", 0.0, degree=1, meaning="damping at high velocity"),
+        Coefficient("c0", "N s/m", 0.0, degree=2, meaning="damping at high velocity"),
         Coefficient("k0", "N/m", 0.0, meaning="inner stiffness"),
-        Coefficient("c1", "N s/m", 1e-3, degree=1, meaning="damping in series"),
+        Coefficient("c1", "N s/m", 1e-3, degree=2, meaning="damping in series"),
         Coefficient("k1", "N/m", meaning="stiffness of the gas"),
         Coefficient("f0", "N", meaning="constant force"),
         *HYSTERESIS,
     )
     remembers = True
+    memory = 3
 
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N]; remembered are z, the inner spring's length and the last velocity."""
         outer_damping, stiffness, offset = coefficients[2:5]
-        inner, kept = integrated(_inner_velocity, coefficients, motion, period, state, 3)
+        inner, kept = integrated(_inner_velocity, coefficients, motion, period, state, self.memory)
         return np.asarray(outer_damping * inner + stiffness * motion.displacement + offset), kept
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
@@ -75,17 +76,18 @@ def _inner_velocity(
     """
     count = motion.velocity.size
     # The dampings and the force of full yield may follow the current.
-    c0s, c1s, alphas = (each_sample(coefficients[place], count) for place in (0, 2, 5))
+    c0s, c1s, alphas = coefficients[0], coefficients[2], coefficients[5]
     k0, length, share, power = (float(coefficients[place][0]) for place in (1, 6, 7, 8))
+    rates = -0.5 * period * k0 / (c0s + c1s)
+    easings = 0.5 * period * np.array([relaxation(rate) for rate in rates.tolist()])
+    each = (each_sample(values, count) for values in (c0s, c0s + c1s, alphas, easings))
     z, s, last = memory
     inner = []
-    for v, c0, c1, alpha in zip(motion.velocity.tolist(), c0s, c1s, alphas, strict=True):
-        both = c0 + c1
+    for v, c0, both, alpha, easing in zip(motion.velocity.tolist(), *each, strict=True):
         if math.isnan(z):
             z = s = 0.0
         else:
             # Strang's splitting: half a step of s, a step of z, half a step of s.
-            easing = 0.5 * period * relaxation(-0.5 * period * k0 / both)
             w = 0.5 * (v + last)
             s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
             slip = w - (alpha * z + c0 * w + k0 * s) / both

@@ -32,7 +32,7 @@ from mr_damper_ros.tracking.running_set import set_of_change, set_of_window
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, GlobalResult, GlobalTask
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.unscented_filter import METHOD
+from mr_damper_ros.tracking.trackers import TRACKERS
 from mr_damper_ros.tracking.window_assembler import RawWindow
 from mr_damper_ros.tracking.window_task import run_fit
 
@@ -85,7 +85,7 @@ class WindowTracker:
         """
         self.parameters = parameters.of_model(self._settings.model)
         self._remember(memory)
-        if self._settings.tracker != METHOD:
+        if not TRACKERS[self._settings.tracker].remembers:
             self._state = None
         if self._watch and self._watch.smallest_change != self._settings.smallest_change:
             self._watch = None

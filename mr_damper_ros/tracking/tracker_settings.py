@@ -10,19 +10,17 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings
+from mr_damper_ros.tracking.scale_tracker import EachWindow
 from mr_damper_ros.tracking.screening import Screening
-from mr_damper_ros.tracking.unscented_filter import METHOD
-
-TRACKERS = ("window", METHOD)
-"""How the scales are followed: each window on its own, or by a recursive filter."""
+from mr_damper_ros.tracking.trackers import TRACKERS
 
 
 @dataclass(frozen=True)
 class TrackerSettings(CheckedSettings):
     """Settings of the identification of windows.
 
-    Raises ValueError, in one sentence, for values out of range and for a recursive filter with
-    another model than the sigmoid law.
+    Raises ValueError, in one sentence, for values out of range and for a tracker that
+    cannot follow the model.
     """
 
     model: str = option(DEFAULT_MODEL, "Force law that is identified.", choices=tuple(MODELS))
@@ -33,9 +31,9 @@ class TrackerSettings(CheckedSettings):
         maximum=1.0,
     )
     tracker: str = option(
-        "window",
+        EachWindow.name,
         "How the damper is followed: by the fit of each window, or by a recursive filter.",
-        choices=TRACKERS,
+        choices=tuple(TRACKERS),
     )
     drift_rate: float = option(
         1e-3,
@@ -59,8 +57,6 @@ class TrackerSettings(CheckedSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.tracker == METHOD and self.model != DEFAULT_MODEL:
-            raise ValueError(
-                f"tracker '{METHOD}' follows model '{DEFAULT_MODEL}' only: "
-                f"choose tracker 'window' for model '{self.model}'"
-            )
+        objection = TRACKERS[self.tracker].objection(MODELS[self.model])
+        if objection:
+            raise ValueError(objection)

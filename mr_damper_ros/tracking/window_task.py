@@ -15,18 +15,11 @@ from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
 from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples
 from mr_damper_ros.tracking.look_task import run_look
-from mr_damper_ros.tracking.reservoir import nearest_same, thinned_to_keep
+from mr_damper_ros.tracking.reservoir import thinned_to_keep
 from mr_damper_ros.tracking.screening import fault_of_motion, fault_of_samples
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, WindowSummary
-from mr_damper_ros.tracking.unscented_filter import (
-    METHOD,
-    FilterState,
-    UnscentedFilter,
-    state_of,
-)
-
-_ASTRAY = 2.0
-"""A filter is wrong where held-back samples differ by more than so many times their noise."""
+from mr_damper_ros.tracking.trackers import TRACKERS
+from mr_damper_ros.tracking.unscented_filter import FilterState
 
 
 def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> FitResult:
@@ -53,10 +46,10 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
                 fault_of_data("most of the window lies before the change of the force")
             )
         window = window.part(slice(max(before_change, 0), None))
-        state = _usable(task, window)
-        filtered = None if state is None else _filtered(task, window, state)
-        if filtered is not None:
-            return filtered
+        tracker = TRACKERS[settings.tracker]
+        followed = tracker.follow(task, window)
+        if followed is not None:
+            return _fitted(task, window, followed.fit, followed.evidence, followed.state)
         held_back = held_back_samples(window.sample_count)
         model = task.model
         trained = fit_window(
@@ -90,49 +83,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         success=trained.success,
         message=trained.message,
     )
-    begun = state_of(final, raw.end_ns) if settings.tracker == METHOD else None
-    return _fitted(task, window, final, evidence, begun)
-
-
-def _usable(task: FitTask, window: Window) -> FilterState | None:
-    """The state from which the filter can go on into a window, if there is one.
-
-    A jump in time, or to another operating point, is a new start.
-    """
-    state = task.state
-    if state is None or not state.stamp_ns < task.window.end_ns:
-        return None
-    same = nearest_same([state.operating_point], window.operating_point)
-    return None if same is None else state
-
-
-def _filtered(task: FitTask, window: Window, state: FilterState) -> FitResult | None:
-    """The filter's state after the samples of a window that it has not seen yet.
-
-    None where it has gone astray, as it may where it knew too little of the scales: then it is
-    started again from a fit.
-    """
-    raw, settings = task.window, task.settings
-    unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
-    new = window.part(slice(max(window.sample_count - unseen, 0), None))
-    held_back = held_back_samples(new.sample_count)
-    follower = UnscentedFilter(
-        state,
-        task.model,
-        new,
-        task.start,
-        raw.end_ns,
-        drift_rate=settings.drift_rate,
-        robust=settings.robust,
-    )
-    follower.take_in(~held_back)
-    trained = follower.as_fit(new).parameters
-    evidence = evidence_of(task.model, held_back, new, task.start, trained)
-    if evidence.rmse_after > _ASTRAY * follower.noise_level:
-        return None
-    follower.take_in(held_back)
-    fit = follower.as_fit(window)
-    return _fitted(task, window, fit, evidence, follower.state)
+    return _fitted(task, window, final, evidence, tracker.begin(final, raw.end_ns))
 
 
 def _fitted(

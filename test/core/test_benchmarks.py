@@ -31,7 +31,8 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import scaled
-from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.trackers import TRACKERS
 
 CONDITION = "5.0mm_1Hz_1.5A"
 

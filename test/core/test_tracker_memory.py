@@ -24,7 +24,8 @@ from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tasks import FitResult
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
-from mr_damper_ros.tracking.tracker_settings import TRACKERS, TrackerSettings
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.trackers import TRACKERS
 
 SCALE_ERROR = 0.05
 """Relative error of the force scale: the damper weakened while its baseline was taken."""

@@ -264,8 +264,8 @@ def test_a_set_of_another_model_is_refused() -> None:
             take(other)
 
 
-def test_the_filter_is_for_the_sigmoid_law_only() -> None:
-    with pytest.raises(ValueError, match="follows model 'sigmoid' only: choose tracker 'window'"):
+def test_the_filter_does_not_follow_every_model() -> None:
+    with pytest.raises(ValueError, match="choose tracker 'window'"):
         TrackerSettings(model="bouc_wen", tracker="unscented")
 
 

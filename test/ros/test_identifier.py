@@ -540,7 +540,7 @@ def test_it_ends_cleanly_and_its_worker_with_it(
         (lambda folder: {"state_dir": folder / "file" / "state"}, "state_dir: cannot"),
         (
             lambda folder: {"model": "bouc_wen", "tracker": "unscented"},
-            "tracker 'unscented' follows model 'sigmoid' only: choose tracker 'window'",
+            "tracker 'unscented' does not follow model 'bouc_wen'",
         ),
         (lambda folder: {"model": "magic"}, "must be one of bingham, hyperbolic_tangent"),
         (lambda folder: {"method": "guess"}, "must be one of nelder_mead, least_squares"),
