@@ -16,7 +16,8 @@ _mr_damper_env() {
   programs=$root/install/mr_damper_ros/lib/mr_damper_ros
   if [ ! -f "$root/.venv/stamp" ] || [ ! -f "$root/install/mr_damper_ros.stamp" ] \
     || [ ! -f "$root/install/mr_damper_msgs.stamp" ]; then
-    echo "mr_damper_ros: nothing is built yet: run \`make setup\` in $root first." >&2
+    echo "mr_damper_ros: nothing is built here: run \`make setup\` in $root first (in a workspace" \
+      "colcon builds, and its install/setup.bash is sourced instead)." >&2
     return 1
   fi
   read -r mode _ <"$root/.venv/stamp"
