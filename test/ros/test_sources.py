@@ -116,7 +116,7 @@ def test_it_streams_what_comes_as_it_comes(
     samples = listener.listen(MtsSamples, "mts/samples")
     current = listener.listen(SupplyCurrent, "supply/current")
     path, descriptor = pipe
-    bridge = started(program, source="pipe", pipe__path=path)
+    bridge = started(program, source="pipe", pipe__path=path, wait_for_subscribers=1)
     bridge.wait_for_log(f"reading {path}")
     listener.wait_for_publishers("mts/samples")
     listener.until(
@@ -133,6 +133,7 @@ def test_it_streams_what_comes_as_it_comes(
     assert [message.seq for message in samples] == list(
         np.cumsum([0, *(len(m.force) for m in samples)])[:-1]
     )
+    listener.until(lambda: current, "the current, which is on a topic of its own")
     assert {message.current for message in current} == {0.5}
     assert to_nanoseconds(current[0].header.stamp) == to_nanoseconds(samples[0].header.stamp)
 
