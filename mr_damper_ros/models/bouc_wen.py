@@ -10,7 +10,7 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
 from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.hysteresis import HYSTERESIS, hysteresis_step, integrated
+from mr_damper_ros.models.hysteresis import HYSTERESIS, each_sample, hysteresis_step, integrated
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
@@ -58,10 +58,11 @@ def _yielded(
     coefficients: list[Array], motion: Motion, period: float, memory: list[float]
 ) -> Array:
     """State z at the samples, shape (n,); the memory holds the last z and the last velocity."""
-    length, share, power = (float(c[0]) for c in coefficients)
+    share, power = (float(c[0]) for c in coefficients[1:])
+    lengths = each_sample(coefficients[0], motion.velocity.size)
     z, last = memory
     states = []
-    for v in motion.velocity.tolist():
+    for v, length in zip(motion.velocity.tolist(), lengths, strict=True):
         if math.isnan(z):
             z = 0.0
         else:

@@ -34,9 +34,9 @@ class ModifiedBoucWen(CurrentDependentModel):
         r"\quad w = v - \dot y"
     )
     at_one_current = (
-        Coefficient("c0", "N s/m", 0.0, degree=2, meaning="damping at high velocity"),
+        Coefficient("c0", "N s/m", 0.0, degree=1, meaning="damping at high velocity"),
         Coefficient("k0", "N/m", 0.0, meaning="inner stiffness"),
-        Coefficient("c1", "N s/m", 1e-3, degree=2, meaning="damping in series"),
+        Coefficient("c1", "N s/m", 1e-3, degree=1, meaning="damping in series"),
         Coefficient("k1", "N/m", meaning="stiffness of the gas"),
         Coefficient("f0", "N", meaning="constant force"),
         *HYSTERESIS,
@@ -75,15 +75,17 @@ def _inner_velocity(
     the last sample. Only s enters the equations, so the centre of the motion may move.
     """
     count = motion.velocity.size
-    # The dampings and the force of full yield may follow the current.
+    # The dampings, the force of full yield and the way to it may follow the current.
     c0s, c1s, alphas = coefficients[0], coefficients[2], coefficients[5]
-    k0, length, share, power = (float(coefficients[place][0]) for place in (1, 6, 7, 8))
+    k0, share, power = (float(coefficients[place][0]) for place in (1, 7, 8))
     rates = -0.5 * period * k0 / (c0s + c1s)
     easings = 0.5 * period * np.array([relaxation(rate) for rate in rates.tolist()])
-    each = (each_sample(values, count) for values in (c0s, c0s + c1s, alphas, easings))
+    each = (
+        each_sample(values, count) for values in (c0s, c0s + c1s, alphas, easings, coefficients[6])
+    )
     z, s, last = memory
     inner = []
-    for v, c0, both, alpha, easing in zip(motion.velocity.tolist(), *each, strict=True):
+    for v, c0, both, alpha, easing, length in zip(motion.velocity.tolist(), *each, strict=True):
         if math.isnan(z):
             z = s = 0.0
         else:

@@ -14,6 +14,9 @@ from mr_damper_ros.signals.arrays import Array
 _RELATIVE_ERROR = 0.05
 """No coefficient is trusted more than to this part: the law itself is not exact."""
 
+_NOTHING = 1e-100
+"""A coefficient that is zero at every operating point has still an error: no weight is infinite."""
+
 LawSearch = Callable[[Callable[[Array], Array], Sequence[tuple[float, float]], Array, str], Array]
 """Minimises a function of individuals (u, s) to (s,) within bounds, from a start (u,).
 
@@ -37,7 +40,7 @@ class CoefficientTable:
     def weights(self, column: int) -> Array:
         """Inverse standard deviations (k,) of one coefficient, model error included."""
         values = self.coefficients[:, column]
-        floor = _RELATIVE_ERROR * max(float(np.sqrt(np.mean(values**2))), 1e-300)
+        floor = _RELATIVE_ERROR * max(float(np.sqrt(np.mean(values**2))), _NOTHING)
         errors = np.nan_to_num(self.errors[:, column], nan=1e3 * floor)
         return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)
 

@@ -18,6 +18,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.current_dependence import COIL, Coefficient, CurrentDependentModel
 from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.operating_points import CoefficientTable
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
@@ -200,6 +201,11 @@ def test_a_weaker_damper_is_weaker_by_the_same_part_at_every_current(name: str) 
         usual, less = (model.force(v, motion, current, known.PERIOD) for v in (values, weaker))
         if not model.remembers:
             np.testing.assert_allclose(less, 0.9 * usual, rtol=1e-9)
+
+
+def test_a_coefficient_that_is_nothing_everywhere_has_finite_weights() -> None:
+    table = CoefficientTable(np.ones(3), np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 1)))
+    assert np.all(np.isfinite(table.weights(0)))
 
 
 def test_a_law_of_a_users_own_is_identified_over_currents(monkeypatch: pytest.MonkeyPatch) -> None:
