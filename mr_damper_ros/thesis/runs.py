@@ -15,6 +15,7 @@ from mr_damper_ros.models.sigmoid.law import (
     force,
     force_from_coefficients,
     operating_point_coefficients,
+    sign_of_pair,
 )
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
@@ -48,14 +49,10 @@ def title(name: str) -> str:
 
 
 def coefficients(parameters: Array, peak_velocity: float, current: float) -> Array:
-    """Seven operating-point coefficients (..., 7) of sets (..., 16).
-
-    Yield force and steepness may change sign together: the pair with a positive yield force is
-    meant.
-    """
+    """Seven operating-point coefficients (..., 7) of sets (..., 16), with positive f_t."""
     parts = operating_point_coefficients(parameters, peak_velocity, current)
     values = np.concatenate(parts, axis=-1)
-    values[..., :2] *= np.where(values[..., :1] < 0.0, -1.0, 1.0)
+    values[..., :2] *= sign_of_pair(values[..., :1])
     return values
 
 

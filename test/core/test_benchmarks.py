@@ -42,6 +42,8 @@ KEYS = [
     *("drift_scale_error_p95_percent", "drift_nrmse_ratio", "step_windows"),
     *("ukf_drift_scale_error_p95_percent", "ukf_step_windows"),
     *("utfsm_sixteen_nrmse", "utfsm_extended_nrmse"),
+    *("utfsm_bingham_nrmse", "utfsm_hyperbolic_tangent_nrmse", "utfsm_nonlinear_biviscous_nrmse"),
+    *("utfsm_bouc_wen_nrmse", "utfsm_modified_bouc_wen_nrmse"),
     *("utfsm_left_out_sixteen_nrmse", "utfsm_left_out_extended_nrmse"),
     *("earthquake_online_fit", "earthquake_online_sixteen_fit"),
     *("earthquake_static_fit", "earthquake_static_mean", "earthquake_static_sixteen_fit"),
@@ -147,7 +149,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "drift": lambda: drift.figures(8.0),
         "force_step": lambda: force_step.figures((0.5,)),
         "kinematics": lambda: kinematics.figures(1),
-        # These need ROS: test/ros/test_benchmarks.py.
+        # These need ROS: test/ros/test_node_benchmarks.py.
         "streaming_load": list,
         "lossy_link": list,
     }
