@@ -169,7 +169,7 @@ class CurrentDependentModel(Model):
         """One coefficient (..., n) at currents (..., n)."""
         coefficient = self.at_one_current[place]
         change: Array | float = 0.0
-        for order, column in reversed(list(enumerate(self._orders[place], start=1))):
+        for order, column in enumerate(self._orders[place], start=1):
             change = change + parameters[..., column, np.newaxis] * current**order
         value = parameters[..., place, np.newaxis]
         value = value * (1.0 + change) if coefficient.grows else value + change
