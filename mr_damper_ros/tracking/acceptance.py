@@ -136,6 +136,18 @@ class Gatekeeper:
             self._residuals.append((evidence.rmse_after, evidence.nrmse_after))
         return judgement
 
+    def judge_global(self, nrmse_before: float, nrmse_after: float) -> Judgement:
+        """Whether a set for the windows of the past is accepted: it leaves no trace."""
+        if not nrmse_after <= self._settings.maximum_nrmse:
+            return Judgement(
+                Verdict.POOR_FIT,
+                f"one set for all operating points leaves {nrmse_after:.0%} of the force "
+                f"unexplained, more than maximum_nrmse ({self._settings.maximum_nrmse:.0%})",
+            )
+        if nrmse_after < nrmse_before:
+            return ACCEPTED
+        return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
+
     def may_be_early(self, evidence: Evidence) -> bool:
         """Whether a fit to a few samples after a change may replace the running set.
 

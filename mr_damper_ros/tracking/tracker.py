@@ -17,7 +17,6 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
-    ACCEPTED,
     Gatekeeper,
     Judgement,
     Verdict,
@@ -263,10 +262,7 @@ class WindowTracker:
             self._forget_scales()
         return report_of_global(task, result, judgement, self.parameters.set_id)
 
-    @staticmethod
-    def _judge_global(result: GlobalResult) -> Judgement:
+    def _judge_global(self, result: GlobalResult) -> Judgement:
         if result.fit is None:
             return result.refusal or fault_of_data("the windows could not be fitted")
-        if result.nrmse_after < result.nrmse_before:
-            return ACCEPTED
-        return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
+        return self._gatekeeper.judge_global(result.nrmse_before, result.nrmse_after)

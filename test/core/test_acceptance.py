@@ -70,6 +70,20 @@ def test_a_set_is_accepted_where_the_running_one_has_no_finite_error() -> None:
     assert Gatekeeper(AcceptanceSettings()).judge(Evidence(math.inf, 0.01, 5.0, 0.1)) == ACCEPTED
 
 
+@pytest.mark.parametrize("after", [0.4, math.inf, math.nan])
+def test_one_set_for_all_that_explains_too_little_is_refused(after: float) -> None:
+    gatekeeper = Gatekeeper(AcceptanceSettings(maximum_nrmse=0.3))
+    judgement = gatekeeper.judge_global(0.9, after)
+    assert judgement.verdict is Verdict.POOR_FIT
+    assert "more than maximum_nrmse (30%)" in judgement.sentence
+
+
+def test_one_set_for_all_is_accepted_where_it_is_better() -> None:
+    gatekeeper = Gatekeeper(AcceptanceSettings())
+    assert gatekeeper.judge_global(0.2, 0.1) == ACCEPTED
+    assert gatekeeper.judge_global(0.1, 0.1).verdict is Verdict.NO_BETTER
+
+
 def test_a_residual_far_above_the_usual_one_is_refused() -> None:
     judgement = experienced(5.0).judge(evidence(100.0, 20.0))
     assert judgement.verdict is Verdict.DISTURBED
