@@ -180,9 +180,9 @@ def test_looks_leave_the_windows_as_they_were() -> None:
 
 
 def test_more_looks_than_samples_is_a_look_at_every_sample() -> None:
-    windows = cut([1520], looks=10_000)
+    windows = cut([1520], looks=1000)
     assert [w.look for w in windows[:3]] == [0, 1, 1]
-    with pytest.raises(ValueError, match="must not be negative"):
+    with pytest.raises(ValueError, match="looks must be from 0 to 1000, not -1"):
         WindowAssembler(1.0, 0.5, -1)
 
 
@@ -331,5 +331,5 @@ def test_the_same_stream_gives_the_same_early_set() -> None:
 
 
 def test_a_smallest_change_of_nothing_is_a_sentence() -> None:
-    with pytest.raises(ValueError, match=r"smallest_change is 0\.0: it must be positive"):
+    with pytest.raises(ValueError, match="smallest_change must be from"):
         TrackerSettings(smallest_change=0.0)
