@@ -75,12 +75,12 @@ def identify_global(
 
     ``start`` (p,) holds the values that undetermined parameters keep (one with which the windows
     cannot be fitted takes that of :meth:`Model.without_dependence`); a parameter that would leave
-    its bounds is held there and counts as undetermined. ``method``: "global" as
-    described above; "nelder_mead" and "least_squares" search on the samples from the
-    laws; "differential_evolution" searches on the samples over all free parameters at once, as
-    the thesis does. ``report`` hears of the progress and may stop the search: the best so far is
-    then returned with ``success`` False. ``known`` (p,): the outcome of an earlier search, from
-    which this one starts as well.
+    its bounds is held there and counts as undetermined. ``method``: "global" as in
+    :mod:`global_search`; "nelder_mead" and "least_squares" search on the samples from the laws;
+    "differential_evolution" searches on the samples over all free parameters at once, as the thesis
+    does. ``report`` hears of the progress and may stop the search: the best so far is then returned
+    with ``success`` False. ``known`` (p,): the outcome of an earlier search, from which this one
+    starts as well.
 
     Raises ValueError where there are no windows, a force does not change, or for an unknown
     method.

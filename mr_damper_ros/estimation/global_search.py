@@ -31,7 +31,6 @@ from mr_damper_ros.estimation.observability import (
     determined_parameters,
     operating_points_within,
     parameter_ranges,
-    typical_sizes,
     varied_parameters,
 )
 from mr_damper_ros.estimation.window_fit import fit_window
@@ -113,7 +112,13 @@ class GlobalSearch:
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
         # What one run determines besides the coefficients, such as a compliance.
         self._common = model.common_names
-        self._sizes = typical_sizes(model, windows)
+        # The range of a parameter that has one tells its size, if it has none itself.
+        self._sizes = np.array(
+            [
+                self._ranges.get(name, size)
+                for name, size in zip(self._names, model.typical_sizes(windows), strict=True)
+            ]
+        )
         self._report = report
         self.free: frozenset[str] = frozenset()
         self.best = start
@@ -334,9 +339,7 @@ class GlobalSearch:
         self, pooled: PooledProblem, start: Array, free: frozenset[str], nelder_mead: bool
     ) -> Array:
         places = [place for place, name in enumerate(self._names) if name in free]
-        # The range of a parameter that has one tells its size, if it has none itself.
-        ranges = [self._ranges.get(self._names[place], self._sizes[place]) for place in places]
-        sizes = np.maximum(np.abs(start[places]), _SMALLEST * np.array(ranges))
+        sizes = np.maximum(np.abs(start[places]), _SMALLEST * self._sizes[places])
         problem = FreeParameters(pooled, start, places, sizes, self.model.bounds)
         stage = "Nelder-Mead" if nelder_mead else "least squares"
         search = LocalSearch(

@@ -1,9 +1,9 @@
 """Global identification from several seeds: the best of them, how far they agree, and a record.
 
-Each seed is a search of its own (:mod:`global_fit`), so the searches can be done in any number of
-processes. A record keeps what they found: finished searches are not done again, and what was found
-by one that was stopped is a start of the same search when it is done again. So the cost after a
-resumption is never above that before.
+Each seed is a search of its own (:mod:`global_search`), so the searches can be done in any number
+of processes. A record keeps what they found: finished searches are not done again, and what was
+found by one that was stopped is a start of the same search when it is done again. So the cost after
+a resumption is never above that before.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import triangular_factor
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 _DIFFERENT_VELOCITY = 1.2
@@ -49,17 +48,6 @@ def parameter_ranges(model: Model, windows: Sequence[Window]) -> dict[str, tuple
     speeds, _ = operating_points_within(windows)
     top_current = max(float(np.max(np.abs(window.current))) for window in windows)
     return model.plausible_ranges(windows, max(speeds), top_current)
-
-
-def typical_sizes(model: Model, windows: Sequence[Window]) -> Array:
-    """Typical sizes (p,) of the parameters, by their units, for these windows."""
-    readings = [LoopReading.of(window) for window in windows]
-    return np.array(
-        [
-            np.median([reading.size(parameter.unit) for reading in readings])
-            for parameter in model.parameters
-        ]
-    )
 
 
 def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], list[float]]:

@@ -157,7 +157,9 @@ class CurrentDependentModel(Model):
         return settled
 
     def _lag_shows(self, window: Window, time_constant: Array) -> bool:
-        return bool(np.any(time_constant > 0.0)) and not window.has_constant_current
+        # Of a window that was kept without its past, nothing tells how the current went on.
+        has_past = (window.whole or window).period > 0.0
+        return bool(np.any(time_constant > 0.0)) and has_past and not window.has_constant_current
 
     def _all_at(self, parameters: Array, current: Array) -> list[Array]:
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""

@@ -303,6 +303,16 @@ class Model(ABC):
         ``top_velocity`` [m/s], ``top_current`` [A].
         """
 
+    def typical_sizes(self, windows: Sequence[Window]) -> Array:
+        """Typical sizes (p,) of the parameters, by their units, for these windows."""
+        readings = [LoopReading.of(window) for window in windows]
+        return np.array(
+            [
+                np.median([reading.size(parameter.unit) for reading in readings])
+                for parameter in self.parameters
+            ]
+        )
+
     def searched_laws(self, free: frozenset[str]) -> int:
         """How many laws need a search for these free parameters: the others are linear."""
         return 0

@@ -9,7 +9,6 @@ import numpy as np
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import window_weights
-from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 _STEP = 1e-6
@@ -33,13 +32,7 @@ class PooledDifferences:
         self.sample_count = sum(window.sample_count for window in windows)
         self._model = model
         self._weights = window_weights(windows, noise)
-        readings = [LoopReading.of(window) for window in windows]
-        self._sizes = np.array(
-            [
-                float(np.median([reading.size(parameter.unit) for reading in readings]))
-                for parameter in model.parameters
-            ]
-        )
+        self._sizes = model.typical_sizes(windows)
         self._settled = [
             np.ones(window.sample_count, dtype=bool)
             if known is None

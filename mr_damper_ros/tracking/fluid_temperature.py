@@ -1,7 +1,7 @@
 """How the force at an operating point falls with temperature, and the temperature from the force.
 
-The force scale (:mod:`drift`) of the windows at one operating point is fitted over the temperature
-that was measured with them:
+The force scale (:mod:`force_scale`) of the windows at one operating point is fitted over the
+temperature that was measured with them:
 
     ln s(T) = c0 + c1 z + c2 z²,   z = (T - centre) / half of the span
 

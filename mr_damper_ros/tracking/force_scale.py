@@ -70,6 +70,10 @@ def with_strength(
     model: Model, window: Window, start: Array, found: ScaleFit, method: str
 ) -> WindowFit:
     """Parameters ``start`` (p,) with the strength of the damper changed, as a fit of the window."""
+    # What follows the current rises and falls too, and no window is fitted with it.
+    rest = np.setdiff1d(model.strength_indices, model.free_indices)
+    start = start.copy()
+    start[rest] *= found.factor
     problem = model.window_problem(window, start)
     moved = np.where(problem.strength, problem.start, 0.0)
     return fit_of(

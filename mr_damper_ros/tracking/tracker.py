@@ -231,7 +231,7 @@ class WindowTracker:
             f"t = {self._changed_ns / NANOSECONDS:.2f} s: fitted early",
         )
         report = report_of_window(task, result, judgement, set_id, global_due=self._global_is_due())
-        # One factor says nothing of the seven coefficients' own errors.
+        # One factor says nothing of the coefficients' own errors.
         return replace(report, coefficient_errors=np.full_like(report.coefficients, math.nan))
 
     def _global_is_due(self) -> bool:

@@ -22,6 +22,9 @@ from mr_damper_ros.models.operating_points import CoefficientTable
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.cusum import ScaleFit
+from mr_damper_ros.tracking.force_scale import with_strength
+from mr_damper_ros.tracking.reservoir import thinned_to_keep
 
 FOLLOWING = [name for name, model in MODELS.items() if isinstance(model, CurrentDependentModel)]
 
@@ -201,6 +204,27 @@ def test_a_weaker_damper_is_weaker_by_the_same_part_at_every_current(name: str) 
         usual, less = (model.force(v, motion, current, known.PERIOD) for v in (values, weaker))
         if not model.remembers:
             np.testing.assert_allclose(less, 0.9 * usual, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_a_window_kept_without_its_past_has_a_force_whatever_the_coil(name: str) -> None:
+    model, values = MODELS[name], truth(name)
+    values[-1] = LAG
+    current = 1.0 + 1e-3 * np.sin(np.arange(750))
+    here = moved(name, truth(name), current)
+    kept = thinned_to_keep(here, with_past=model.remembers)
+    assert np.all(np.isfinite(model.window_force(kept, values)))
+    assert model.settled(kept, values).any()
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_a_loss_of_strength_weakens_what_follows_the_current_too(name: str) -> None:
+    model, values = MODELS[name], truth(name)
+    here = moved(name, values, 1.0)
+    fit = with_strength(model, here, values, ScaleFit(0.8, 0.0), "force_scale")
+    weaker = values.copy()
+    weaker[model.strength_indices] *= 0.8
+    np.testing.assert_allclose(fit.parameters, weaker, rtol=SAME)
 
 
 def test_a_coefficient_that_is_nothing_everywhere_has_finite_weights() -> None:

@@ -192,6 +192,10 @@ class SigmoidModel(Model):
         gains = dict.fromkeys(("k2", "k3"), (-_GAIN_RANGE, _GAIN_RANGE))
         return {**shape_bounds(top_velocity, top_current), **gains}
 
+    def typical_sizes(self, windows: Sequence[Window]) -> Array:
+        """One of each unit: the scales of a damper are larger, or hardly matter."""
+        return np.ones(len(self.parameters))
+
     def searched_laws(self, free: frozenset[str]) -> int:
         """How many of the laws need a search for these free parameters."""
         return searched_laws(free)
