@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "svg", "pdf")
 
+_LEGEND = 0.06
+"""Part of the height that the legend takes."""
+
 _WIDTH, _HEIGHT = 7.2, 7.6
 _MEASURED = {"color": "0.65", "linestyle": "none", "marker": ".", "markersize": 3.0}
 _PREDICTED = {"color": "#8f1023", "linewidth": 1.2}
@@ -84,7 +87,11 @@ def _drawn(comparison: Comparison, title: str) -> Figure:
             self.savefig(content, format="png", dpi=100)
             return content.getvalue()
 
-    figure = ShownFigure(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    # Room for the legend: loc="outside …" is not known to the Matplotlib of Ubuntu 24.04.
+    layout = ConstrainedLayoutEngine(rect=(0.0, _LEGEND, 1.0, 1.0 - _LEGEND))
+    figure = ShownFigure(figsize=(_WIDTH, _HEIGHT), layout=layout)
     FigureCanvasAgg(figure)
     axes: dict[str, Any] = figure.subplot_mosaic(
         [["velocity"] * 2 + ["displacement"] * 2, ["force"] * 4, ["residual"] * 3 + ["histogram"]],
@@ -115,9 +122,7 @@ def _drawn(comparison: Comparison, title: str) -> Figure:
         axes[name].spines[["top", "right"]].set_visible(False)
     figure.suptitle(_title(comparison, title), fontsize="medium")
     handles, names = axes["velocity"].get_legend_handles_labels()
-    figure.legend(
-        handles, names, loc="outside lower center", ncols=2, frameon=False, markerscale=2.5
-    )
+    figure.legend(handles, names, loc="lower center", ncols=2, frameon=False, markerscale=2.5)
     return figure
 
 

@@ -46,7 +46,7 @@ def lightness(color: Any) -> float:
 
 
 def test_the_title_tells_name_error_and_provenance() -> None:
-    title = comparison_figure(comparison("/a/run", SYNTHETIC), "one set").get_suptitle()
+    title = comparison_figure(comparison("/a/run", SYNTHETIC), "one set")._suptitle.get_text()
     assert title.splitlines()[0] == "run"
     assert "one set" in title
     assert "NRMSE 1" in title
