@@ -165,7 +165,9 @@ class IdentifierNode(Node):
                 self._publish_parameters(publication.parameters)
 
     def _publish_parameters(self, parameters: ParameterSet) -> None:
-        self._parameters_publisher.publish(parameters_message(parameters, self._frame_id))
+        self._parameters_publisher.publish(
+            parameters_message(parameters, self._frame_id, self.get_fully_qualified_name())
+        )
 
     def _save(self, request: Any, response: Any) -> Any:
         try:

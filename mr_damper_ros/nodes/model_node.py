@@ -78,8 +78,10 @@ class ModelNode(Node):
         self._published = -math.inf
         self._unfinished: tuple[Prediction, SampleBlock] | None = None
         self._refused_parameters = ""
+        self._parameters_from = ""
         if self._options.parameter_file:
             self._predictor.set_parameters(_read(self._options.parameter_file))
+            self._parameters_from = self._options.parameter_file
         self._force = self.create_publisher(
             PredictedForce,
             "damper/predicted_force",
@@ -130,6 +132,7 @@ class ModelNode(Node):
             self.get_logger().warning(f"parameters {message.id} are not used: {error}")
             return
         self._refused_parameters = ""
+        self._parameters_from = message.node or "a node that does not say its name"
         # Published parameters that come from no samples have the stamp 0.
         self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
         self._error.reset()
@@ -207,6 +210,7 @@ class ModelNode(Node):
                 "id": parameters.set_id,
                 "model": parameters.model,
                 "source": parameters.source,
+                "from": self._parameters_from,
                 "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
                 "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
             },

@@ -13,8 +13,8 @@ from mr_damper_ros.tracking.predictor import Prediction
 from mr_damper_ros.tracking.reports import Report
 
 
-def parameters_message(parameters: ParameterSet, frame_id: str) -> DamperParameters:
-    """The message of a parameter set."""
+def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> DamperParameters:
+    """The message of a parameter set, from the node of this fully qualified name."""
     return DamperParameters(
         header=header(parameters.stamp_ns, frame_id),
         id=parameters.set_id,
@@ -25,6 +25,7 @@ def parameters_message(parameters: ParameterSet, frame_id: str) -> DamperParamet
         standard_errors=to_field(parameters.standard_errors),
         observable=parameters.observable.tolist(),
         source=parameters.source,
+        node=node,
         peak_velocity_min=parameters.peak_velocity_range[0],
         peak_velocity_max=parameters.peak_velocity_range[1],
         current_min=parameters.current_range[0],

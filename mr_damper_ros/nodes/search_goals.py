@@ -32,6 +32,7 @@ class SearchGoals:
         self._pipeline = pipeline
         self._configured = configured
         self._frame_id = frame_id
+        self._node = node.get_fully_qualified_name()
         self._goals: dict[Search, ServerGoalHandle] = {}
         self._results: dict[bytes, IdentifyGlobal.Result] = {}
         self._server = ActionServer(
@@ -118,7 +119,7 @@ class SearchGoals:
             accepted=report.accepted,
             success=True,
             message=message,
-            parameters=parameters_message(found, self._frame_id),
+            parameters=parameters_message(found, self._frame_id, self._node),
             nrmse=report.nrmse_after,
             evaluations=fit.evaluations,
         )

@@ -183,6 +183,7 @@ def test_every_window_has_its_report_and_the_sets_fit(
     assert results.reports[0].accepted
     assert results.reports[0].nrmse_before > 1.0
     assert [message.id for message in results.sets] == ["literature", *results.accepted]
+    assert {message.node for message in results.sets} == {"/identifier"}
     last = parameter_set(results.sets[-1])
     assert last.current_range == (1.5, 1.5)
     assert last.observable.any()

@@ -121,7 +121,7 @@ def test_a_parameter_set_passes_through_its_message_unchanged(model: ForceModel)
         standard_errors=np.linspace(0.1, 1.6, count),
         observable=np.arange(count) % 2 == 0,
     )
-    message = parameters_message(original, "damper")
+    message = parameters_message(original, "damper", "/test")
     assert (message.model, message.names) == (model.name, list(model.parameter_names))
     assert parameter_set(message).to_yaml() == original.to_yaml()
 
@@ -180,7 +180,7 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
     )
 
     def use(parameters: ParameterSet) -> None:
-        latched.publish(parameters_message(parameters, "damper"))
+        latched.publish(parameters_message(parameters, "damper", "/test"))
         listener.wait_for_finding("model: parameters", f"predicting with {parameters.set_id}")
 
     rig = Rig(start, listener)
@@ -231,9 +231,10 @@ def test_parameters_that_cannot_be_used_are_refused(
         DamperParameters, "damper/parameters", quality.latched()
     )
     rig = Rig(start, listener)
-    good = parameters_message(TRUE_SET, "damper")
+    good = parameters_message(TRUE_SET, "damper", "/test")
     latched.publish(good)
-    listener.wait_for_finding("model: parameters", "predicting with true")
+    status = listener.wait_for_finding("model: parameters", "predicting with true")
+    assert {pair.key: pair.value for pair in status.values}["from"] == "/test"
     for field, value, sentence in (
         ("model", "magic", "model 'magic' is unknown: the models are bingham, "),
         ("model", "bouc_wen", "the parameters of model 'bouc_wen' must be c0, k0, "),
@@ -242,7 +243,7 @@ def test_parameters_that_cannot_be_used_are_refused(
         ("values", [1.0], "must hold 16 numbers"),
         ("current_min", 9.0, "lower bound first"),
     ):
-        bad = parameters_message(TRUE_SET, "damper")
+        bad = parameters_message(TRUE_SET, "damper", "/test")
         bad.id = "bad"
         setattr(bad, field, value)
         latched.publish(bad)
@@ -263,7 +264,7 @@ def test_parameters_that_no_window_confirms_make_the_force_invalid(
     reports = listener.node.create_publisher(FitReport, "damper/fit_report", quality.stream())
     rig = Rig(start, listener, parameters_timeout=60.0)
     hours_ago = replace(TRUE_SET, stamp_ns=recording.start_ns - 10**13)
-    latched.publish(parameters_message(hours_ago, "damper"))
+    latched.publish(parameters_message(hours_ago, "damper", "/test"))
     listener.wait_for_finding("model: parameters", "predicting with true")
     old = rig.run(recording)
     assert not any(f.valid for f in old)
