@@ -12,8 +12,9 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import force
-from mr_damper_ros.rig.emulator import Damper, EmulatedRig, ForceStep, RigSettings, ThermalModel
+from mr_damper_ros.rig.emulator import Damper, EmulatedRig, RigSettings, ThermalModel
 from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.rig.faults.fault import Fault
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.recording import Recording
@@ -50,7 +51,7 @@ def recording(
     *,
     seed: int,
     thermal: ThermalModel | None = None,
-    events: Sequence[ForceStep] = (),
+    faults: Sequence[Fault] = (),
 ) -> Recording:
     """Recording of a damper that heats up or breaks, with the noise of the thesis."""
     rig = EmulatedRig(
@@ -59,7 +60,7 @@ def recording(
         CURRENT,
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
         thermal=thermal,
-        events=events,
+        faults=faults,
     )
     return rig.record(duration)
 

@@ -10,7 +10,8 @@ from benchmarks import following
 from benchmarks.figure import Figure
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force
-from mr_damper_ros.rig.emulator import ConstantDamper, ForceStep, scaled
+from mr_damper_ros.rig.emulator import ConstantDamper, scaled
+from mr_damper_ros.rig.faults.machine_faults import ForceLoss
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.trackers import TRACKERS
 
@@ -33,7 +34,7 @@ def windows_until_right(offset: float, settings: TrackerSettings) -> float:
         ConstantDamper(THESIS_28_CELSIUS),
         time + _AFTER,
         seed=round(100 * offset),
-        events=[ForceStep(time, FACTOR)],
+        faults=[ForceLoss(FACTOR, time)],
     )
     cycle = following.one_cycle()
     truth = force(scaled(THESIS_28_CELSIUS, FACTOR), *cycle, following.CURRENT)

@@ -23,6 +23,7 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
 )
 from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.rig.faults.fault import Fault
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -191,14 +192,6 @@ class CurrentSchedule:
 
 
 @dataclass(frozen=True)
-class ForceStep:
-    """A sudden change: from ``time`` [s] on the force is ``factor`` times what it was (a leak)."""
-
-    time: float
-    factor: float
-
-
-@dataclass(frozen=True)
 class RigSettings:
     """How the emulated rig measures: ``sample_rate`` [Hz], noise [N] and [m], seed, start.
 
@@ -238,7 +231,8 @@ class EmulatedRig:
     """A damper in a test machine, sample by sample.
 
     ``current`` is a schedule or one value [A]. Without a ``thermal`` model the temperature stays
-    at 28 °C, that of the thesis' cold damper. ``events`` change the force suddenly.
+    at 28 °C, that of the thesis' cold damper. Of the ``faults`` it has those of machine and damper;
+    what instruments make of its samples is for :class:`Instruments`.
     """
 
     def __init__(
@@ -249,7 +243,7 @@ class EmulatedRig:
         *,
         settings: RigSettings | None = None,
         thermal: ThermalModel | None = None,
-        events: Sequence[ForceStep] = (),
+        faults: Sequence[Fault] = (),
     ) -> None:
         # A damper may remember the motion: each rig has its own.
         self._damper = deepcopy(damper)
@@ -261,18 +255,29 @@ class EmulatedRig:
         )
         self._settings = settings or RigSettings()
         self._thermal = thermal
-        self._events = tuple(events)
-        self._peak = None if _is_sine(excitation) else self._peak_before_the_start()
+        self._faults: list[Fault] = []
+        self._peak: PeakVelocity | None = None
         self._rng = np.random.default_rng(self._settings.seed)
         self._celsius = thermal.initial if thermal else 28.0
         self._made = 0
         self._taken = 0
         self._ready = np.empty((4, 0))
+        self.break_with(faults)
 
     @property
     def settings(self) -> RigSettings:
         """How the rig measures."""
         return self._settings
+
+    def break_with(self, faults: Sequence[Fault]) -> None:
+        """Have these faults besides those that it has; they must not have begun."""
+        own = deepcopy(list(faults))
+        before = self._excitation
+        for fault in own:
+            self._excitation = fault.moved(self._excitation)
+        if self._peak is None and not _is_sine(self._excitation):
+            self._peak = self._peak_so_far(before)
+        self._faults += own
 
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples; raises EmulatorError where that is less than one."""
@@ -311,7 +316,8 @@ class EmulatedRig:
         # the stream is cut into blocks.
         period = self._settings.period
         time = np.arange(self._made, self._made + _CHUNK, dtype=np.float64) * period
-        displacement, velocity, acceleration = self._excitation.at(time)
+        moved = self._excitation.at(time)
+        displacement, velocity, acceleration = moved
         current = self._current.at(time)
         centred = displacement - self._excitation.centre
         v_m = (
@@ -320,7 +326,12 @@ class EmulatedRig:
             else self._peak.follow(velocity, acceleration)
         )
         motion = Motion(centred, velocity, acceleration, v_m, sine=None)
-        true_force = self._damper.force(motion, current, self._celsius) * self._factor(time)
+        in_coil = current
+        for fault in self._faults:
+            in_coil = fault.energised(time, in_coil)
+        true_force = self._damper.force(motion, in_coil, self._celsius)
+        for fault in self._faults:
+            true_force = fault.resisted(time, moved, true_force)
         celsius = np.full(_CHUNK, self._celsius)
         if self._thermal is not None:
             power = float(np.mean(true_force * velocity))
@@ -336,17 +347,11 @@ class EmulatedRig:
             ]
         )
 
-    def _peak_before_the_start(self) -> PeakVelocity:
-        """The motion has gone on for long when the recording begins."""
+    def _peak_so_far(self, excitation: Excitation) -> PeakVelocity:
+        """The motion has gone on for long, also when the recording begins."""
         period = self._settings.period
-        before: Array = np.arange(-round(MEMORY / period), 0, dtype=np.float64) * period
+        before: Array = np.arange(-round(MEMORY / period), 0, dtype=np.float64) + self._made
         peak = PeakVelocity(period)
-        _, velocity, acceleration = self._excitation.at(before)
+        _, velocity, acceleration = excitation.at(before * period)
         peak.follow(velocity, acceleration)
         return peak
-
-    def _factor(self, time: Array) -> Array:
-        factor = np.ones(time.size)
-        for event in self._events:
-            factor[time >= event.time - 1e-9] *= event.factor
-        return factor

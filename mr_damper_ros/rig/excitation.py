@@ -118,3 +118,93 @@ class SampledMotion:
             np.where(moving, self._spline(within, 1), 0.0),
             np.where(moving, self._spline(within, 2), 0.0),
         )
+
+
+class _Ramp(NamedTuple):
+    """A smooth step, its derivative and its second derivative, each of shape (n,)."""
+
+    value: Array
+    rate: Array
+    bend: Array
+
+
+def _ramp(time: Array, begin: float, duration: float) -> _Ramp:
+    """From 0 before ``begin`` to 1 ``duration`` [s] later, twice continuously differentiable."""
+    x = np.clip((time - begin) / duration, 0.0, 1.0)
+    return _Ramp(
+        x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
+        30.0 * x**2 * (1.0 - x) ** 2 / duration,
+        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2,
+    )
+
+
+def _ramp_integral(time: Array, begin: float, duration: float) -> Array:
+    """Integral of :func:`_ramp` over the time [s]."""
+    x = np.clip((time - begin) / duration, 0.0, 1.0)
+    within = duration * x**4 * (2.5 - 3.0 * x + x**2)
+    return np.asarray(within + np.maximum(time - begin - duration, 0.0))
+
+
+@dataclass(frozen=True)
+class EnvelopedMotion:
+    """A motion that is ``factor`` times as large about its centre from ``begin`` to ``end`` [s].
+
+    It changes smoothly within ``duration`` [s], and back again after the end, which may be
+    infinite.
+    """
+
+    motion: Excitation
+    factor: float
+    begin: float
+    end: float
+    duration: float
+
+    @property
+    def centre(self) -> float:
+        """Displacement [m] that the motion is about."""
+        return self.motion.centre
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        up, down = (_ramp(time, start, self.duration) for start in (self.begin, self.end))
+        value, rate, bend = (
+            (self.factor - 1.0) * (one - other) for one, other in zip(up, down, strict=True)
+        )
+        value = 1.0 + value
+        u, v, a = self.motion.at(time)
+        u = u - self.centre
+        return Kinematics(
+            self.centre + value * u, value * v + rate * u, value * a + 2.0 * rate * v + bend * u
+        )
+
+
+@dataclass(frozen=True)
+class WarpedMotion:
+    """A motion that goes on ``tempo`` times as fast from ``begin`` to ``end`` [s]; 0: it stands.
+
+    The tempo changes smoothly within ``duration`` [s], and back again after the end, which may be
+    infinite.
+    """
+
+    motion: Excitation
+    tempo: float
+    begin: float
+    end: float
+    duration: float
+
+    @property
+    def centre(self) -> float:
+        """Displacement [m] that the motion is about."""
+        return self.motion.centre
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        up, down = (_ramp(time, start, self.duration) for start in (self.begin, self.end))
+        passed = _ramp_integral(time, self.begin, self.duration) - _ramp_integral(
+            time, self.end, self.duration
+        )
+        change = self.tempo - 1.0
+        tempo = 1.0 + change * (up.value - down.value)
+        bend = change * (up.rate - down.rate)
+        u, v, a = self.motion.at(time + change * passed)
+        return Kinematics(u, v * tempo, a * tempo**2 + v * bend)

@@ -31,8 +31,11 @@ class Meter:
         self._step = step
         self._last = math.nan
 
-    def read(self, block: RigBlock, values: Array) -> list[Reading]:
-        """Return the readings in a block; ``values`` has shape (n,)."""
+    def read(self, block: RigBlock, values: Array, ahead_ns: int = 0) -> list[Reading]:
+        """Return the readings in a block; ``values`` has shape (n,).
+
+        ``ahead_ns``: how far the instrument's own clock is ahead of that of the samples.
+        """
         every = max(round(self._period / block.period), 1)
         regular = set(range(-block.sequence % every, values.size, every))
         moved = np.flatnonzero(np.diff(values, prepend=self._last))
@@ -42,5 +45,5 @@ class Meter:
             if index in regular or abs(value - self._last) > self._step:
                 self._last = value
                 if not math.isnan(value):
-                    readings.append(Reading(block.stamp_ns(index), value))
+                    readings.append(Reading(block.stamp_ns(index) + ahead_ns, value))
         return readings

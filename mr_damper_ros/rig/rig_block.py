@@ -14,7 +14,8 @@ class RigBlock:
 
     Arrays have shape (n,), ``period`` [s] apart; ``start_ns`` is the stamp of sample 0,
     ``sequence`` its index since the start. ``temperature`` [°C] has shape (n,) too, NaN where it
-    is not known.
+    is not known; so is a current that the supply does not report. ``supply_ahead_ns``: how far
+    the clock of the supply is ahead of that of the samples.
     """
 
     start_ns: int
@@ -24,6 +25,7 @@ class RigBlock:
     force: Array
     current: Array
     temperature: Array
+    supply_ahead_ns: int = 0
 
     @property
     def sample_count(self) -> int:

@@ -21,7 +21,6 @@ from mr_damper_ros.rig.emulator import (
     CurrentSchedule,
     EmulatedRig,
     EmulatorError,
-    ForceStep,
     ModelDamper,
     RigSettings,
     TemperatureDependentDamper,
@@ -34,6 +33,7 @@ from mr_damper_ros.rig.excitation import (
     SampledMotion,
     SineMotion,
 )
+from mr_damper_ros.rig.faults.machine_faults import ForceLoss
 
 SINE = SineMotion(0.005, 1.0, phase=0.3)
 SILENT = RigSettings(force_noise=0.0)
@@ -172,7 +172,7 @@ def warm_rig() -> EmulatedRig:
         CurrentSchedule((0.0, 0.15), (0.5, 1.5)),
         settings=RigSettings(displacement_noise=1e-6, seed=4),
         thermal=THERMAL,
-        events=[ForceStep(0.2, 0.8)],
+        faults=[ForceLoss(0.8, 0.2)],
     )
 
 
@@ -231,8 +231,8 @@ def test_the_current_steps_with_its_sample() -> None:
 
 def test_a_leak_takes_its_share_of_the_force_from_its_time_on() -> None:
     whole, leaking = (
-        EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.5, settings=SILENT, events=events)
-        for events in ([], [ForceStep(0.2, 0.7)])
+        EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.5, settings=SILENT, faults=faults)
+        for faults in ([], [ForceLoss(0.7, 0.2)])
     )
     ratio = leaking.next_block(400).force / whole.next_block(400).force
     np.testing.assert_array_equal(ratio[:200], 1.0)

@@ -1,0 +1,103 @@
+"""Dampers of laws unlike the sixteen, and motions for them.
+
+The parameters are invented, in the size of the literature's: no such damper was measured. The
+coil of each lags.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.excitation import SampledMotion
+from mr_damper_ros.signals.arrays import Array
+
+_GRID = 5e-3
+"""Period [s] of the samples of a motion of up to some 20 Hz; a spline goes through them."""
+
+
+def _damper(model: str, **values: float) -> ParameterSet:
+    names = MODELS[model].parameter_names
+    defaults = dict.fromkeys(names, 0.0)
+    return ParameterSet(
+        np.array([{**defaults, **values}[name] for name in names]), set_id=model, model=model
+    )
+
+
+DAMPERS = {
+    # 888 N at 5 mm, 1 Hz, 1.5 A.
+    "viscous_tanh": _damper(
+        "hyperbolic_tangent",
+        c=2600.0,
+        c_1=800.0,
+        k=1500.0,
+        alpha=95.0,
+        alpha_1=6.2,
+        alpha_2=-0.9,
+        beta=110.0,
+        delta=0.55,
+        coil_time_constant=0.01,
+    ),
+    # A stiff one of 1.3 kN, rounded by the damper in series.
+    "modified_bouc_wen": _damper(
+        "modified_bouc_wen",
+        c0=2500.0,
+        c0_1=1.2,
+        k0=800.0,
+        c1=120e3,
+        c1_1=0.5,
+        k1=1200.0,
+        f0=25.0,
+        alpha=150.0,
+        alpha_1=5.0,
+        alpha_2=-0.5,
+        yield_length=4e-4,
+        share=0.5,
+        n=1.6,
+        coil_time_constant=0.02,
+    ),
+    # A small one of 400 N with much gas: stiffness and offset.
+    "bouc_wen": _damper(
+        "bouc_wen",
+        c0=1500.0,
+        c0_1=0.8,
+        k0=4000.0,
+        f0=-40.0,
+        alpha=70.0,
+        alpha_1=3.0,
+        alpha_2=-0.4,
+        yield_length=6e-4,
+        share=0.45,
+        n=1.5,
+        coil_time_constant=0.015,
+    ),
+}
+"""By name."""
+
+
+def random_motion(rms: float, low: float, high: float, duration: float, seed: int) -> SampledMotion:
+    """Gaussian motion of ``rms`` [m], of a flat spectrum from ``low`` to ``high`` [Hz]."""
+    rng = np.random.default_rng(seed)
+    tones = 60
+    rates = 2.0 * np.pi * (low + (high - low) * (np.arange(tones) + rng.random(tones)) / tones)
+    time = np.arange(round(duration / _GRID) + 1) * _GRID
+    sines, cosines = (rms / math.sqrt(tones) * rng.standard_normal(tones) for _ in range(2))
+    angles = np.outer(time, rates)
+    return SampledMotion(np.sin(angles) @ sines + np.cos(angles) @ cosines, _GRID)
+
+
+def chirp(top_speed: float, most: float, low: float, high: float, duration: float) -> SampledMotion:
+    """A sine from ``low`` to ``high`` [Hz], evenly on a logarithmic scale.
+
+    Its amplitude keeps the ``top_speed`` [m/s], but is ``most`` [m] at most.
+    """
+    grid = 0.2 * _GRID
+    time = np.arange(round(duration / grid) + 1) * grid
+    growth = math.log(high / low) / duration
+    frequency = low * np.exp(growth * time)
+    phase = 2.0 * np.pi * (frequency - low) / growth
+    amplitude: Array = np.minimum(top_speed / (2.0 * np.pi * frequency), most)
+    return SampledMotion(amplitude * np.sin(phase), grid)

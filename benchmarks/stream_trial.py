@@ -1,0 +1,387 @@
+"""A rig, its instruments, the identification and the prediction in one process, by stamps alone.
+
+    trial = StreamTrial(DAMPERS["viscous_tanh"], SineMotion(0.005, 1.0), 1.5)
+    trial.advance(10.0)
+    broken = trial.branch([Gain(10.0, begin=12.0, channel="force")])
+    broken.advance(10.0)
+    broken.result().wrong_valid(since=12.0).longest
+
+No wall clock is asked: what a trial gives depends on its arguments alone. It does what the nodes
+do with the same objects (bridge, identifier, model), block by block; a set or a report takes
+effect on the prediction a stated time after the samples that completed its window.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import (
+    THESIS_FORCE_NOISE,
+    CurrentSchedule,
+    EmulatedRig,
+    ModelDamper,
+    RigSettings,
+)
+from mr_damper_ros.rig.excitation import Excitation
+from mr_damper_ros.rig.faults.fault import Delivery, Fault, Instruments
+from mr_damper_ros.rig.meter import Meter
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import BlockError, SampleBlock
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
+
+CURRENT_STEP = 0.005
+"""As the bridge: a change [A] of the current that is published at once."""
+
+WRONG = 0.2
+"""A force is wrong that is off by more than this part of the peak force."""
+
+PEAK_MEMORY = 10.0
+"""The peak force is that of the last so many seconds."""
+
+
+@dataclass(frozen=True)
+class TrialSettings:
+    """How a trial runs; all but the first line as the nodes have it by default.
+
+    ``sample_rate`` [Hz], ``block_size``, noises of displacement [m] and force [N] and their seed;
+    ``current_rate``: readings of the supply per second. ``delay`` and ``search_delay`` [s]: time
+    from the last sample of a window, or from when a search fell due, until its outcome counts.
+    ``initial``: the set to start from; None for the one from the literature.
+    """
+
+    seed: int = 0
+    sample_rate: float = 1000.0
+    block_size: int = 10
+    force_noise: float = THESIS_FORCE_NOISE
+    displacement_noise: float = 1e-6
+    current_rate: float = 10.0
+    delay: float = 0.3
+    search_delay: float = 1.0
+    windows: WindowSettings = field(default_factory=WindowSettings)
+    tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    predictor: PredictorSettings = field(default_factory=PredictorSettings)
+    initial: ParameterSet | None = None
+
+
+class Stretch(NamedTuple):
+    """Time [s] for which something holds: the ``longest`` without a break, and ``total``.
+
+    ``worst`` is the largest error there over the peak force, ``at`` [s] the time of it (NaN where
+    there is none).
+    """
+
+    longest: float
+    total: float
+    worst: float
+    at: float
+
+
+class SetInUse(NamedTuple):
+    """A set and the time [s] from which the prediction uses it."""
+
+    time: float
+    parameters: ParameterSet
+
+
+@dataclass(frozen=True, eq=False)
+class TrialResult:
+    """What came of a trial, sample by sample of the rig; arrays of shape (n,).
+
+    ``time`` [s]; ``current`` [A] that the supply really gives; ``true``: force [N] between rod and
+    load cell, without noise or a fault of the instruments; ``measured``: what the instruments say
+    (NaN: nothing was sent); ``predicted`` [N] (NaN: none), ``valid``; ``reason``: index into
+    ``reasons``, why it is not valid (of the first, empty where it is, or where nothing came);
+    ``used``: index into ``sets``, -1 for none. ``reports`` are in the order in which they took
+    effect, at ``report_times`` [s].
+    """
+
+    time: Array
+    displacement: Array
+    current: Array
+    true: Array
+    measured: Array
+    predicted: Array
+    valid: np.ndarray
+    reason: np.ndarray
+    reasons: list[str]
+    used: np.ndarray
+    sets: list[SetInUse]
+    reports: list[Report]
+    report_times: list[float]
+    rejected: list[str]
+
+    @property
+    def period(self) -> float:
+        """Time between two samples [s]."""
+        return float(self.time[1] - self.time[0])
+
+    @property
+    def peak(self) -> Array:
+        """Largest true force [N] of the last :data:`PEAK_MEMORY` seconds, shape (n,)."""
+        # The largest of each tenth of a second is enough, and quick.
+        part = max(round(0.1 / self.period), 1)
+        size = np.abs(self.true)
+        largest = np.maximum.reduceat(size, np.arange(0, size.size, part))
+        count = max(round(PEAK_MEMORY / (part * self.period)), 1)
+        padded = np.concatenate([np.zeros(count - 1), largest])
+        recent = np.lib.stride_tricks.sliding_window_view(padded, count).max(axis=1)
+        return np.asarray(np.repeat(recent, part)[: size.size])
+
+    @property
+    def error(self) -> Array:
+        """|predicted - true| over the peak, shape (n,); NaN where there is no prediction."""
+        return np.asarray(np.abs(self.predicted - self.true) / np.maximum(self.peak, 1e-9))
+
+    def wrong_valid(
+        self, limit: float = WRONG, since: float = 0.0, until: float = math.inf
+    ) -> Stretch:
+        """How long the force was called valid though it was off by more than ``limit`` * peak.
+
+        A break shorter than a sample's way through zero counts as none: stretches of wrong force
+        that less than 0.1 s of right force, itself called valid, separates are one.
+        """
+        error = np.where(self.valid, self.error, 0.0)
+        wrong = error > limit
+        wrong &= (self.time >= since) & (self.time < until)
+        if not wrong.any():
+            return Stretch(0.0, 0.0, 0.0, math.nan)
+        joined = _without_gaps(wrong, self.valid, round(0.1 / self.period))
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], joined.view(np.int8), [0]))))
+        worst = int(np.argmax(np.where(wrong, error, 0.0)))
+        return Stretch(
+            float(np.max(edges[1::2] - edges[::2])) * self.period,
+            float(np.count_nonzero(wrong)) * self.period,
+            float(error[worst]),
+            float(self.time[worst]),
+        )
+
+    def first_valid(self, since: float = 0.0) -> float:
+        """Time [s] of the first valid sample from ``since`` on; infinite where there is none."""
+        places = np.flatnonzero(self.valid & (self.time >= since))
+        return float(self.time[places[0]]) if places.size else math.inf
+
+    def valid_share(self, since: float | None = None, until: float = math.inf) -> float:
+        """Part of the samples called valid, from ``since`` [s] or else the first valid one on."""
+        begin = self.first_valid() if since is None else since
+        asked = (self.time >= begin) & (self.time < until)
+        return float(np.mean(self.valid[asked])) if asked.any() else 0.0
+
+    def why_invalid(self, since: float = 0.0, until: float = math.inf) -> list[tuple[str, float]]:
+        """The reasons for which the force was not valid, with their seconds, longest first."""
+        asked = ~self.valid & (self.time >= since) & (self.time < until)
+        counts = np.bincount(self.reason[asked], minlength=len(self.reasons))
+        order = np.argsort(-counts)
+        return [
+            (self.reasons[place] or "nothing was predicted", float(counts[place] * self.period))
+            for place in order
+            if counts[place]
+        ]
+
+
+def _without_gaps(wrong: np.ndarray, valid: np.ndarray, longest: int) -> np.ndarray:
+    """The mask with its gaps of at most ``longest`` samples closed where all of them are valid."""
+    closed = wrong.copy()
+    places = np.flatnonzero(wrong)
+    for one, other in itertools.pairwise(places):
+        if 1 < other - one <= longest and valid[one:other].all():
+            closed[one:other] = True
+    return closed
+
+
+class _Outcome(NamedTuple):
+    """What takes effect once the samples are at ``time`` [s]."""
+
+    time: float
+    report: Report
+    parameters: ParameterSet | None
+
+
+class StreamTrial:
+    """A trial that can be run on, and branched: several may go on from the same past."""
+
+    def __init__(
+        self,
+        damper: ParameterSet,
+        excitation: Excitation,
+        current: CurrentSchedule | float,
+        *,
+        faults: Sequence[Fault] = (),
+        settings: TrialSettings | None = None,
+    ) -> None:
+        self._settings = given = settings or TrialSettings()
+        # The noise is added here: the rig then says what is true.
+        self._rig = EmulatedRig(
+            ModelDamper(damper, 1.0 / given.sample_rate),
+            excitation,
+            current,
+            settings=RigSettings(given.sample_rate, force_noise=0.0, seed=given.seed),
+            faults=faults,
+        )
+        self._noise = np.random.default_rng(given.seed)
+        self._instruments = Instruments(faults)
+        self._supply = Meter(1.0 / given.current_rate, step=CURRENT_STEP)
+        windows = given.windows
+        self._assembler = WindowAssembler(windows.window, windows.hop, windows.looks)
+        initial = given.initial or start_set(given.tracker.model)
+        self._tracker = WindowTracker(given.tracker, initial)
+        self._predictor = ForcePredictor(given.predictor)
+        self._waiting: deque[_Outcome] = deque()
+        self._now = 0.0
+        self._parts: list[Array] = []
+        self._reasons: dict[str, int] = {"": 0}
+        self._sets: list[SetInUse] = []
+        self._reports: list[Report] = []
+        self._report_times: list[float] = []
+        self._rejected: list[str] = []
+        self._use(initial)
+
+    @property
+    def now(self) -> float:
+        """Seconds of the stream so far."""
+        return self._now
+
+    @property
+    def tracker(self) -> WindowTracker:
+        """The identification, as it is now."""
+        return self._tracker
+
+    def branch(self, faults: Sequence[Fault]) -> StreamTrial:
+        """A trial of the same past with these faults, which begin later; this one is unchanged."""
+        other = deepcopy(self)
+        other._rig.break_with(faults)
+        other._instruments = Instruments(faults)
+        return other
+
+    def run(self, duration: float) -> TrialResult:
+        """Go on for ``duration`` [s]; returns all that has come since the start."""
+        self.advance(duration)
+        return self.result()
+
+    def advance(self, duration: float) -> None:
+        """Go on for ``duration`` [s]."""
+        size = self._settings.block_size
+        for _ in range(round(duration * self._settings.sample_rate / size)):
+            self._go_on(self._rig.next_block(size))
+
+    def result(self) -> TrialResult:
+        """What has come since the start."""
+        rows = np.concatenate(self._parts, axis=1)
+        time, displacement, current, true, measured, predicted, valid, reason, used = rows
+        return TrialResult(
+            time=time,
+            displacement=displacement,
+            current=current,
+            true=true,
+            measured=measured,
+            predicted=predicted,
+            valid=valid.astype(bool),
+            reason=reason.astype(int),
+            reasons=list(self._reasons),
+            used=used.astype(int),
+            sets=list(self._sets),
+            reports=list(self._reports),
+            report_times=list(self._report_times),
+            rejected=list(self._rejected),
+        )
+
+    # --- what the bridge does ------------------------------------------------------------------
+
+    def _go_on(self, made: RigBlock) -> None:
+        size, first = made.sample_count, made.sequence
+        rows = np.full((9, size), math.nan)
+        rows[0] = (first + np.arange(size)) * made.period
+        rows[1:4] = made.displacement, made.current, made.force
+        rows[6:] = np.array([[0.0], [0.0], [-1.0]])
+        self._parts.append(rows)
+        noise = self._noise.standard_normal((2, size))
+        block = replace(
+            made,
+            displacement=made.displacement + self._settings.displacement_noise * noise[0],
+            force=made.force + self._settings.force_noise * noise[1],
+        )
+        self._now = (first + size) * made.period
+        for delivery in self._instruments.read(block):
+            self._send(delivery)
+
+    def _send(self, delivery: Delivery) -> None:
+        block = delivery.block
+        ahead = block.supply_ahead_ns
+        for reading in self._supply.read(block, block.current, ahead):
+            self._take_current(reading.stamp_ns, reading.value)
+        try:
+            samples = SampleBlock(
+                block.start_ns, block.sequence, block.period, block.displacement, block.force
+            )
+        except BlockError as error:
+            self._rejected.append(str(error))
+            return
+        self._take_outcomes()
+        prediction = self._predictor.predict(samples)
+        self._predictor.catch_up()
+        self._note(delivery, prediction)
+        self._identify(self._assembler.add_block(samples))
+
+    # --- what the identifier does --------------------------------------------------------------
+
+    def _take_current(self, stamp_ns: int, value: float) -> None:
+        self._predictor.add_current(stamp_ns, value)
+        self._identify(self._assembler.add_current(stamp_ns, value))
+
+    def _identify(self, windows: list[RawWindow]) -> None:
+        for window in windows:
+            report = self._tracker.follow(window)
+            if report is None:
+                continue
+            self._give_out(report, self._settings.delay)
+            if report.global_due:
+                self._give_out(self._tracker.identify(), self._settings.search_delay)
+
+    def _give_out(self, report: Report, delay: float) -> None:
+        time = self._now + delay
+        if self._waiting:
+            time = max(time, self._waiting[-1].time)
+        found = self._tracker.parameters if report.accepted else None
+        self._waiting.append(_Outcome(time, report, found))
+
+    # --- what the model does -------------------------------------------------------------------
+
+    def _take_outcomes(self) -> None:
+        while self._waiting and self._waiting[0].time <= self._now:
+            outcome = self._waiting.popleft()
+            self._reports.append(outcome.report)
+            self._report_times.append(outcome.time)
+            # The node publishes the report first, then the set.
+            if outcome.report.confirms:
+                self._predictor.confirm(outcome.report.set_id, outcome.report.stamp_ns)
+            if outcome.parameters is not None:
+                self._use(outcome.parameters)
+
+    def _use(self, parameters: ParameterSet) -> None:
+        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
+        self._sets.append(SetInUse(self._now, parameters))
+
+    def _note(self, delivery: Delivery, prediction: Prediction) -> None:
+        size = self._settings.block_size
+        rows = self._parts[delivery.first // size]
+        if np.isfinite(rows[4]).any():
+            return  # it came twice: the first one counted
+        rows[4] = delivery.block.force
+        rows[5] = prediction.force
+        rows[6] = prediction.valid
+        rows[7] = self._reasons.setdefault(prediction.reason, len(self._reasons))
+        rows[8] = len(self._sets) - 1
