@@ -49,7 +49,7 @@ def records(utfsm: Path) -> list[Recording]:
     return [
         read_record(
             utfsm / "earthquake.mat",
-            ",".join(["displacement:mm", *["-"] * number, "force:N"]),
+            ",".join(["displacement:mm", *["-"] * number, "force:N", "..."]),
             current=current,
             period=_PERIOD,
         )

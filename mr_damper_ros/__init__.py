@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mr_damper_ros.interface.validation import Validation, validate
     from mr_damper_ros.io.bag_reader import read_bag
     from mr_damper_ros.io.bag_writer import write_bag
-    from mr_damper_ros.io.records import read_record
+    from mr_damper_ros.io.records import read_record, read_runs
     from mr_damper_ros.models import MODELS
     from mr_damper_ros.models.parameter_set import ParameterSet
     from mr_damper_ros.signals.blocks import SampleBlock
@@ -48,6 +48,7 @@ __all__ = [
     "identify",
     "read_bag",
     "read_record",
+    "read_runs",
     "validate",
     "write_bag",
 ]
@@ -67,6 +68,7 @@ _HOMES = {
     "identify": "interface.identification",
     "read_bag": "io.bag_reader",
     "read_record": "io.records",
+    "read_runs": "io.records",
     "validate": "interface.validation",
     "write_bag": "io.bag_writer",
 }

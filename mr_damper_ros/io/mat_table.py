@@ -7,33 +7,39 @@ from pathlib import Path
 
 import numpy as np
 
+from mr_damper_ros.io.columns import Column, Columns
 from mr_damper_ros.io.mat import MatError, Matrices, read_matrices
 from mr_damper_ros.io.raw_table import RawTable, RecordError, too_long
-from mr_damper_ros.io.units import Column
 from mr_damper_ros.signals.arrays import Array
 
 
 def read_mat_table(
-    path: Path, columns: Sequence[Column], variable: str | None, maximum_samples: int
+    path: Path, columns: Columns, variable: str | None, maximum_samples: int
 ) -> RawTable:
     """Read columns of one matrix, ``variable`` where there are several, or a variable for each.
 
     Raises RecordError.
     """
+    if any(column.holds_dates for column in columns.wanted):
+        raise RecordError("a MAT file holds numbers: give the unit of its time, such as time:s")
     try:
         variables = read_matrices(path, maximum_samples)
     except MatError as error:
         raise RecordError(f"{path.name} {error}") from error
-    if columns[0].header:
+    if columns.by_header:
         if variable is not None:
             raise RecordError(
                 "the columns name variables of the MAT file themselves: choose no variable"
             )
-        table = _vectors(path, variables, columns)
+        table = _vectors(path, variables, columns.wanted)
     else:
         matrix = _matrix(path, variables, columns, variable)
+        fault = columns.fault_of_width(path.name, matrix.shape[1])
+        if fault:
+            raise RecordError(fault)
         table = RawTable(
-            {c.quantity: matrix[:, c.position] for c in columns}, lambda row: f"row {row + 1}"
+            {c.quantity: matrix[:, c.position] for c in columns.wanted},
+            lambda row: f"row {row + 1}",
         )
     if table.row_count > maximum_samples:
         raise too_long(path.name, maximum_samples)
@@ -45,12 +51,10 @@ def _listed(variables: Matrices) -> str:
     return ", ".join(shapes) or "no matrix of numbers"
 
 
-def _matrix(
-    path: Path, variables: Matrices, columns: Sequence[Column], variable: str | None
-) -> Array:
+def _matrix(path: Path, variables: Matrices, columns: Columns, variable: str | None) -> Array:
     # Samples may run down or across.
     upright = {n: v.T if v.shape[0] < v.shape[1] else v for n, v in variables.items()}
-    needed = 1 + max(column.position for column in columns)
+    needed = 1 + max(column.position for column in columns.wanted)
     if variable is None:
         fitting = [n for n, v in upright.items() if v.shape[1] >= needed and v.shape[0] > 1]
         if len(fitting) != 1:

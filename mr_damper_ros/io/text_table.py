@@ -10,14 +10,16 @@ import csv
 import re
 from array import array
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from mr_damper_ros.io.columns import Column, Columns
+from mr_damper_ros.io.date_times import seconds_since_1970
 from mr_damper_ros.io.raw_table import RawTable, RecordError, too_long
-from mr_damper_ros.io.units import Column
 from mr_damper_ros.signals.arrays import Array
 
 _LONGEST_LINE = 100_000
@@ -35,7 +37,7 @@ Row = tuple[int, list[str]]
 
 
 def read_text_table(
-    path: Path, columns: Sequence[Column], variable: str | None, maximum_samples: int
+    path: Path, columns: Columns, variable: str | None, maximum_samples: int
 ) -> RawTable:
     """Read columns by their place or header; lines before the first row of numbers are skipped.
 
@@ -43,52 +45,78 @@ def read_text_table(
     """
     if variable is not None:
         raise RecordError(f"{path.name} is a text file and has no variables: choose no variable")
-    return _TextFile(path).table(columns, maximum_samples)
+    return TextFile(path, path.name, _encoding(path)).table(columns, maximum_samples)
 
 
-class _TextFile:
-    """A file with its encoding, what separates its fields, and its number of filled lines."""
+class TextFile:
+    """A file with its encoding, what separates its fields, and its number of filled lines.
 
-    def __init__(self, path: Path) -> None:
+    ``name`` is what messages call it.
+    """
+
+    def __init__(self, path: Path, name: str, encoding: str) -> None:
         self._path = path
-        self._name = path.name
-        self._encoding = _encoding(path)
+        self._name = name
+        self._encoding = encoding
         last: deque[str] = deque(maxlen=_LOOKED_AT)
         self._row_count = 0
         for _, line in self._filled_lines():
             self._row_count += 1
             last.append(line)
         # The last lines hold numbers, whatever the header looks like.
-        self._separator = _separator(list(last)[-(self._row_count - self._row_count // 2) :])
+        self._last = list(last)[-(self._row_count - self._row_count // 2) :]
+        self._separator = _separator(self._last)
 
-    def table(self, columns: Sequence[Column], maximum_samples: int) -> RawTable:
+    def table(self, columns: Columns, maximum_samples: int) -> RawTable:
         """The numbers in these columns."""
         rows = self._rows()
-        skipped, positions = 0, [column.position for column in columns]
-        if columns[0].header:
-            skipped, positions = self._find_header([column.header for column in columns], rows)
-        first = self._first_row(rows, positions, skipped)
+        skipped, positions = 0, [column.position for column in columns.wanted]
+        if columns.by_header:
+            skipped, positions = self._find_header([c.header for c in columns.wanted], rows)
+        cells = [
+            _Cell(position, self._separator, column)
+            for position, column in zip(positions, columns.wanted, strict=True)
+        ]
+        first = self._first_row(rows, cells, skipped)
+        fault = columns.fault_of_width(self._name, self._width())
+        if fault:
+            raise RecordError(fault)
         if self._row_count - first > maximum_samples:
             raise too_long(self._name, maximum_samples)
-        numbers = self._numbers(first, positions)
+        numbers = self._numbers(first, cells)
         return RawTable(
-            {column.quantity: numbers[:, k] for k, column in enumerate(columns)},
+            {column.quantity: numbers[:, k] for k, column in enumerate(columns.wanted)},
             lambda row: f"line {self._line_of(first + row)}",
         )
 
-    def _first_row(self, rows: Iterator[Row], positions: Sequence[int], skipped: int) -> int:
+    def _width(self) -> int:
+        """Columns up to the last that holds a number in each of the last rows."""
+        numbers = [
+            {place for place, field in enumerate(fields) if self._is_number(field)}
+            for _, fields in self._split(enumerate(self._last))
+        ]
+        return max(set.intersection(*numbers), default=-1) + 1
+
+    def _is_number(self, field: str) -> bool:
+        return _number(field, self._separator) is not None
+
+    def _first_row(self, rows: Iterator[Row], cells: Sequence[_Cell], skipped: int) -> int:
         """Index of the first row with numbers, where so many have been taken already."""
         for index, (_, fields) in enumerate(rows, start=skipped):
-            if _numbers(fields, positions, self._separator):
+            if _numbers(fields, cells):
                 return index
         raise RecordError(
             f"{self._name} holds no row with numbers in columns "
-            f"{', '.join(str(p + 1) for p in positions)}: {self._middle_row(skipped)}"
+            f"{', '.join(str(cell.position + 1) for cell in cells)}: {self._middle_row(skipped)}"
         )
 
-    def _numbers(self, first: int, positions: Sequence[int]) -> Array:
+    def _numbers(self, first: int, cells: Sequence[_Cell]) -> Array:
         """Numbers (n, columns) of the rows from the first one on."""
         lines = (line for _, line in islice(self._filled_lines(), first, None))
+        positions = [cell.position for cell in cells]
+        dates: dict[int | str, Callable[[str], float]] = {
+            cell.position: cell.date for cell in cells if cell.column.holds_dates
+        }
         try:
             numbers = np.loadtxt(
                 lines,
@@ -96,23 +124,25 @@ class _TextFile:
                 quotechar='"' if self._separator else None,
                 comments=None,
                 usecols=positions,
+                converters=dates or None,
+                encoding=None,
                 ndmin=2,
             )
         except ValueError:
             numbers = np.empty((0, len(positions)))
         # It knows no decimal comma, and not which line it could not read.
         if len(numbers) != self._row_count - first:
-            return self._numbers_row_by_row(first, positions)
+            return self._numbers_row_by_row(first, cells)
         return numbers
 
-    def _numbers_row_by_row(self, first: int, positions: Sequence[int]) -> Array:
+    def _numbers_row_by_row(self, first: int, cells: Sequence[_Cell]) -> Array:
         values = array("d")
         for line, fields in islice(self._rows(), first, None):
-            row = _numbers(fields, positions, self._separator)
+            row = _numbers(fields, cells)
             if row is None:
-                raise RecordError(_unreadable(self._name, line, fields, positions, self._separator))
+                raise RecordError(_unreadable(self._name, line, fields, cells))
             values.extend(row)
-        return np.frombuffer(values).reshape(-1, len(positions))
+        return np.frombuffer(values).reshape(-1, len(cells))
 
     def _line_of(self, row: int) -> int:
         """Number of the line of a row; only those who are told of it must wait for it."""
@@ -156,7 +186,10 @@ class _TextFile:
                     yield number, line
 
     def _rows(self) -> Iterator[Row]:
-        for number, line in self._filled_lines():
+        return self._split(self._filled_lines())
+
+    def _split(self, lines: Iterable[tuple[int, str]]) -> Iterator[Row]:
+        for number, line in lines:
             if not self._separator:
                 yield number, line.split()
                 continue
@@ -214,23 +247,44 @@ def _number(field: str, separator: str) -> float | None:
         return None
 
 
-def _numbers(fields: list[str], positions: Sequence[int], separator: str) -> list[float] | None:
-    if len(fields) <= max(positions):
+@dataclass(frozen=True)
+class _Cell:
+    """Reads the field at ``position`` of a row as the number that a column wants."""
+
+    position: int
+    separator: str
+    column: Column
+
+    def number(self, field: str) -> float | None:
+        if self.column.holds_dates:
+            return seconds_since_1970(field)
+        return _number(field, self.separator)
+
+    def date(self, field: str) -> float:
+        """The same, for the library; raises ValueError."""
+        seconds = seconds_since_1970(field)
+        if seconds is None:
+            raise ValueError
+        return seconds
+
+
+def _numbers(fields: list[str], cells: Sequence[_Cell]) -> list[float] | None:
+    if len(fields) <= max(cell.position for cell in cells):
         return None
-    numbers = [_number(fields[position], separator) for position in positions]
+    numbers = [cell.number(fields[cell.position]) for cell in cells]
     return None if None in numbers else numbers  # type: ignore[return-value]
 
 
-def _unreadable(
-    name: str, line: int, fields: list[str], positions: Sequence[int], separator: str
-) -> str:
-    if len(fields) <= max(positions):
+def _unreadable(name: str, line: int, fields: list[str], cells: Sequence[_Cell]) -> str:
+    last = max(cell.position for cell in cells)
+    if len(fields) <= last:
         return (
             f"line {line} of {name} has {len(fields)} columns, but column "
-            f"{max(positions) + 1} is wanted: mend the line or cut the file before it"
+            f"{last + 1} is wanted: mend the line or cut the file before it"
         )
-    wrong = next(p for p in positions if _number(fields[p], separator) is None)
+    wrong = next(cell for cell in cells if cell.number(fields[cell.position]) is None)
+    kind = "date with the time of day" if wrong.column.holds_dates else "number"
     return (
-        f"column {wrong + 1} in line {line} of {name} is '{fields[wrong]}', not a number: "
-        "mend the line or cut the file before it"
+        f"column {wrong.position + 1} in line {line} of {name} is '{fields[wrong.position]}', not "
+        f"a {kind}: mend the line or cut the file before it"
     )

@@ -30,7 +30,8 @@ def run_tool(
     on standard error and exit code 2; anything else is a fault of the program and keeps its
     traceback.
     """
-    options = parser.parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    options = parser.parse_args(_joined(parser, given))
     try:
         code = run(options)
         sys.stdout.flush()
@@ -49,6 +50,25 @@ def run_tool(
         return _fail(parser, str(error))
     except MemoryError:
         return _fail(parser, "there is not enough memory for these data: take a part of them")
+
+
+def _joined(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> list[str]:
+    """The arguments, a value that begins with a minus sign joined to the option before it.
+
+    The library would take ``--columns -,force:N`` for two options.
+    """
+    takes_one = {
+        name for action in parser._actions for name in action.option_strings if action.nargs is None
+    }
+    known = {name for action in parser._actions for name in action.option_strings}
+    joined: list[str] = []
+    for argument in arguments:
+        is_value = argument.startswith("-") and argument.partition("=")[0] not in known
+        if joined and joined[-1] in takes_one and is_value:
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def _fail(parser: argparse.ArgumentParser, sentence: str) -> int:

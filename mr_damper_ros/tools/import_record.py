@@ -10,17 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
-from mr_damper_ros.io.records import read_record
+from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES, RecordError
+from mr_damper_ros.io.records import RunsOfFile, read_record
 from mr_damper_ros.io.units import UNITS
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool
 
 _EPILOG = f"""\
-columns: QUANTITY:UNIT for each column from the left, - to skip one; or QUANTITY=HEADER:UNIT for
-all, where HEADER is the name at the head of the column (in a MAT file: a variable). A factor may
-stand before the unit; a negative one turns the sign. Extension and tension are positive.
+columns: QUANTITY:UNIT for each column from the left, - to skip one, ... at the end for all that
+follow; or QUANTITY=HEADER:UNIT for all, where HEADER is the name at the head of the column (in a
+MAT file: a variable). A factor may stand before the unit and an offset after it (980.665*N-12N);
+a negative factor turns the sign. Extension and tension are positive. A velocity is integrated
+where no column holds the displacement.
 {chr(10).join(f"  {name:<13} {', '.join(units)}" for name, units in UNITS.items())}
 
 examples:
@@ -28,11 +30,13 @@ examples:
       --output bags/run
   import_record run.csv --columns "time=Time:s,displacement=Stroke:mm,force=Load:kN,current=I:A" \\
       --output bags/run
-  import_record logger.txt --columns time:0.005*s,-,force:980.665*N,displacement:10*mm \\
-      --from 12 --to 27 --current 0.25 --output bags/part_2
-  import_record quake.mat --variable data --columns displacement:mm,-,force:N --period 0.001 \\
+  import_record logger.txt --columns -,time:datetime,force:980.665*N,displacement:10*mm \\
+      --split --currents 0,0.25,0.5,0.75,1 --output bags/logger
+  import_record quake.mat --variable data --columns displacement:mm,-,force:N,... --period 0.001 \\
       --current 0.6 --output bags/quake
 """
+
+_LEFT_OUT = "-"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -51,9 +55,30 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--columns", required=True, help="what the columns hold, and their units (see below)"
     )
-    parser.add_argument("--output", required=True, type=Path, metavar="BAG", help="bag to make")
     parser.add_argument(
-        "--current", type=float, metavar="A", help="coil current [A], if no column holds it"
+        "--output",
+        required=True,
+        type=Path,
+        metavar="BAG",
+        help="bag to make; with --split a folder with a bag for each run",
+    )
+    parser.add_argument(
+        "--current",
+        type=float,
+        metavar="A",
+        help="coil current [A], with --split of every run, if no column holds it",
+    )
+    parser.add_argument(
+        "--split",
+        action="store_true",
+        help="cut the file into its runs: at pauses of the logger, rests of the rod, changes of a "
+        "measured current, and where one steady cycle gives way to another",
+    )
+    parser.add_argument(
+        "--currents",
+        metavar="A,A,...",
+        help="with --split: coil current [A] of each run, - to leave a run out; without it they "
+        "are asked for, if no column holds them",
     )
     parser.add_argument(
         "--period", type=float, metavar="S", help="time between samples [s], if no column holds it"
@@ -79,6 +104,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _import(options: argparse.Namespace) -> int:
+    if options.split:
+        return _import_runs(options)
+    if options.currents is not None:
+        raise RecordError("--currents is for the runs of --split: give --current for one run")
     recording = read_record(
         options.file,
         options.columns,
@@ -89,10 +118,48 @@ def _import(options: argparse.Namespace) -> int:
         variable=options.variable,
         maximum_samples=options.maximum_samples,
     )
-    print(_summary(recording))
-    write_bag(options.output, recording, overwrite=options.overwrite)
-    print(f"written to {options.output}")
+    _write(options.output, recording, options.overwrite)
     return 0
+
+
+def _import_runs(options: argparse.Namespace) -> int:
+    if options.start is not None or options.stop is not None:
+        raise RecordError("--from and --to are for one run: leave them out, or leave out --split")
+    runs = RunsOfFile(
+        options.file, options.columns, options.period, options.variable, options.maximum_samples
+    )
+    print(f"{options.file.name} holds {len(runs.summaries)} runs:")
+    print("\n".join(f"  {number}: {text}" for number, text in enumerate(runs.summaries, start=1)))
+    for recording in runs.recordings(_currents(options, runs)):
+        _write(options.output / recording.name, recording, options.overwrite)
+    return 0
+
+
+def _currents(options: argparse.Namespace, runs: RunsOfFile) -> list[float | None] | None:
+    """The current [A] of each run, None where it is left out; none where a column holds them."""
+    if options.currents is not None:
+        return [_ampere(text) for text in options.currents.split(",")]
+    if options.current is not None:
+        return [options.current] * len(runs.summaries)
+    if not runs.asks or not sys.stdin.isatty():
+        return None
+    numbers = range(1, len(runs.summaries) + 1)
+    return [_ampere(input(f"current of run {k} [A], - to leave it out: ")) for k in numbers]
+
+
+def _ampere(text: str) -> float | None:
+    if text.strip() == _LEFT_OUT:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise RecordError(f"the current '{text}' is not a number: give it in amperes") from None
+
+
+def _write(place: Path, recording: Recording, overwrite: bool) -> None:
+    print(_summary(recording))
+    write_bag(place, recording, overwrite=overwrite)
+    print(f"written to {place}")
 
 
 def _summary(recording: Recording) -> str:

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mr_damper_ros.io.columns import parse_columns
 from mr_damper_ros.io.raw_table import RecordError
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.text_table import read_text_table
-from mr_damper_ros.io.units import parse_columns
 
 COLUMNS = "time:s,displacement:mm,force:N"
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.records import read_record
-from mr_damper_ros.io.units import UNITS, ColumnError, parse_columns
+from mr_damper_ros.io.columns import ColumnError, parse_columns
+from mr_damper_ros.io.records import read_record, read_runs
+from mr_damper_ros.io.units import UNITS
 from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tools import import_record
@@ -47,11 +48,17 @@ ROUNDING_OF_KELVIN = 1e-11
 REACHED = (0.75, 1.05)
 """Of the stroke that the name of a record states: the fastest strokes were a fifth shorter."""
 
+SAME_STROKE = 0.01
+"""Relative: the press repeats its stroke, and the bounds stand here with three digits."""
+
 PEAK_FORCES = (100.0, 2000.0)
 """[N]: any unit but the right one would be off by a factor of ten or more."""
 
 PEAK_FORCES_OF_RAW_RECORDS = (1000.0, 2000.0)
 """[N]: both were made with a strong current."""
+
+INTEGRATION = 0.2
+"""Part of the amplitude: the straight line that is taken out leans with the ten cycles, too."""
 
 STATED_PEAKS = 1e-3
 """[N]: the peaks stand here with three decimals."""
@@ -123,15 +130,61 @@ def test_columns_are_found_by_their_headers(write: Any) -> None:
     assert_is_the_run(path, "force=Load cell:N,time=Time [s]:s,displacement=Stroke:mm")
 
 
-def test_columns_after_the_last_one_named_are_not_read(write: Any) -> None:
+def test_remarks_after_the_last_column_named_are_not_read(write: Any) -> None:
     lines = rows(",")
     lines[0] += ",start,,"
     lines[7] += ",a remark"
     assert_is_the_run(write(lines))
 
 
+@pytest.mark.parametrize("rest", [",-", ",..."])
+def test_a_surplus_column_of_numbers_is_refused_unless_skipped(write: Any, rest: str) -> None:
+    path = write([f"{row} 7" for row in rows()])
+    sentence = refused(lambda: read_record(path, COLUMNS, current=0.5))
+    assert "run.txt holds 4 columns of numbers and 3 are described: say what column 4" in sentence
+    assert_is_the_run(path, COLUMNS + rest)
+
+
 def test_a_column_may_be_skipped(write: Any) -> None:
     assert_is_the_run(write(["04/29 " + row for row in rows()]), "-," + COLUMNS)
+
+
+def test_an_offset_is_added_in_its_unit(write: Any) -> None:
+    lines = [
+        f"{t} {u} {(force + 12.0) / 980.665}"
+        for t, u, force in zip(TIME, DISPLACEMENT_MM, FORCE, strict=True)
+    ]
+    assert_is_the_run(write(lines), "time:s,displacement:mm,force:980.665*N-12N")
+    assert_is_the_run(write(lines), "time:s,displacement:mm,force:0.980665*kN - 0.012 kN")
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        "03/31/2022 11:59:{:09.6f} PM",
+        "2022-03-31 23:59:{:09.6f}",
+        "2022-03-31T23:59:{:09.6f}Z",
+        "31.03.2022 23:59:{:09.6f}",
+        "31/03/2022 23:59:{:09.6f}",
+    ],
+)
+def test_dates_are_times(write: Any, written: str) -> None:
+    lines = [f"{written.format(float(row[:8]))};{row[9:]}" for row in rows(";")]
+    read = read_record(write(lines), "time:datetime,displacement:mm,force:N", current=0.5)
+    assert read.period == 0.01
+    assert read.start_ns == 1_648_771_140 * 10**9
+
+
+def test_a_velocity_alone_is_integrated_and_it_is_said(write: Any) -> None:
+    # Whole cycles, and an offset of the sensor.
+    time = np.arange(1000) * 0.01
+    angle = 2.0 * np.pi * time
+    velocity = 5.0 * np.cos(angle) + 0.3
+    path = write([f"{t} {v} {w}" for t, v, w in zip(time, velocity, np.cos(angle), strict=True)])
+    read = read_record(path, "time:s,velocity:mm/s,force:kN", current=0.5)
+    assert "the integral of the velocity" in read.details["note"]
+    expected = 5e-3 / (2.0 * np.pi) * np.sin(angle)
+    assert np.max(np.abs(read.displacement - expected)) < INTEGRATION * np.max(expected)
 
 
 def test_current_and_temperature_columns(write: Any) -> None:
@@ -191,7 +244,7 @@ def test_units_and_factors_multiply(
     others = [f"{q}:1e-3*{u}" for q, u in (("displacement", "m"), ("force", "N")) if q != quantity]
     (column,) = (
         c
-        for c in parse_columns(",".join([*others, f"{quantity}:{factor!r}*{unit}"]))
+        for c in parse_columns(",".join([*others, f"{quantity}:{factor!r}*{unit}"])).wanted
         if c.quantity == quantity
     )
     scale = UNITS[quantity][unit][0]
@@ -204,7 +257,7 @@ def test_units_and_factors_multiply(
     ("unit", "value", "celsius"), [("degC", 20.0, 20.0), ("K", 293.15, 20.0), ("degF", 68.0, 20.0)]
 )
 def test_temperatures(unit: str, value: float, celsius: float) -> None:
-    column = parse_columns(f"displacement:m,force:N,temperature:{unit}")[2]
+    column = parse_columns(f"displacement:m,force:N,temperature:{unit}").wanted[2]
     assert column.to_si(np.array([value]))[0] == pytest.approx(celsius, abs=ROUNDING_OF_KELVIN)
 
 
@@ -270,8 +323,11 @@ def test_mat_files_that_cannot_be_read(write: Any, content: bytes, sentence: str
         ("time:s,force:N,-", "no column holds the displacement"),
         ("displacement:mm,displacement:mm,force:N", "name displacement twice"),
         ("displacement:x*mm,force:N", "the factor 'x' in 'displacement:x*mm'"),
-        ("displacement:0*mm,force:N", "is not a number other than zero"),
-        ("displacement:nan*mm,force:N", "is not a number other than zero"),
+        ("displacement:0*mm,force:N", "is zero"),
+        (
+            "displacement:nan*mm,force:N",
+            "the factor 'nan' in 'displacement:nan*mm' is not a number",
+        ),
         ("time:-1*s,displacement:mm,force:N", "time must rise"),
         ("displacement=Stroke:mm,force:N", "name all by header"),
         ("displacement=:mm,force=F:N", "has no header name"),
@@ -489,6 +545,28 @@ def test_every_processed_record_reads_unchanged(laboratory: Path) -> None:
         assert PEAK_FORCES[0] < read.force.max() < PEAK_FORCES[1]
 
 
+@pytest.mark.parametrize(
+    "columns",
+    [
+        "-,time:datetime,force:980.665*N,displacement:10*mm",
+        "time:0.005*s,-,force:980.665*N,displacement:10*mm",
+    ],
+    ids=["pauses are seen", "rests are seen"],
+)
+@pytest.mark.parametrize(("name", "amplitude"), [("ME25mm0x25Hz", 24.8e-3), ("ME2mm5Hz", 1.65e-3)])
+def test_raw_records_come_apart_into_their_five_runs(
+    laboratory: Path, name: str, amplitude: float, columns: str
+) -> None:
+    path = laboratory / "raw" / f"{name}.txt"
+    currents = (0.0, 0.25, 0.5, 0.75, 1.0)
+    runs = read_runs(path, columns, currents=currents)
+    assert [run.current[0] for run in runs] == list(currents)
+    assert {run.period for run in runs} == {0.005}
+    reached = [np.ptp(run.displacement) / 2.0 for run in runs]
+    assert reached == pytest.approx([amplitude] * 5, rel=SAME_STROKE)
+    assert np.all(np.diff([np.ptp(run.force) for run in runs]) > 0.0)
+
+
 @pytest.mark.parametrize("name", ["ME25mm0x25Hz", "ME2mm5Hz"])
 @pytest.mark.parametrize(
     "columns",
@@ -511,7 +589,7 @@ def test_the_earthquake_record_reads_unchanged(laboratory: Path) -> None:
     peaks = [
         read_record(
             laboratory / "earthquake.mat",
-            f"displacement:mm{',-' * k},force:N",
+            f"displacement:mm{',-' * k},force:N,...",
             current=current,
             period=1e-3,
             variable="data",

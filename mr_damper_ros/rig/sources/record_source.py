@@ -21,7 +21,7 @@ class RecordOptions(ParameterTable):
     columns: str = option(
         "",
         "What its columns hold, and the units, such as time:s,displacement:mm,force:N,current:A; "
-        "a column to skip is a minus sign.",
+        "a column to skip is a minus sign, all that follow the last one are three dots.",
         read_only=True,
     )
     current: float = option(

@@ -1,0 +1,168 @@
+"""The columns of a record, as users describe them."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.io.units import DATE_AND_TIME, UNITS
+from mr_damper_ros.signals.arrays import Array
+
+SKIPPED = "-"
+REST = "..."
+
+_FORM = re.compile(
+    r"(?:(?P<factor>.*)\*)?\s*(?P<unit>[A-Za-z/]+)"
+    r"(?:\s*(?P<offset>[+-][^A-Za-z/]*(?:[eE][+-]?\d+)?)\s*(?P<offset_unit>[A-Za-z/]+))?$"
+)
+"""Factor, unit, offset with its unit: ``980.665*N-12N``."""
+
+
+class ColumnError(ValueError):
+    """A description of columns that cannot be used; the message says what to change."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a record: its ``quantity`` and how to bring its numbers to SI units.
+
+    ``header`` is the name at the head of the column, or empty: then ``position``, from 0, tells
+    where it is. ``holds_dates``: its cells hold date and time of day.
+    """
+
+    quantity: str
+    factor: float
+    offset: float
+    position: int
+    header: str = ""
+    holds_dates: bool = False
+
+    def to_si(self, values: Array) -> Array:
+        """Values in SI units (temperature in °C), shape (n,)."""
+        return np.asarray(values, dtype=np.float64) * self.factor + self.offset
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns wanted of a record.
+
+    ``width`` is the number of columns that the description accounts for, those skipped too; None
+    where others may follow. ``text`` is the description.
+    """
+
+    wanted: tuple[Column, ...]
+    width: int | None
+    text: str
+
+    @property
+    def quantities(self) -> frozenset[str]:
+        """What the columns hold."""
+        return frozenset(column.quantity for column in self.wanted)
+
+    @property
+    def by_header(self) -> bool:
+        """Whether the columns are found by their headers."""
+        return bool(self.wanted[0].header)
+
+    def fault_of_width(self, name: str, count: int) -> str:
+        """Why a table of so many columns of numbers does not fit, in words; empty where it does."""
+        if self.width is None or count <= self.width:
+            return ""
+        surplus = [str(place + 1) for place in range(self.width, count)]
+        named = "s" if len(surplus) > 1 else ""
+        return (
+            f"{name} holds {count} columns of numbers and {self.width} are described: say what "
+            f"column{named} {', '.join(surplus)} {'hold' if named else 'holds'}, or write "
+            f"{SKIPPED} for each column to skip, {REST} for all that follow"
+        )
+
+
+def parse_columns(text: str) -> Columns:
+    """Columns from a description such as ``time:s,displacement:mm,-,force:980.665*N-12N``.
+
+    Entries stand for the columns of the file from the left: ``-`` skips one, ``...`` at the end all
+    that follow. Or every entry names its column by the header:
+    ``displacement=Stroke:mm,force=Load cell:kN``. A factor before the unit multiplies the numbers
+    (a negative one turns the sign); what stands after the unit is added then. ``time:datetime`` is
+    a column of dates with the time of day. A velocity stands for a displacement that is missing.
+
+    Raises ColumnError, in one sentence that says what to change.
+    """
+    entries = [entry.strip() for entry in text.split(",")]
+    open_ended = entries[-1] == REST
+    if open_ended:
+        entries.pop()
+    columns = tuple(
+        _parse_column(entry, position) for position, entry in enumerate(entries) if entry != SKIPPED
+    )
+    quantities = [column.quantity for column in columns]
+    for quantity in UNITS:
+        if quantities.count(quantity) > 1:
+            raise ColumnError(f"the columns name {quantity} twice: name it once")
+    if "displacement" not in quantities and "velocity" not in quantities:
+        raise ColumnError("no column holds the displacement: add it, such as displacement:mm")
+    if "force" not in quantities:
+        raise ColumnError("no column holds the force: add it, such as force:N")
+    by_header = [bool(column.header) for column in columns]
+    if any(by_header) and not (all(by_header) and len(columns) == len(entries)):
+        raise ColumnError(
+            "some columns are named by their header and some by their place: "
+            "name all by header (displacement=Stroke:mm) or none"
+        )
+    return Columns(columns, None if open_ended or any(by_header) else len(entries), text)
+
+
+def _parse_column(entry: str, position: int) -> Column:
+    name, colon, unit_text = entry.rpartition(":")
+    if not colon:
+        raise ColumnError(
+            f"the column '{entry}' has no unit: write it after a colon, such as force:N, "
+            f"or {SKIPPED} to skip the column"
+        )
+    quantity, equals, header = (part.strip() for part in name.partition("="))
+    if quantity not in UNITS:
+        raise ColumnError(
+            f"'{quantity}' is no quantity of a record: use {', '.join(UNITS)}, "
+            f"or {SKIPPED} to skip the column"
+        )
+    if equals and not header:
+        raise ColumnError(f"the column '{entry}' has no header name after '='")
+    form = _FORM.match(unit_text.strip())
+    unit = form["unit"] if form else unit_text.strip()
+    if form is None or unit not in UNITS[quantity]:
+        raise _unknown_unit(unit, quantity)
+    factor = 1.0 if form["factor"] is None else _number(form["factor"], "factor", entry)
+    if factor == 0.0:
+        raise ColumnError(f"the factor in '{entry}' is zero: give another number")
+    if quantity == "time" and factor < 0.0:
+        raise ColumnError(f"the factor in '{entry}' is negative: time must rise")
+    if unit == DATE_AND_TIME and form["factor"] is not None:
+        raise ColumnError(f"'{entry}': a date and time takes no factor")
+    scale, offset = UNITS[quantity][unit]
+    if form["offset"] is not None:
+        if form["offset_unit"] not in UNITS[quantity]:
+            raise _unknown_unit(form["offset_unit"], quantity)
+        number = _number(form["offset"].replace(" ", ""), "offset", entry)
+        offset += number * UNITS[quantity][form["offset_unit"]][0]
+    return Column(quantity, factor * scale, offset, position, header, unit == DATE_AND_TIME)
+
+
+def _unknown_unit(unit: str, quantity: str) -> ColumnError:
+    known = UNITS[quantity]
+    return ColumnError(
+        f"'{unit}' is no unit of {quantity} that is known: use {', '.join(known)}, "
+        f"with a factor where needed (10*{next(iter(known))})"
+    )
+
+
+def _number(text: str, name: str, entry: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ColumnError(f"the {name} '{text}' in '{entry}' is not a number")
+    return number

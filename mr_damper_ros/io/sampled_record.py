@@ -1,0 +1,225 @@
+"""The samples of a record file in SI units, on their way to recordings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mr_damper_ros.io.columns import Columns
+from mr_damper_ros.io.raw_table import RawTable, RecordError
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
+
+_JITTER_TO_MENTION = 0.01
+"""Deviation of the times from an even pace, in periods, that is mentioned."""
+
+GAP = 1.5
+"""A step of the time this many times the usual one is a gap."""
+
+_EPOCH = 1e9
+"""Times above this [s] count from 1970; they are below in any record that starts at zero."""
+
+_VELOCITY_TOLERANCE = 2.0
+"""Factor by which a velocity column may differ from the rate of the displacement."""
+
+INTEGRATED = (
+    "the displacement is the integral of the velocity, without its mean and drift: "
+    "where the rod stands is not known"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledRecord:
+    """Columns of a file in SI units, shape (n,), by quantity.
+
+    ``time`` [s] is that of the file, or counted from 0 with the ``period`` [s] where that was
+    given. ``place`` says in words where a row is in the file. ``details`` goes into the recordings.
+    """
+
+    path: Path
+    time: Array
+    values: dict[str, Array]
+    period: float | None
+    place: Callable[[int], str]
+    details: dict[str, str] = field(default_factory=dict)
+
+    @staticmethod
+    def of(path: Path, table: RawTable, columns: Columns, period: float | None) -> SampledRecord:
+        """The values of a table, which is emptied: a long record is not held twice."""
+        count = table.row_count
+        if count < 2:
+            raise RecordError(f"{path.name} holds one row of numbers: at least two are needed")
+        values = {c.quantity: c.to_si(table.values.pop(c.quantity)) for c in columns.wanted}
+        details = {"provenance": f"imported from {path.name}", "columns": columns.text}
+        if period is not None:
+            time = np.arange(count, dtype=np.float64) * period
+        else:
+            time = values.pop("time")
+        record = SampledRecord(path, time, values, period, table.place, details)
+        record.check_finite("time", time)
+        return record
+
+    def part(self, rows: slice) -> SampledRecord:
+        """Some of the rows."""
+        first, place = rows.start, self.place
+        return SampledRecord(
+            self.path,
+            self.time[rows],
+            {quantity: array[rows] for quantity, array in self.values.items()},
+            self.period,
+            lambda row: place(first + row),
+            {**self.details, "part": f"rows {first + 1} to {rows.stop}"},
+        )
+
+    def between(self, start: float | None, stop: float | None) -> SampledRecord:
+        """What lies between two times [s] from the first sample; all where both are None."""
+        # Without a cut, times that run backward are left for the check that names the row.
+        if start is None and stop is None:
+            return self
+        low = 0.0 if start is None else start
+        high = math.inf if stop is None else stop
+        if not low < high:
+            raise RecordError(
+                f"the part from {low:g} s to {high:g} s has no length: give the earlier time first"
+            )
+        elapsed = self.time - self.time[0]
+        inside = np.flatnonzero((elapsed >= low - 1e-9) & (elapsed <= high + 1e-9))
+        if inside.size < 2:
+            raise RecordError(
+                f"{self.path.name} has {inside.size} samples from {low:g} s to "
+                f"{'its end' if stop is None else f'{high:g} s'}: it lasts {elapsed[-1]:g} s"
+            )
+        return self.part(slice(int(inside[0]), int(inside[-1]) + 1))
+
+    def check_finite(self, quantity: str, values: Array) -> None:
+        """Raise RecordError where a value of the quantity is not finite."""
+        finite = np.isfinite(values)
+        if not finite.all():
+            row = int(np.argmin(finite))
+            raise self._not_finite(quantity, row, values[row])
+
+    def _not_finite(self, quantity: str, row: int, value: float) -> RecordError:
+        return RecordError(
+            f"the {quantity} in {self.place(row)} of {self.path.name} is {value}: "
+            "mend it, or choose a part of the record without it"
+        )
+
+    def recording(self, current: float | None, name: str | None = None) -> Recording:
+        """The recording, at this current [A] where no column holds it.
+
+        Raises RecordError or RecordingError where times are not even or values make no sense.
+        """
+        velocity = self.values.get("velocity")
+        if velocity is not None:
+            self.check_finite("velocity", velocity)
+        details, notes = dict(self.details), []
+        period = self.period
+        if period is None:
+            period, note = self._even_pace()
+            notes += [note] if note else []
+        displacement = self.values.get("displacement")
+        if displacement is None:
+            assert velocity is not None
+            displacement = integrated(velocity, period)
+            notes.append(INTEGRATED)
+        if notes:
+            details["note"] = "; ".join(notes)
+        first = float(self.time[0])
+        try:
+            recording = Recording(
+                name=name or self.path.stem,
+                start_ns=(0 if first > _EPOCH else DEFAULT_START_NS) + round(first * NANOSECONDS),
+                period=period,
+                displacement=displacement,
+                force=self.values["force"],
+                current=self.values.get("current", np.full(self.time.size, current)),
+                temperature=self.values.get("temperature"),
+                details=details,
+            )
+        except NotFiniteError as error:
+            value = self.values[error.quantity][error.sample]
+            raise self._not_finite(error.quantity, error.sample, value) from error
+        recording.check_plausible()
+        if velocity is not None and "displacement" in self.values:
+            _check_velocity(recording, velocity)
+        return recording
+
+    def _even_pace(self) -> tuple[float, str]:
+        """Period [s] of times that rise evenly, and a remark where they waver."""
+        time, name = self.time, self.path.name
+        steps = np.diff(time)
+        backward = np.flatnonzero(steps <= 0.0)
+        if backward.size:
+            row = int(backward[0]) + 1
+            raise RecordError(
+                f"the time in {self.place(row)} of {name} does not rise ({time[row]:.9g} s after "
+                f"{time[row - 1]:.9g} s): choose a part without it, cut the record into its runs "
+                "(import_record --split), or give the period instead of the column"
+            )
+        usual = float(np.median(steps))
+        gaps = np.flatnonzero(steps > GAP * usual)
+        if gaps.size:
+            row = int(gaps[0]) + 1
+            raise RecordError(
+                f"the time in {self.place(row)} of {name} jumps by {steps[row - 1]:.6g} s where "
+                f"{usual:.6g} s is usual: choose a part of the record without the gap, or cut it "
+                "into its runs (import_record --split)"
+            )
+        # The mean step, unlike the usual one, does not mind times that were rounded when printed.
+        period = _plain(float(time[-1] - time[0]), time.size - 1, float(np.spacing(time[-1])))
+        even = time[0] + np.arange(time.size) * period
+        deviation = float(np.max(np.abs(time - even))) / period
+        if deviation > GAP:
+            raise RecordError(
+                f"the times in {name} are not evenly spaced (off by {deviation:.1f} periods of "
+                f"{period:.6g} s): resample the record, or choose an even part of it"
+            )
+        if deviation > _JITTER_TO_MENTION:
+            return period, (
+                f"the times waver by {deviation:.1%} of a period; "
+                f"samples are taken as evenly spaced, {period:.6g} s apart"
+            )
+        return period, ""
+
+
+def _plain(duration: float, steps: int, resolution: float) -> float:
+    """The mean step [s] with as many digits as times of this resolution [s] tell, nine at most."""
+    mean = duration / steps
+    rounded = (float(f"{mean:.{digits}g}") for digits in range(1, 10))
+    tellable = (step for step in rounded if abs(step * steps - duration) <= 2.0 * resolution)
+    return next(tellable, float(f"{mean:.9g}"))
+
+
+def integrated(velocity: Array, period: float) -> Array:
+    """Displacement [m], shape (n,), from the velocity [m/s]: its integral without mean and drift.
+
+    The drift is that of a velocity's offset, of which a sensor always has some.
+    """
+    steps = 0.5 * (velocity[1:] + velocity[:-1]) * period
+    return _without_trend(np.concatenate(([0.0], np.cumsum(steps))))
+
+
+def _without_trend(values: Array) -> Array:
+    """Values (n,) without the straight line that fits them best."""
+    ramp = np.linspace(-1.0, 1.0, values.size)
+    slope = float(ramp @ values) / float(ramp @ ramp)
+    return np.asarray(values - values.mean() - slope * ramp)
+
+
+def _check_velocity(recording: Recording, velocity: Array) -> None:
+    # Compared as displacements: integrating quietens the noise that differentiating would raise.
+    travelled = _without_trend(np.cumsum(velocity) * recording.period)
+    moved = _without_trend(recording.displacement)
+    ratio = float(travelled @ moved / (moved @ moved))
+    if 1.0 / _VELOCITY_TOLERANCE <= ratio <= _VELOCITY_TOLERANCE:
+        return
+    raise RecordError(
+        f"the velocity column is {ratio:.3g} times the rate of the displacement: the unit or the "
+        "sign of the time, the displacement or the velocity is wrong (write - for the velocity "
+        "to ignore it)"
+    )

@@ -1,0 +1,192 @@
+"""A record of several runs comes apart where one ends: pauses, rests, currents, phases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.records import RunsOfFile, read_runs
+from mr_damper_ros.tools import import_record
+
+RATE = 200.0
+NOISE = 2e-6
+"""[m] of the displacement."""
+
+COLUMNS = "time:s,displacement:m,force:N"
+
+TO_A_BLOCK = 0.25
+"""[s]: rests are found by blocks of a tenth of a second, and one is left at each end."""
+
+
+def cycles(
+    amplitude: float, frequency: float, seconds: float, yield_force: float = 800.0
+) -> np.ndarray:
+    """Displacement and force, shape (2, n), of a sine from rest to rest."""
+    time = np.arange(round(seconds * RATE)) / RATE
+    phase = 2.0 * np.pi * frequency * time
+    return np.stack([amplitude * np.sin(phase), yield_force * np.tanh(3.0 * np.cos(phase))])
+
+
+def rest(seconds: float) -> np.ndarray:
+    return np.zeros((2, round(seconds * RATE)))
+
+
+def write(path: Path, parts: Sequence[np.ndarray], *more: np.ndarray, pause: float = 0.0) -> Path:
+    """A file of the parts one after the other, with a pause of the logger between them."""
+    values = np.concatenate(parts, axis=1)
+    values = values + np.random.default_rng(0).normal(0.0, [[NOISE], [2.0]], values.shape)
+    pauses = np.repeat(np.arange(len(parts)) * pause, [part.shape[1] for part in parts])
+    time = np.arange(values.shape[1]) / RATE + pauses
+    np.savetxt(path, np.stack([time, *values, *more], axis=1), fmt="%.9g", delimiter=",")
+    return path
+
+
+def durations(path: Path, columns: str = COLUMNS, **options: Any) -> list[float]:
+    runs = RunsOfFile(path, columns)
+    given = options or {"currents": [0.5] * len(runs.summaries) if runs.asks else None}
+    return [run.duration for run in runs.recordings(**given)]
+
+
+def test_a_record_of_one_run_stays_whole(tmp_path: Path) -> None:
+    path = write(tmp_path / "one.csv", [cycles(5e-3, 1.0, 12.0)])
+    assert durations(path) == pytest.approx([12.0])
+
+
+def test_a_pause_of_the_logger_ends_a_run(tmp_path: Path) -> None:
+    motion = cycles(5e-3, 1.0, 5.0)
+    path = write(tmp_path / "paused.csv", [motion, motion, motion], pause=3.0)
+    assert durations(path) == pytest.approx([5.0, 5.0, 5.0])
+
+
+def test_a_time_that_begins_anew_ends_a_run(tmp_path: Path) -> None:
+    motion = cycles(5e-3, 1.0, 5.0)
+    path = write(tmp_path / "anew.csv", [motion, motion], pause=-5.0)
+    assert durations(path) == pytest.approx([5.0, 5.0])
+
+
+def test_a_rest_ends_a_run(tmp_path: Path) -> None:
+    parts = [rest(3.0), cycles(5e-3, 1.0, 5.0), rest(1.5), cycles(5e-3, 1.0, 8.0), rest(4.0)]
+    assert durations(write(tmp_path / "rests.csv", parts)) == pytest.approx(
+        [5.0, 8.0], abs=TO_A_BLOCK
+    )
+
+
+@pytest.mark.parametrize("frequency", [0.01, 0.05, 0.25])
+def test_a_slow_turn_is_no_rest(tmp_path: Path, frequency: float) -> None:
+    path = write(tmp_path / "slow.csv", [cycles(5e-3, frequency, 3.0 / frequency)])
+    assert durations(path) == pytest.approx([3.0 / frequency], abs=TO_A_BLOCK)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        cycles(2e-3, 1.0, 8.0),
+        cycles(5e-3, 2.0, 8.0),
+        cycles(5e-3, 1.0, 8.0, yield_force=300.0),
+    ],
+    ids=["amplitude", "frequency", "force"],
+)
+def test_a_new_phase_begins_a_run(tmp_path: Path, other: np.ndarray) -> None:
+    path = write(tmp_path / "phases.csv", [cycles(5e-3, 1.0, 10.0), other])
+    found = durations(path)
+    assert found == pytest.approx([10.0, 8.0], abs=1.5)  # whole strokes, of half a second each
+
+
+def test_a_drift_begins_no_run(tmp_path: Path) -> None:
+    motion = cycles(5e-3, 1.0, 60.0)
+    motion[1] *= np.linspace(1.0, 0.5, motion.shape[1])
+    assert durations(write(tmp_path / "drift.csv", [motion])) == pytest.approx([60.0])
+
+
+def test_random_motion_stays_whole(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).normal(size=4000)
+    moved = np.convolve(noise, np.hanning(60), mode="same") * 1e-3
+    motion = np.stack([moved, 800.0 * np.tanh(np.gradient(moved) * RATE / 0.02)])
+    assert durations(write(tmp_path / "random.csv", [motion])) == pytest.approx([20.0])
+
+
+def test_a_measured_current_that_changes_begins_a_run(tmp_path: Path) -> None:
+    motion = cycles(5e-3, 1.0, 12.0)
+    current = np.repeat([0.0, 0.5, 1.0], [800, 800, 800])
+    path = write(tmp_path / "currents.csv", [motion], current)
+    runs = read_runs(path, COLUMNS + ",current:A")
+    assert [float(np.median(run.current)) for run in runs] == [0.0, 0.5, 1.0]
+    assert [run.duration for run in runs] == pytest.approx([4.0, 4.0, 4.0])
+
+
+def test_a_velocity_is_cut_as_well(tmp_path: Path) -> None:
+    parts = [rest(2.0), cycles(5e-3, 1.0, 6.0), rest(2.0), cycles(5e-3, 1.0, 6.0), rest(2.0)]
+    for part in parts:
+        part[0] = np.gradient(part[0]) * RATE
+    path = write(tmp_path / "velocity.csv", parts)
+    found = durations(path, "time:s,velocity:m/s,force:N")
+    assert found == pytest.approx([6.0, 6.0], abs=2.0 * TO_A_BLOCK)
+
+
+# ---- the program ----
+
+
+@pytest.fixture
+def two_runs(tmp_path: Path) -> Path:
+    motion = cycles(5e-3, 1.0, 5.0)
+    return write(tmp_path / "two.csv", [motion, 1.0 * motion], pause=3.0)
+
+
+def imported(path: Path, *arguments: str) -> int:
+    output = str(path.parent / "bags")
+    return import_record.main([str(path), "--columns", COLUMNS, "--output", output, *arguments])
+
+
+def test_each_run_becomes_a_bag_with_its_current(two_runs: Path) -> None:
+    assert imported(two_runs, "--split", "--currents", "0,0.5") == 0
+    for number, current in ((1, 0.0), (2, 0.5)):
+        (run,) = read_bag(two_runs.parent / "bags" / f"two_{number}")
+        assert run.current[0] == current
+
+
+def test_a_run_may_be_left_out(two_runs: Path) -> None:
+    assert imported(two_runs, "--split", "--currents", "-,0.5") == 0
+    assert [path.name for path in (two_runs.parent / "bags").iterdir()] == ["two_2"]
+
+
+def test_each_run_is_asked_for_its_current(two_runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, answers = [], iter(("0.25", "-"))
+
+    def answer(question: str) -> str:
+        asked.append(question)
+        return next(answers)
+
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", answer)
+    assert imported(two_runs, "--split") == 0
+    assert len(asked) == 2
+    (run,) = read_bag(two_runs.parent / "bags" / "two_1")
+    assert run.current[0] == 0.25
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--split",), "two.csv holds 2 runs and 0 currents are given: give one [A] for each run"),
+        (("--split", "--currents", "1"), "2 runs and 1 currents are given"),
+        (("--split", "--currents", "1,x"), "the current 'x' is not a number"),
+        (("--split", "--currents", "1,1", "--from", "1"), "leave out --split"),
+        (("--currents", "1,1"), "--currents is for the runs of --split"),
+        (("--current", "1"), "jumps by 3.005 s where 0.005 s is usual: choose a part of the"),
+    ],
+)
+def test_what_is_missing_is_one_sentence(
+    two_runs: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    sentence: str,
+) -> None:
+    assert imported(two_runs, *arguments) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len(said.strip().splitlines()) == 1
