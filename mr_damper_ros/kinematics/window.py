@@ -12,6 +12,9 @@ from mr_damper_ros.kinematics.motion import Motion, window_motion
 from mr_damper_ros.kinematics.motion_history import MotionHistory, following_stride
 from mr_damper_ros.signals.arrays import Array
 
+_FOLLOWS_CURRENT = 1e-3
+"""A history of samples this far apart [s] shows how a coil follows a step of the current."""
+
 
 @dataclass(frozen=True)
 class Window:
@@ -93,6 +96,8 @@ class Window:
             return few
         whole = few.whole
         coarser = following_stride(whole.motion, whole.period)
+        if not whole.has_constant_current:
+            coarser = max(min(coarser, int(_FOLLOWS_CURRENT / whole.period)), 1)
         motion = whole.part(slice(None, None, coarser))
         coarse = Window(motion.motion, motion.force, motion.current, coarser * whole.period)
         places = np.minimum(few.places / coarser, coarse.sample_count - 1.0)
@@ -112,7 +117,7 @@ class Window:
     @cached_property
     def steady(self) -> bool:
         """Whether the motion is a sine and the current constant."""
-        return self.motion.sine is not None and float(np.ptp(self.current)) == 0.0
+        return self.motion.sine is not None and self.has_constant_current
 
     @cached_property
     def history(self) -> MotionHistory:

@@ -6,8 +6,7 @@ c + c_1 i + c_2 i². Linear or quadratic is what the literature uses (Spencer, D
 Carlson, 1997; Kwok, Ha, Nguyen, Li and Samali, 2006). A parameter file with the coefficients of one
 current alone means that they depend on no current.
 
-The current that counts is that of the coil, which follows the supply's with a first-order lag
-(Spencer et al.: du/dt = -eta (u - v); the time constant is 1/eta).
+The current that counts is that of the coil, see :mod:`coil`.
 """
 
 from __future__ import annotations
@@ -22,16 +21,20 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.first_order_lag import SETTLING, lagged
+from mr_damper_ros.models.coil import (
+    COIL,
+    PLAUSIBLE_COIL,
+    coil_current,
+    coil_parameter,
+    coil_shows,
+    coil_state,
+    coil_unsettled,
+)
 from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
 from mr_damper_ros.signals.arrays import Array
 
-COIL = "coil_time_constant"
-"""Name of the parameter of the coil's lag [s]."""
-
-_SLOWEST_COIL = 1.0
 _GROWTH = 100.0
 """Plausible growth of a coefficient over the range of the current: up to so many times."""
 
@@ -87,8 +90,7 @@ class CurrentDependentModel(Model):
         plain = tuple(Parameter(c.name, c.unit, c.low, c.high) for c in cls.at_one_current)
         groups = tuple(c.dependence for c in cls.at_one_current)
         every = tuple(parameter for group in groups for parameter in group)
-        coil = Parameter(COIL, "s", 0.0, _SLOWEST_COIL, currents=2, default=0.0)
-        cls.parameters = (*plain, *every, coil)
+        cls.parameters = (*plain, *every, coil_parameter())
         cls.free_in_one_run = tuple(c.name for c in cls.at_one_current)
         cls.coefficient_quantities = tuple(
             Quantity(c.name, c.unit, c.meaning) for c in cls.at_one_current
@@ -129,8 +131,8 @@ class CurrentDependentModel(Model):
         time_constant = parameters[..., -1]
         lags = bool(np.any(time_constant > 0.0))
         own = None if state is None else state[: self.memory]
-        before = state[self.memory :] if state is not None and lags else ()
-        in_coil = _in_coil(current, time_constant, period, before or None) if lags else current
+        before = coil_state(state[self.memory :]) if state is not None and lags else None
+        in_coil = coil_current(current, time_constant, period, before) if lags else current
         force, kept = self.force_at(self._all_at(parameters, in_coil), motion, period, own)
         if not lags:
             return force, kept
@@ -140,26 +142,18 @@ class CurrentDependentModel(Model):
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
         time_constant = parameters[..., -1]
-        if self.remembers or not self._lag_shows(window, time_constant):
+        if self.remembers or not coil_shows(window, float(np.max(time_constant))):
             return super().window_force(window, parameters)
         # The law itself forgets: only the current is followed through the history.
         history = window.history
-        late = _in_coil(history.current, time_constant, history.period, None)
+        late = coil_current(history.current, time_constant, history.period, None)
         in_coil = np.moveaxis(history.at_samples(np.moveaxis(late, -1, 0)), 0, -1)
         values = self._all_at(parameters, in_coil)
         return self.force_at(values, window.motion, history.period, None)[0]
 
     def settled(self, window: Window, parameters: Array) -> np.ndarray:
         """Mask (n,) of samples at which law and coil have forgotten what came before the window."""
-        settled = super().settled(window, parameters)
-        if self._lag_shows(window, parameters[-1:]):
-            settled &= ~window.history.unsettled(SETTLING * float(parameters[-1]))
-        return settled
-
-    def _lag_shows(self, window: Window, time_constant: Array) -> bool:
-        # Of a window that was kept without its past, nothing tells how the current went on.
-        has_past = (window.whole or window).period > 0.0
-        return bool(np.any(time_constant > 0.0)) and has_past and not window.has_constant_current
+        return super().settled(window, parameters) & ~coil_unsettled(window, float(parameters[-1]))
 
     def _all_at(self, parameters: Array, current: Array) -> list[Array]:
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
@@ -192,7 +186,7 @@ class CurrentDependentModel(Model):
     ) -> dict[str, tuple[float, float]]:
         """Ranges of the dependences on the current, and of the coil's time constant."""
         readings = [LoopReading.of(window) for window in windows]
-        ranges = {COIL: (0.0, _SLOWEST_COIL)}
+        ranges = {COIL: (0.0, PLAUSIBLE_COIL)}
         for coefficient in self.at_one_current:
             size = _GROWTH
             if not coefficient.grows:
@@ -250,15 +244,3 @@ class CurrentDependentModel(Model):
                 bend = 1.0 if order == 1 else -rng.uniform(0.0, 0.5)
                 drawn[parameter.name] = growth * bend / max(top_current, 1e-12) ** order
         return drawn
-
-
-def _in_coil(current: Array, time_constant: Array, period: float, before: State | None) -> Array:
-    """Current [A] of the coil, shape (..., n), for the supply's (n,).
-
-    ``time_constant`` (...) [s]; ``before``: the supply's and the coil's current of the sample
-    before.
-    """
-    every = np.broadcast_to(current, (*time_constant.shape, current.size))
-    constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
-    state = None if before is None else (*before, time_constant)
-    return lagged(every, constants, period, state=state)

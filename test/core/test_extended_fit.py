@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -25,7 +26,7 @@ from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 
 LAW = MODELS["sigmoid_lag"]
-TRUTH = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0])
+TRUTH = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, 0.0])
 PERIOD = 1e-3
 LEAD_IN = 500
 """Samples before a window, in which the lag of the truth settles."""
@@ -181,12 +182,12 @@ def pooled(most: int) -> PooledMisfit:
 
 
 @pytest.mark.parametrize("most", [100, 5000], ids=["thinned", "whole"])
-def test_the_jacobian_of_all_nineteen_is_that_of_differences(most):
+def test_the_jacobian_of_all_twenty_is_that_of_differences(most):
     misfit = pooled(most)
     jacobian = misfit.jacobian(TRUTH)
     for column, name in enumerate(EXTENDED_NAMES):
-        size = 1e-5 * abs(TRUTH[column])
-        step = size * np.eye(19)[column]
+        size = 1e-5 * (abs(TRUTH[column]) or 1.0)
+        step = size * np.eye(20)[column]
         expected = (misfit.residual(TRUTH + step) - misfit.residual(TRUTH - step)) / (2 * size)
         np.testing.assert_allclose(
             jacobian[:, column],
@@ -217,7 +218,7 @@ def test_without_lag_stiffness_and_offset_the_misfit_is_that_of_the_sixteen():
 
 
 QUICK = EvolutionSettings(generations=40, population=8)
-NONE = np.zeros(3)
+NONE = np.zeros(4)
 CURRENTS = (0.0, 0.4, 0.8, 1.2)
 
 
@@ -247,7 +248,7 @@ def found() -> GlobalFit:
 def test_the_extension_is_found_with_the_sixteen(found):
     got = found.parameter_set
     assert got.model == "sigmoid_lag"
-    errors = (got.values - TRUTH)[16:] / got.standard_errors[16:]
+    errors = (got.values - TRUTH)[16:19] / got.standard_errors[16:19]
     assert np.max(np.abs(errors)) < STANDARD_ERRORS
     np.testing.assert_allclose(got.values[16:18], TRUTH[16:18], rtol=DETERMINED)
 
@@ -259,9 +260,15 @@ def test_all_runs_are_fitted_down_to_the_noise(found):
 
 
 def test_the_extension_is_determined_by_runs_at_four_currents(found):
-    assert found.parameter_set.observable[16:].all()
-    block = found.covariance[16:, 16:]
-    np.testing.assert_allclose(np.sqrt(np.diag(block)), found.parameter_set.standard_errors[16:])
+    assert found.parameter_set.observable[16:19].all()
+    block = found.covariance[16:19, 16:19]
+    np.testing.assert_allclose(np.sqrt(np.diag(block)), found.parameter_set.standard_errors[16:19])
+
+
+def test_the_coil_is_not_observable_where_the_current_is_constant(found):
+    assert not found.parameter_set.observable[-1]
+    assert math.isnan(found.parameter_set.standard_errors[-1])
+    assert found.parameter_set.values[-1] == 0.0
 
 
 def test_coefficients_of_an_extended_set_are_those_of_its_sigmoid_law(found):
@@ -272,7 +279,7 @@ def test_coefficients_of_an_extended_set_are_those_of_its_sigmoid_law(found):
 
 
 def test_a_damper_that_is_early_has_no_lag():
-    start = np.append(known.PLAUSIBLE, [1e-8, 0.0, 0.0])
+    start = np.append(known.PLAUSIBLE, [1e-8, 0.0, 0.0, 0.0])
     early = []
     for window in runs(NONE, (0.0, 0.8)):
         plain = SIGMOID.window_force(window, known.PLAUSIBLE)
@@ -295,6 +302,6 @@ def test_every_method_identifies_the_extended_law(method):
     windows = runs(TRUTH[16:], (0.6,))[2:]
     start = np.append(known.PLAUSIBLE, NONE)
     fit = identify_global(EXTENDED, windows, start, QUICK, method=method)
-    assert fit.parameter_set.values.shape == (19,)
+    assert fit.parameter_set.values.shape == (20,)
     noise = np.median([known.NOISE / np.std(w.force) for w in windows])
     assert fit.median_nrmse < FITTED_QUICKLY * noise

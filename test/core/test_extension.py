@@ -132,7 +132,7 @@ def test_the_names_are_those_of_the_model():
 
 
 def test_an_array_tells_its_law():
-    extended = np.append(known.PLAUSIBLE, [1e-8, 3.0, 4.0])
+    extended = np.append(known.PLAUSIBLE, [1e-8, 3.0, 4.0, 0.0])
     assert not is_extended(known.PLAUSIBLE)
     assert is_extended(extended)
     assert (name_of_law(known.PLAUSIBLE), name_of_law(extended)) == ("sigmoid", "sigmoid_lag")

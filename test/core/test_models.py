@@ -284,7 +284,7 @@ def test_lag_with_a_changing_time_constant_agrees_with_the_constant_one():
 
 def test_the_time_constant_of_the_lag_is_the_compliance_times_the_damping_of_the_sigmoid():
     w = motion(2000)
-    compliance, stiffness, offset = EXAMPLES["sigmoid_lag"][16:]
+    compliance, stiffness, offset = EXAMPLES["sigmoid_lag"][16:19]
     plain = MODELS["sigmoid"].force(PLAUSIBLE, w, 1.5, PERIOD)
     got = MODELS["sigmoid_lag"].force(EXAMPLES["sigmoid_lag"], w, 1.5, PERIOD)
     c = operating_point_coefficients(PLAUSIBLE, w.peak_velocity, 1.5)
@@ -298,7 +298,7 @@ def test_a_sigmoid_that_is_a_dashpot_makes_a_maxwell_element():
     # F + s c dF/dt = c v, for a dashpot c and the compliance s: theory of its force in a sine.
     dashpot, compliance, w = 4e4, 5e-7, motion(3000)
     yield_force = 1e6  # so large that tanh is straight; f0 counts twice where a1 is zero
-    values = np.zeros(19)
+    values = np.zeros(20)
     values[[0, 3, 16]] = 0.5 * yield_force, 2.0 * dashpot / yield_force, compliance
     got = MODELS["sigmoid_lag"].force(values, w, 0.0, PERIOD)[1000:]
     angle = 2.0 * np.pi * 1.0 * dashpot * compliance
@@ -311,7 +311,7 @@ def test_sigmoid_is_the_package_law_and_the_extension_vanishes():
     w = motion()
     plain = force(PLAUSIBLE, w.displacement, w.velocity, w.acceleration, 0.5)
     np.testing.assert_allclose(MODELS["sigmoid"].force(PLAUSIBLE, w, 0.5, PERIOD), plain)
-    extended = [*PLAUSIBLE, 0.0, 0.0, 0.0]
+    extended = [*PLAUSIBLE, 0.0, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(
         MODELS["sigmoid_lag"].force(extended, w, 0.5, PERIOD), plain, atol=NO_LAG_FORCE
     )

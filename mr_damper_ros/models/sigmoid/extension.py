@@ -11,8 +11,9 @@ where the force is steep, around a reversal, short where the fluid flows, and ri
 force, that is with the current. The force is F_l + stiffness u + offset: those of the gas (thesis
 3.2; the thesis adds 100 N to its records by hand). doc/extended_law.md tells what else was tried.
 
-A parameter array of the extended law holds the sixteen of the sigmoid law first, then the three of
-:data:`EXTENSION_NAMES`.
+The current that counts is that of the coil, see :mod:`coil`. A parameter array of the extended law
+holds the sixteen of the sigmoid law first, then the three of :data:`EXTENSION_NAMES`, last the time
+constant of the coil.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.motion_history import MotionHistory
+from mr_damper_ros.models.coil import COIL
 from mr_damper_ros.models.first_order_lag import FirstOrderLag, lagged
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
@@ -42,8 +44,8 @@ COMPLIANCE = "compliance"
 EXTENSION_NAMES = (COMPLIANCE, "stiffness", "offset")
 """The three parameters of the extension: [m/N], [N/m], [N]."""
 
-EXTENDED_NAMES = (*PARAMETER_NAMES, *EXTENSION_NAMES)
-"""The nineteen parameters of the extended law, in the order of its parameter arrays."""
+EXTENDED_NAMES = (*PARAMETER_NAMES, *EXTENSION_NAMES, COIL)
+"""The twenty parameters of the extended law, in the order of its parameter arrays."""
 
 SIGMOID_COUNT = len(PARAMETER_NAMES)
 
@@ -88,7 +90,7 @@ def force_and_damping_jacobian(
 
 
 def is_extended(parameters: Array) -> bool:
-    """Whether an array (..., 16) or (..., 19) is of the extended law.
+    """Whether an array (..., 16) or (..., 20) is of the extended law.
 
     Raises ValueError for any other length.
     """
@@ -102,18 +104,23 @@ def is_extended(parameters: Array) -> bool:
 
 
 def extension_of(parameters: Array) -> Extension:
-    """The last three of nineteen parameters (19,)."""
-    return Extension(*parameters[SIGMOID_COUNT:].tolist())
+    """The three after the sixteen of parameters (20,)."""
+    return Extension(*parameters[SIGMOID_COUNT:-1].tolist())
+
+
+def coil_time_constant_of(parameters: Array) -> float:
+    """Time constant [s] of the coil of parameters (16,) or (20,): of the former 0."""
+    return float(parameters[-1]) if is_extended(parameters) else 0.0
 
 
 def name_of_law(parameters: Array) -> str:
-    """Name in ``MODELS`` of the law that parameters (16,) or (19,) belong to."""
+    """Name in ``MODELS`` of the law that parameters (16,) or (20,) belong to."""
     return EXTENDED_MODEL if is_extended(parameters) else "sigmoid"
 
 
 def without_extension(sixteen: Array) -> Array:
-    """Parameters (19,) of the extended law that give the force of these (16,)."""
-    return np.concatenate((sixteen, np.zeros(len(EXTENSION_NAMES))))
+    """Parameters (20,) of the extended law that give the force of these (16,)."""
+    return np.concatenate((sixteen, np.zeros(len(EXTENDED_NAMES) - SIGMOID_COUNT)))
 
 
 def late_force(

@@ -10,6 +10,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.first_order_lag import SETTLING
 from mr_damper_ros.models.operating_points import window_weights
 from mr_damper_ros.models.sigmoid.extension import (
@@ -43,9 +44,12 @@ _DEPENDENCES = tuple(
 
 _ALL = slice(None)
 
+_STEP_OF_COIL = 1e-6
+"""Step [s] of the difference that tells how the force changes with the time constant."""
+
 
 class PooledMisfit:
-    """Weighted residual of windows and its Jacobian for parameters of shape (16,) or (19,)."""
+    """Weighted residual of windows and its Jacobian for parameters of shape (16,) or (20,)."""
 
     def __init__(
         self, windows: Sequence[Window], noise: Sequence[float], slowest_lag: float = 0.0
@@ -60,6 +64,7 @@ class PooledMisfit:
         self._weights = window_weights(windows, noise)
         self._own = _Motions([(w.motion, w.current, w.steady) for w in self.windows])
         self._slowest_lag = slowest_lag
+        self._in_coil: tuple[float, PooledMisfit] | None = None
         self.sample_count = sum(window.sample_count for window in windows)
 
     def residual(self, parameters: Array) -> Array:
@@ -77,7 +82,7 @@ class PooledMisfit:
         return float(np.mean(np.square(self.residual(parameters))))
 
     def population_cost(self, parameters: Array) -> Array:
-        """:meth:`mean_square` of many sets, shape (s, 16) or (s, 19) to (s,)."""
+        """:meth:`mean_square` of many sets, shape (s, 16) or (s, 20) to (s,)."""
         total = np.zeros(parameters.shape[0])
         forces = self._forces(parameters)
         for weight, force, window in zip(self._weights, forces, self.windows, strict=True):
@@ -96,6 +101,11 @@ class PooledMisfit:
         if not is_extended(parameters):
             return self._own.forces(parameters)
         sixteen = parameters[..., :SIGMOID_COUNT]
+        if self._current_changes and np.any(parameters[..., -1] > 0.0):
+            if parameters.ndim == 1:
+                return self._with_coil(float(parameters[-1]))._forces(_without_coil(parameters))
+            each = [self._forces(values) for values in parameters]
+            return [np.stack(forces) for forces in zip(*each, strict=True)]
         own = self._own.along(sixteen)
         past = self._past(own, self._histories.along(sixteen))
         if parameters.ndim == 1:
@@ -105,6 +115,20 @@ class PooledMisfit:
             for k, values in enumerate(parameters)
         ]
         return [np.stack(forces) for forces in zip(*sets, strict=True)]
+
+    @cached_property
+    def _current_changes(self) -> bool:
+        return not all(window.has_constant_current for window in self.windows)
+
+    def _with_coil(self, time_constant: float) -> PooledMisfit:
+        """The same for the currents of the coil, which then lags no more."""
+        if self._in_coil is None or self._in_coil[0] != time_constant:
+            noise = [1.0] * len(self.windows)
+            windows = [in_coil(window, time_constant) for window in self.windows]
+            made = PooledMisfit(windows, noise, self._slowest_lag)
+            made._weights, made._unsettled = self._weights, self._unsettled
+            self._in_coil = time_constant, made
+        return self._in_coil[1]
 
     @cached_property
     def _histories(self) -> _Motions:
@@ -124,7 +148,11 @@ class PooledMisfit:
 
     @cached_property
     def _unsettled(self) -> list[np.ndarray]:
-        return [window.history.unsettled(SETTLING * self._slowest_lag) for window in self.windows]
+        return [
+            window.history.unsettled(SETTLING * self._slowest_lag)
+            | coil_unsettled(window, self._slowest_lag)
+            for window in self.windows
+        ]
 
     def _extended(
         self, own: list[ForceAndDamping], past: list[ForceAndDamping], extension: Extension
@@ -140,7 +168,17 @@ class PooledMisfit:
         return forces
 
     def _extended_jacobian(self, parameters: Array) -> Array:
-        """All nineteen columns."""
+        """All twenty columns."""
+        coil = float(parameters[-1])
+        if not self._current_changes:
+            return np.pad(self._without_lag_of_coil(parameters), ((0, 0), (0, 1)))
+        settled = self._with_coil(coil) if coil > 0.0 else self
+        changed = parameters + np.eye(parameters.size)[-1] * _STEP_OF_COIL
+        by_coil = (self.residual(changed) - self.residual(parameters)) / _STEP_OF_COIL
+        return np.column_stack((settled._without_lag_of_coil(parameters), by_coil))
+
+    def _without_lag_of_coil(self, parameters: Array) -> Array:
+        """Derivatives by the other nineteen, for a coil without lag."""
         sixteen, extension = parameters[:SIGMOID_COUNT], extension_of(parameters)
         past = self._past(self._own.along(sixteen), self._histories.along(sixteen))
         own_by_sixteen = self._own.jacobians_along(sixteen)
@@ -222,6 +260,10 @@ class _Motions:
 
     def _inner_jacobian(self, parameters: Array) -> Array:
         return coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
+
+
+def _without_coil(parameters: Array) -> Array:
+    return np.append(parameters[:-1], 0.0)
 
 
 def _of_set(motions: list[ForceAndDamping], number: int) -> list[ForceAndDamping]:

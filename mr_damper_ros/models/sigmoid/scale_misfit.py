@@ -15,11 +15,13 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.first_order_lag import SETTLING
 from mr_damper_ros.models.force_model import SearchEffort
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     ForceAndDamping,
+    coil_time_constant_of,
     extension_of,
     force_and_damping,
     force_and_damping_jacobian,
@@ -90,14 +92,19 @@ class ScaleMisfit:
     """
 
     def __init__(self, window: Window, parameters: Array) -> None:
-        self.window = window
         self._start = np.asarray(parameters, dtype=float)
+        coil = coil_time_constant_of(self._start)
+        self.window = in_coil(window, coil)
         motion = window.motion
-        base = operating_point_coefficients(self._unit, motion.peak_velocity, window.current)
+        base = operating_point_coefficients(self._unit, motion.peak_velocity, self.window.current)
         self._base = _one_if_steady(np.stack(np.broadcast_arrays(*base)))
         self._velocity = motion.velocity
         self._branch = np.sign(motion.acceleration)
-        self._late = _Late(self, self._start) if is_extended(self._start) else None
+        self._late = (
+            _Late(self, self._start, coil_unsettled(window, coil))
+            if is_extended(self._start)
+            else None
+        )
         self.settled = (
             np.ones(window.sample_count, dtype=bool)
             if self._late is None
@@ -176,7 +183,7 @@ class ScaleMisfit:
         return both
 
     def parameters(self, scales: Array) -> Array:
-        """The parameters (16,) or (19,) with these scales and all else as it was."""
+        """The parameters (16,) or (20,) with these scales and all else as it was."""
         values = self._start.copy()
         values[SCALE_INDICES] = scales
         values[_K5] = scales[6] / scales[0] if scales[0] != 0.0 else 0.0
@@ -222,7 +229,7 @@ class ScaleMisfit:
 class _Late:
     """The extension of the law over a window: what it makes of the force and its derivatives."""
 
-    def __init__(self, own: ScaleMisfit, parameters: Array) -> None:
+    def __init__(self, own: ScaleMisfit, parameters: Array, unsettled: np.ndarray) -> None:
         self._own, self._window, self._history = own, own.window, own.window.history
         self._extension = extension_of(parameters)
         self._past = own
@@ -232,7 +239,7 @@ class _Late:
             self._past = ScaleMisfit(past, parameters[:SIGMOID_COUNT])
         damping = self._past.along(own.start).damping
         slowest = float(np.max(self._extension.time_constant(damping)))
-        self.unsettled = self._history.unsettled(SETTLING * slowest)
+        self.unsettled = unsettled | self._history.unsettled(SETTLING * slowest)
 
     def force(self, scales: Array) -> Array:
         past, displacement = self._past.along(scales), self._window.motion.displacement

@@ -1,4 +1,5 @@
-"""The sigmoid law as a model, and the law extended by a compliance, a stiffness and an offset."""
+"""The sigmoid law as a model, and the law extended by a compliance, a stiffness, an offset and the
+lag of the coil."""
 
 from __future__ import annotations
 
@@ -11,6 +12,15 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.coil import (
+    COIL,
+    PLAUSIBLE_COIL,
+    coil_current,
+    coil_parameter,
+    coil_state,
+    coil_unsettled,
+    in_coil,
+)
 from mr_damper_ros.models.first_order_lag import SETTLING, lagged
 from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
@@ -26,6 +36,7 @@ from mr_damper_ros.models.sigmoid.extension import (
     extension_of,
     force_and_damping,
     late_force,
+    without_extension,
 )
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
@@ -245,7 +256,7 @@ class SigmoidModel(Model):
 
 
 class ExtendedSigmoidModel(SigmoidModel):
-    """The sixteen parameters with a compliance in series, a stiffness and an offset."""
+    """The sixteen parameters with a compliance in series, a stiffness, an offset, a lagging coil."""
 
     name = EXTENDED_MODEL
     title = "sigmoid with lag, stiffness, offset"
@@ -261,6 +272,7 @@ class ExtendedSigmoidModel(SigmoidModel):
             Parameter(name, unit, 0.0 if name == COMPLIANCE else -np.inf)
             for name, unit in zip(EXTENSION_NAMES, ("m/N", "N/m", "N"), strict=True)
         ),
+        coil_parameter(),
     )
     free_in_one_run = (*SCALE_PARAMETER_NAMES, *EXTENSION_NAMES)
     remembers = True
@@ -274,33 +286,45 @@ class ExtendedSigmoidModel(SigmoidModel):
     def follow(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; remembered are the sigmoid force, its lagged value and the time constant."""
+        """Force [N]; remembered are the sigmoid force, its lagged value and the time constant.
+
+        Where the coil lags, the supply's and its current too.
+        """
+        coil = parameters[..., -1]
+        remembered: State = ()
+        if np.any(coil > 0.0):
+            before = None if state is None else coil_state(state[3:])
+            lagging = coil_current(current, coil, period, before)
+            remembered = (np.full(coil.shape, current[-1]), lagging[..., -1])
+            # The coefficients of a law come in pairs along the axis before the last.
+            current = lagging if coil.ndim == 0 else lagging[..., np.newaxis, :]
         sixteen = parameters[..., :SIGMOID_COUNT]
         coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
         plain, damping = force_and_damping(coefficients, motion.velocity, motion.acceleration)
-        extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:, np.newaxis], -2, 0))
+        extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:-1, np.newaxis], -2, 0))
         time_constant = extension.time_constant(damping)
-        late = lagged(plain, time_constant, period, state=state)
+        late = lagged(plain, time_constant, period, state=None if state is None else state[:3])
         force = np.asarray(late + extension.stiffness * motion.displacement + extension.offset)
-        return force, (plain[..., -1], late[..., -1], time_constant[..., -1])
+        return force, (plain[..., -1], late[..., -1], time_constant[..., -1], *remembered)
 
     def starts(self, reading: LoopReading) -> Array:
         """Those of the sigmoid law with a small compliance."""
         plain = super().starts(reading)
         compliance = 0.02 * reading.amplitude / reading.force
-        return np.hstack([plain, np.tile([compliance, 0.0, 0.0], (len(plain), 1))])
+        return np.hstack([plain, np.tile([compliance, 0.0, 0.0, 0.0], (len(plain), 1))])
 
     def initial_values(self) -> tuple[Array, str, float]:
         """The set from the literature, without lag, stiffness and offset."""
         values, name, speed = super().initial_values()
-        return np.concatenate((values, np.zeros(len(EXTENSION_NAMES)))), name, speed
+        return without_extension(values), name, speed
 
     def window_force(self, window: Window, parameters: Array) -> Array:
-        """Force [N] at the samples of a window, shape (..., n), for parameters (..., 19)."""
+        """Force [N] at the samples of a window, shape (..., n), for parameters (..., 20)."""
         if parameters.ndim > 1:
             sets = parameters.reshape(-1, parameters.shape[-1])
             forces = np.array([self.window_force(window, one) for one in sets])
             return forces.reshape(*parameters.shape[:-1], window.sample_count)
+        window = in_coil(window, float(parameters[-1]))
         sixteen = parameters[:SIGMOID_COUNT]
         plain = super().window_force(window, sixteen)
         history = window.history
@@ -309,8 +333,9 @@ class ExtendedSigmoidModel(SigmoidModel):
         return late_force(history, plain, past, displacement, extension_of(parameters))
 
     def settled(self, window: Window, parameters: Array) -> np.ndarray:
-        """Mask (n,) of samples at which the lag has forgotten the past before the window."""
-        return ~window.history.unsettled(SETTLING * longest_lag([window], parameters))
+        """Mask (n,) of samples at which lag and coil have forgotten the past before the window."""
+        unsettled = window.history.unsettled(SETTLING * longest_lag([window], parameters))
+        return ~(unsettled | coil_unsettled(window, float(parameters[-1])))
 
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
@@ -329,7 +354,8 @@ class ExtendedSigmoidModel(SigmoidModel):
             COMPLIANCE: (0.0, 1.0 / max(stiffnesses)),
             "stiffness": (-min(stiffnesses), min(stiffnesses)),
             "offset": (-min(forces), min(forces)),
+            COIL: (0.0, PLAUSIBLE_COIL),
         }
 
     def _slowest_lag(self, windows: Sequence[Window], known: Array | None) -> float:
-        return _USUAL_LAG if known is None else longest_lag(windows, known)
+        return _USUAL_LAG if known is None else max(longest_lag(windows, known), known[-1])
