@@ -98,6 +98,8 @@ class Window:
         coarser = following_stride(whole.motion, whole.period)
         if not whole.has_constant_current:
             coarser = max(min(coarser, int(_FOLLOWS_CURRENT / whole.period)), 1)
+        if coarser == 1:
+            return few
         motion = whole.part(slice(None, None, coarser))
         coarse = Window(motion.motion, motion.force, motion.current, coarser * whole.period)
         places = np.minimum(few.places / coarser, coarse.sample_count - 1.0)

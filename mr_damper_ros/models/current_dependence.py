@@ -155,6 +155,10 @@ class CurrentDependentModel(Model):
         """Mask (n,) of samples at which law and coil have forgotten what came before the window."""
         return super().settled(window, parameters) & ~coil_unsettled(window, float(parameters[-1]))
 
+    def needs_past(self, window: Window) -> bool:
+        """Where the law remembers, or the coil may: the current changes."""
+        return self.remembers or not window.has_constant_current
+
     def _all_at(self, parameters: Array, current: Array) -> list[Array]:
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
         if np.all(current == current[..., :1]):

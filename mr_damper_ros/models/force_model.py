@@ -234,6 +234,10 @@ class Model(ABC):
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
         return np.asarray(history.places >= min(count, _LONGEST_MEMORY * differs.size))
 
+    def needs_past(self, window: Window) -> bool:
+        """Whether the force at the samples of a window depends on what went on between them."""
+        return self.remembers
+
     def lasting_force(self, window: Window, parameters: Array) -> Array:
         """The part (n,) [N] of the force that stays where the damper loses all its strength."""
         weakest = parameters.copy()

@@ -16,6 +16,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity, peak_velocity
+from mr_damper_ros.models.coil import coil_current
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
@@ -231,8 +232,11 @@ class EmulatedRig:
     """A damper in a test machine, sample by sample.
 
     ``current`` is a schedule or one value [A]. Without a ``thermal`` model the temperature stays
-    at 28 °C, that of the thesis' cold damper. Of the ``faults`` it has those of machine and damper;
-    what instruments make of its samples is for :class:`Instruments`.
+    at 28 °C, that of the thesis' cold damper. The current in the coil follows that of the supply,
+    which is measured, with ``coil_time_constant`` [s]. Of the ``faults`` it has those of machine
+    and damper; what instruments make of its samples is for :class:`Instruments`.
+
+    Raises EmulatorError where the time constant is negative.
     """
 
     def __init__(
@@ -244,6 +248,7 @@ class EmulatedRig:
         settings: RigSettings | None = None,
         thermal: ThermalModel | None = None,
         faults: Sequence[Fault] = (),
+        coil_time_constant: float = 0.0,
     ) -> None:
         # A damper may remember the motion: each rig has its own.
         self._damper = deepcopy(damper)
@@ -255,6 +260,12 @@ class EmulatedRig:
         )
         self._settings = settings or RigSettings()
         self._thermal = thermal
+        if not (math.isfinite(coil_time_constant) and coil_time_constant >= 0.0):
+            raise EmulatorError(
+                f"the time constant of the coil is {coil_time_constant} s: it must not be negative"
+            )
+        self._coil = np.array(coil_time_constant)
+        self._before: tuple[Array, Array] | None = None
         self._faults: list[Fault] = []
         self._peak: PeakVelocity | None = None
         self._rng = np.random.default_rng(self._settings.seed)
@@ -326,9 +337,11 @@ class EmulatedRig:
             else self._peak.follow(velocity, acceleration)
         )
         motion = Motion(centred, velocity, acceleration, v_m, sine=None)
-        in_coil = current
+        fed = current
         for fault in self._faults:
-            in_coil = fault.energised(time, in_coil)
+            fed = fault.energised(time, fed)
+        in_coil = coil_current(fed, self._coil, period, self._before)
+        self._before = fed[-1], in_coil[-1]
         true_force = self._damper.force(motion, in_coil, self._celsius)
         for fault in self._faults:
             true_force = fault.resisted(time, moved, true_force)

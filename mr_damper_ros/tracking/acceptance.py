@@ -157,12 +157,19 @@ class Gatekeeper:
         return bool(
             self._residuals
             and evidence.nrmse_after <= self._settings.maximum_nrmse
-            and self._excess(evidence) <= self._settings.residual_factor
+            and self._excess(evidence.rmse_after, evidence.nrmse_after)
+            <= self._settings.residual_factor
             and evidence.nrmse_after < evidence.nrmse_before
             and abs(evidence.force_change) <= self._settings.step_limit
         )
 
-    def _excess(self, evidence: Evidence) -> float:
+    def is_usual(self, rmse: float, nrmse: float) -> bool:
+        """Whether a residual, RMSE [N] and NRMSE, is that of samples to identify from."""
+        if not nrmse <= self._settings.maximum_nrmse:
+            return False
+        return not self._residuals or self._excess(rmse, nrmse) <= self._settings.residual_factor
+
+    def _excess(self, rmse: float, nrmse: float) -> float:
         """Residual over the usual one.
 
         A sensor's noise keeps its newtons, a model's error its share of the force: a disturbance
@@ -170,11 +177,11 @@ class Gatekeeper:
         """
         usual_rmse, usual_nrmse = np.median(np.array(self._residuals), axis=0)
         # A force without noise, as a simulation has it, leaves rounding: that is no measure.
-        spread = evidence.rmse_after / max(evidence.nrmse_after, _NO_NOISE)
+        spread = rmse / max(nrmse, _NO_NOISE)
         return float(
             min(
-                evidence.rmse_after / max(usual_rmse, _NO_NOISE * spread),
-                evidence.nrmse_after / max(usual_nrmse, _NO_NOISE),
+                rmse / max(usual_rmse, _NO_NOISE * spread),
+                nrmse / max(usual_nrmse, _NO_NOISE),
             )
         )
 
@@ -191,7 +198,7 @@ class Gatekeeper:
             )
         known = bool(self._residuals)
         if known:
-            excess = self._excess(evidence)
+            excess = self._excess(evidence.rmse_after, evidence.nrmse_after)
             if excess > settings.residual_factor:
                 self._refused_for_residual += 1
                 if self._refused_for_residual <= self._PATIENCE:

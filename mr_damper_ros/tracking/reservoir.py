@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from mr_damper_ros.kinematics.window import Window
 
@@ -14,6 +15,7 @@ _SAME_CURRENT = 0.05
 """Currents [A] within this of each other are one operating point."""
 
 _MOST_SAMPLES = 500
+_FEWEST_SAMPLES = 125
 _MOST_WINDOWS = 100
 
 OperatingPoint = tuple[float, float]
@@ -31,13 +33,22 @@ def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> in
     return nearest
 
 
-def thinned_to_keep(window: Window, *, with_past: bool) -> Window:
+class Kept(NamedTuple):
+    """A window as the reservoir keeps it, and its operating point."""
+
+    window: Window
+    point: OperatingPoint
+
+
+def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Kept:
     """A window with the few hundred samples of which the reservoir keeps it.
 
+    One of several ``parts`` of a window is kept with fewer.
     The motion between the samples goes ``with_past`` only: a law without memory needs none.
     """
-    few = window.thinned(_MOST_SAMPLES)
-    return few if with_past else Window(few.motion, few.force, few.current)
+    few = window.thinned(max(_MOST_SAMPLES // parts, _FEWEST_SAMPLES))
+    kept = few if with_past else Window(few.motion, few.force, few.current)
+    return Kept(kept, window.operating_point)
 
 
 class Reservoir:
@@ -65,8 +76,9 @@ class Reservoir:
         """Number of different operating points."""
         return len(self._windows)
 
-    def add(self, window: Window, point: OperatingPoint) -> None:
+    def add(self, kept: Kept) -> None:
         """Keep a window in place of the older one at its operating point."""
+        window, point = kept
         older = nearest_same(self._points, point)
         if older is None and len(self._windows) == _MOST_WINDOWS:
             older = 0

@@ -15,8 +15,10 @@ from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Evidence, Judgement
+from mr_damper_ros.tracking.current_parts import PartsByCurrent
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import ForceScale
+from mr_damper_ros.tracking.reservoir import Kept
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.unscented_filter import FilterState
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -78,16 +80,19 @@ class FitResult:
     """What a task found; ``refusal`` says why nothing was fitted, None where something was.
 
     It takes home no sample that the tracker has: the task stays with who gave it. ``kept`` is the
-    window as the reservoir keeps it, thinned; None for a look. It is made where the window is,
-    next to the fit, because finding the motion of a window takes longer than sending what is kept
-    of it, and the process that receives the samples must stay free.
+    window as the reservoir keeps it, thinned, or its parts, if the current changes; nothing of a
+    look. They are made where the window is, next to the fit, because finding the motion of a window
+    takes longer than sending what is kept of it, and the process that receives the samples must
+    stay free. ``parts`` is what they say of the dependence on the current; None where it is
+    constant.
     """
 
     refusal: Judgement | None = None
     fit: WindowFit | None = None
     evidence: Evidence | None = None
     summary: WindowSummary | None = None
-    kept: Window | None = None
+    kept: tuple[Kept, ...] = ()
+    parts: PartsByCurrent | None = None
     state: FilterState | None = None
     watch: ChangeWatch | None = None
     scale: ForceScale = field(default_factory=ForceScale)

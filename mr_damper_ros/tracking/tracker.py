@@ -35,6 +35,10 @@ from mr_damper_ros.tracking.trackers import TRACKERS
 from mr_damper_ros.tracking.window_assembler import RawWindow
 from mr_damper_ros.tracking.window_task import run_fit
 
+_GROWTH = 1.5
+"""Another global identification is worth while where so many times the operating points are known.
+"""
+
 
 class WindowTracker:
     """The running parameter set and all that is needed to judge the next one."""
@@ -62,6 +66,7 @@ class WindowTracker:
             watch=self._watch,
             changed_ns=self._changed_ns,
             temperatures=self._temperatures.histories,
+            searched_points=self._searched_points,
         )
 
     def _remember(self, memory: TrackerMemory) -> None:
@@ -75,7 +80,10 @@ class WindowTracker:
         self._watch = memory.watch
         self._changed_ns = memory.changed_ns
         self._temperatures = TemperatureMaps(memory.temperatures)
+        self._searched_points = memory.searched_points
         self._seen_ns = 0
+        # Whether the law over the current does not explain the newest window.
+        self._unexplained = False
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
         """Go on where another tracker was, which may have had other settings.
@@ -163,9 +171,13 @@ class WindowTracker:
 
     def _judge(self, task: FitTask, result: FitResult) -> Judgement:
         """Judge a window, and take over what it brings."""
-        fit, evidence, summary, kept = result.fit, result.evidence, result.summary, result.kept
-        if fit is None or evidence is None or summary is None or kept is None:
+        fit, evidence, summary, parts = result.fit, result.evidence, result.summary, result.parts
+        self._unexplained = False
+        if fit is None or evidence is None or summary is None:
             return result.refusal or fault_of_data("the window could not be fitted")
+        if parts is not None and not parts.explained:
+            # Judged before the window is: its own residual is that of a wrong law.
+            self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
         judgement = self._gatekeeper.judge(evidence)
         if judgement.verdict.accepted or judgement.verdict is Verdict.NO_BETTER:
             # The filter learns from every good window, the running set from those that help.
@@ -184,7 +196,9 @@ class WindowTracker:
                 stamp_ns=task.window.end_ns,
             )
             self._baselines.add(fit)
-            self._reservoir.add(kept, fit.operating_point)
+        if judgement.verdict.accepted or self._unexplained:
+            for kept in result.kept:
+                self._reservoir.add(kept)
         return judgement
 
     def _paused_before(self, window: RawWindow) -> bool:
@@ -235,18 +249,22 @@ class WindowTracker:
         return replace(report, coefficient_errors=np.full_like(report.coefficients, math.nan))
 
     def _global_is_due(self) -> bool:
-        period = self._settings.global_period
+        period, points = self._settings.global_period, self._reservoir.operating_points
         if period == 0:
             return False
+        has_grown = points >= _GROWTH * self._searched_points
+        if self._unexplained and points > 1 and has_grown:
+            return True
         common = self._model.places(self._model.common_names)
         if common.size and not self.parameters.observable[common].any():
             # No window fit finds a lag, a stiffness or an offset; one operating point does.
             return self._accepted_since_global > 0
-        return self._accepted_since_global >= period and self._reservoir.operating_points > 1
+        return self._accepted_since_global >= period and points > 1
 
     def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
         """Task of a global identification of the reservoir, with other settings if given."""
         self._accepted_since_global = 0
+        self._searched_points = self._reservoir.operating_points
         settings = evolution or self._settings.evolution
         return GlobalTask(self._reservoir.windows, self.parameters, settings)
 

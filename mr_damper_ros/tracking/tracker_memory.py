@@ -49,7 +49,8 @@ class TrackerMemory:
     since the last global identification; ``history`` of acceptance; ``baselines`` of the force
     scale; ``reservoir`` windows and their operating points (peak velocity [m/s], current [A]);
     ``state`` of the recursive filter; ``watch`` for changes; ``changed_ns``: begin of the last
-    sudden change; ``temperatures`` with the force scales that came with them.
+    sudden change; ``temperatures`` with the force scales that came with them; ``searched_points``:
+    operating points that the last global identification had.
     """
 
     windows: int = 0
@@ -63,6 +64,7 @@ class TrackerMemory:
     watch: ChangeWatch | None = None
     changed_ns: int = 0
     temperatures: tuple[TemperatureHistory, ...] = ()
+    searched_points: int = 0
 
 
 def to_text(memory: TrackerMemory) -> str:
@@ -173,7 +175,10 @@ def _check(memory: TrackerMemory, parameter_count: int) -> None:
 
 def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bool, str]]:
     history, watch, state = memory.history, memory.watch, memory.state
-    counts = (memory.windows, memory.accepted, memory.accepted_since_global)
+    counts = (
+        *(memory.windows, memory.accepted, memory.accepted_since_global),
+        memory.searched_points,
+    )
     yield min(*counts, history.refused_for_residual) >= 0, "a negative count"
     yield abs(memory.changed_ns) < _STAMP_LIMIT, "such a stamp"
     numbers = [number for pair in history.residuals for number in pair]

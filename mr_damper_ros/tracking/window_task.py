@@ -11,6 +11,7 @@ from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Evidence, fault_of_data
+from mr_damper_ros.tracking.current_parts import judge_parts, parts_by_current
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
 from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples
@@ -99,11 +100,17 @@ def _fitted(
         task.settings.smallest_change,
     )
     scale = force_scale(task.model, window, fit, Baselines(task.baselines))
+    parts = parts_by_current(window, task.settings.screening.current_tolerance)
+    divided = parts != [window]
     return FitResult(
         fit=fit,
         evidence=evidence,
         summary=WindowSummary.of(window),
-        kept=thinned_to_keep(window, with_past=task.model.remembers),
+        kept=tuple(
+            thinned_to_keep(part, with_past=task.model.needs_past(part), parts=len(parts))
+            for part in parts
+        ),
+        parts=judge_parts(task.model, window, parts, fit.parameters) if divided else None,
         state=state,
         watch=watch,
         scale=scale,

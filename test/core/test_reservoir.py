@@ -8,11 +8,11 @@ import pytest
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.tracking.reservoir import Reservoir, thinned_to_keep
+from mr_damper_ros.tracking.reservoir import Kept, Reservoir, thinned_to_keep
 
 
 def keep(window: Window, reservoir: Reservoir) -> None:
-    reservoir.add(window, window.operating_point)
+    reservoir.add(Kept(window, window.operating_point))
 
 
 def test_the_reservoir_keeps_the_newest_window_of_each_operating_point() -> None:
@@ -27,14 +27,14 @@ def test_the_reservoir_keeps_the_newest_window_of_each_operating_point() -> None
 
 def test_a_long_window_is_thinned() -> None:
     window = known.run(samples=7001).window
-    assert 500 <= thinned_to_keep(window, with_past=True).sample_count < 1000
+    assert 500 <= thinned_to_keep(window, with_past=True).window.sample_count < 1000
 
 
 def test_of_a_law_without_memory_only_the_samples_are_kept() -> None:
     motion = BandLimitedRandom(3e-3, 0.5, 3.0).at(np.arange(2000) * known.PERIOD)
     window = Window.from_samples(motion.displacement, motion.velocity, 1.0, known.PERIOD)
-    kept = thinned_to_keep(window, with_past=True)
-    bare = thinned_to_keep(window, with_past=False)
+    kept = thinned_to_keep(window, with_past=True).window
+    bare = thinned_to_keep(window, with_past=False).window
     assert kept.whole is not None
     assert bare.whole is None
     np.testing.assert_array_equal(bare.motion.velocity, kept.motion.velocity)

@@ -260,7 +260,7 @@ def broken_sensor(w: RawWindow) -> RawWindow:
 BAD_WINDOWS = {
     burst: "times the usual one: a disturbance or a sensor fault",
     spike: "",
-    current_step: "the current changes by 0.5 A within the window",
+    current_step: "times the usual one: a disturbance or a sensor fault",
     clipped: "the force is clipped",
     stopped: "move the damper",
     stopped_half_way: "the machine stands still for",

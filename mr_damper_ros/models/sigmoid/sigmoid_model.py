@@ -1,5 +1,4 @@
-"""The sigmoid law as a model, and the law extended by a compliance, a stiffness, an offset and the
-lag of the coil."""
+"""The sigmoid law as a model, and the law extended: lags of fluid and coil, stiffness, offset."""
 
 from __future__ import annotations
 
@@ -256,7 +255,7 @@ class SigmoidModel(Model):
 
 
 class ExtendedSigmoidModel(SigmoidModel):
-    """The sixteen parameters with a compliance in series, a stiffness, an offset, a lagging coil."""
+    """The sixteen parameters with a compliance in series, stiffness, offset and a lagging coil."""
 
     name = EXTENDED_MODEL
     title = "sigmoid with lag, stiffness, offset"

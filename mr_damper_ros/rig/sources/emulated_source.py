@@ -58,6 +58,13 @@ class EmulatedOptions(ParameterTable):
         minimum=-10.0,
         maximum=10.0,
     )
+    coil_time_constant: float = option(
+        0.0,
+        "Time constant [s] with which the current in the coil follows that of the supply.",
+        minimum=0.0,
+        maximum=1.0,
+        read_only=True,
+    )
     force_noise: float = option(
         5.53,
         "Standard deviation [N] of the noise of the force.",
@@ -147,6 +154,7 @@ class EmulatedSource(Source):
                 capacity=given.heat_capacity,
                 conductance=given.conductance,
             ),
+            coil_time_constant=given.coil_time_constant,
         )
         taken = 0
         while True:

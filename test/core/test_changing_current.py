@@ -1,0 +1,194 @@
+"""Windows in which the current changes: taken apart, fitted, learnt from; the lag of the coil."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.coil import COIL, in_coil
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.current_parts import judge_parts, parts_by_current
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.window_assembler import RawWindow
+
+SAMPLES = 2000
+TOLERANCE = 0.05
+LAG = 0.012
+
+ROUNDING = 1e-9
+"""Relative: sums of the same numbers in another order."""
+
+BETWEEN_SAMPLES = 1e-3
+"""Relative to the step: what is left between an exponential and its samples joined by lines."""
+
+LAW = MODELS["sigmoid_lag"]
+LATE = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, LAG])
+
+
+def switching(seconds: float = 2.0) -> CurrentSchedule:
+    """Between 0.2 and 1.2 A every 0.4 s."""
+    times = np.arange(0.0, seconds, 0.4)
+    return CurrentSchedule(times.tolist(), np.where(np.arange(times.size) % 2, 1.2, 0.2).tolist())
+
+
+def raw(current: CurrentSchedule, *, coil: float = 0.0, number: int = 0) -> RawWindow:
+    """A window of a sine, from a stream that began with it."""
+    rig = EmulatedRig(
+        ConstantDamper(known.PLAUSIBLE),
+        SineMotion(5e-3, 1.0),
+        current,
+        settings=RigSettings(seed=number),
+        coil_time_constant=coil,
+    )
+    for _ in range(number):
+        rig.next_block(SAMPLES)
+    block = rig.next_block(SAMPLES)
+    return RawWindow(block.start_ns, block.period, block.displacement, block.force, block.current)
+
+
+def window(current: CurrentSchedule, **options: float) -> Window:
+    given = raw(current, **options)  # type: ignore[arg-type]
+    return Window.from_samples(given.displacement, given.force, given.current, given.period)
+
+
+def test_a_window_of_constant_current_is_its_own_part() -> None:
+    whole = known.run().window
+    assert parts_by_current(whole, TOLERANCE) == [whole]
+
+
+def test_each_level_of_the_current_is_a_part() -> None:
+    parts = parts_by_current(window(switching()), TOLERANCE)
+    assert [np.unique(part.current).tolist() for part in parts] == [[0.2], [1.2]]
+    assert sum(part.sample_count for part in parts) == SAMPLES
+
+
+def test_a_current_that_varies_continuously_is_cut_into_intervals() -> None:
+    ramp = CurrentSchedule(np.arange(0.0, 2.0, 1e-3).tolist(), np.linspace(0.0, 1.2, 2000).tolist())
+    parts = parts_by_current(window(ramp), TOLERANCE)
+    assert [np.ptp(part.current) for part in parts] == pytest.approx([0.2] * 6, abs=2e-3)
+
+
+def test_a_part_at_rest_is_left_out() -> None:
+    given = window(switching())
+    still = given.current > 1.0
+    m = given.motion
+    velocity = np.where(still, 0.0, m.velocity)
+    motion = Motion(m.displacement, velocity, m.acceleration, m.peak_velocity, None)
+    (part,) = parts_by_current(replace(given, motion=motion), TOLERANCE)
+    assert np.unique(part.current) == [0.2]
+
+
+def test_the_right_law_over_the_current_explains_the_parts_and_a_wrong_one_does_not() -> None:
+    given = window(switching())
+    parts = parts_by_current(given, TOLERANCE)
+    model = MODELS["sigmoid"]
+    assert judge_parts(model, given, parts, known.PLAUSIBLE).explained
+    wrong = known.PLAUSIBLE.copy()
+    wrong[known.index("k2")] *= 0.7
+    assert not judge_parts(model, given, parts, wrong).explained
+
+
+def followed(windows: list[RawWindow], start: ParameterSet) -> tuple[WindowTracker, list[Verdict]]:
+    tracker = WindowTracker(TrackerSettings(model=start.model), start)
+    verdicts = []
+    for given in windows:
+        report = tracker.follow(given)
+        assert report is not None
+        verdicts.append(report.verdict)
+        if report.global_due:
+            tracker.identify()
+    return tracker, verdicts
+
+
+def test_a_window_of_changing_current_is_accepted_where_the_law_is_known() -> None:
+    weaker = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
+    start = ParameterSet(weaker, observable=np.ones(16, dtype=bool))
+    tracker, verdicts = followed([raw(switching())], start)
+    assert verdicts == [Verdict.ACCEPTED]
+    f0 = tracker.parameters.values[known.index("f0")] / known.PLAUSIBLE[known.index("f0")]
+    assert f0 == pytest.approx(1.0, abs=0.01)  # ten times its standard error, 0.1 %
+
+
+def test_the_dependence_on_the_current_is_learnt_from_one_window_that_switches() -> None:
+    tracker, _ = followed([raw(switching())], start_set("sigmoid"))
+    assert tracker.reservoir.operating_points == 2
+    law, given = MODELS["sigmoid"], window(switching(), number=1)
+    error = law.window_force(given, tracker.parameters.values) - given.force
+    assert known.rms(error) < 1.1 * known.NOISE
+
+
+def test_a_coil_without_lag_changes_nothing() -> None:
+    given = window(switching())
+    assert in_coil(given, 0.0) is given
+    steady = known.run().window
+    assert in_coil(steady, LAG) is steady
+
+
+def test_the_current_of_the_coil_approaches_a_step_exponentially() -> None:
+    given = in_coil(window(switching()), LAG)
+    after = np.arange(100)
+    expected = 1.2 - np.exp(-(after + 0.5) * 1e-3 / LAG)
+    # The step lies in the middle between two samples, as lines between them have it.
+    np.testing.assert_allclose(given.current[400:500], expected, atol=BETWEEN_SAMPLES)
+
+
+def test_a_part_sees_the_coil_of_the_whole() -> None:
+    given = window(switching())
+    high = given.current > 1.0
+    part = in_coil(given.part(high), LAG)
+    np.testing.assert_allclose(part.current, in_coil(given, LAG).current[high], rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("model", [LAW, MODELS["bingham"]], ids=lambda model: model.name)
+def test_a_stream_and_a_window_have_the_same_coil(model: Model) -> None:
+    parameters: Array = (
+        LATE
+        if model is LAW
+        else np.array([500.0, 4000.0, -30.0, *np.zeros(len(model.parameters) - 4), LAG])
+    )
+    if model is not LAW:
+        parameters[model.parameter_names.index("f_y_1")] = 2.0
+    given = window(switching())
+    stream = model.stream(given.period)
+    cut = [slice(0, 700), slice(700, 701), slice(701, 2000)]
+    forces = []
+    for part in cut:
+        m = given.motion
+        piece = Motion(*(getattr(m, name)[part] for name in _SERIES), sine=None)
+        forces.append(stream.follow(parameters, piece, given.current[part]))
+    in_window = model.window_force(given, parameters)
+    settled = model.settled(given, parameters)
+    streamed = np.concatenate(forces)
+    np.testing.assert_allclose(streamed[settled], in_window[settled], rtol=1e-6)
+
+
+_SERIES = ("displacement", "velocity", "acceleration", "peak_velocity")
+
+
+def test_the_jacobian_by_the_coil_is_that_of_differences() -> None:
+    given = window(switching())
+    misfit = LAW.pooled_problem(parts_by_current(given, TOLERANCE), [known.NOISE] * 2)
+    step = 1e-4 * np.eye(20)[-1]
+    expected = (misfit.residual(LATE + step) - misfit.residual(LATE - step)) / 2e-4
+    got = misfit.jacobian(LATE)[:, -1]
+    # The difference of second order has an error of (step / lag)² of the third derivative.
+    np.testing.assert_allclose(got, expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_files_of_nineteen_parameters_have_a_coil_without_lag() -> None:
+    old = ParameterSet(LATE[:-1], model="sigmoid_lag")
+    assert old.as_dict()[COIL] == 0.0
+    assert not old.observable[-1]
