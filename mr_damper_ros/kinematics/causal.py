@@ -12,6 +12,8 @@ the second.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,15 +45,20 @@ class CausalDifferentiator:
     """
 
     def __init__(self, period: float, bandwidth: float) -> None:
-        lowest, highest = possible_bandwidths(period)
-        if not lowest <= bandwidth <= highest:
-            raise ValueError(
-                f"the bandwidth is {bandwidth:g} Hz: samples {period:g} s apart allow "
-                f"{lowest:g} to {highest:g} Hz"
-            )
-        self._decays, self._responses = _observer(period, bandwidth)
+        self._period = period
+        self.tune(bandwidth)
         self._settling = math.ceil(_SETTLING / (2.0 * math.pi * bandwidth * period))
         self.reset()
+
+    def tune(self, bandwidth: float) -> None:
+        """Go on from the present state with another bandwidth [Hz]; ValueError as at the start."""
+        lowest, highest = possible_bandwidths(self._period)
+        if not lowest <= bandwidth <= highest:
+            raise ValueError(
+                f"the bandwidth is {bandwidth:g} Hz: samples {self._period:g} s apart allow "
+                f"{lowest:g} to {highest:g} Hz"
+            )
+        self._decays, self._responses = _observer(self._period, bandwidth)
 
     def reset(self) -> None:
         """Forget the past: the next sample is the first."""
@@ -81,11 +88,35 @@ class CausalDifferentiator:
         return outputs[0] + self._origin, outputs[1], outputs[2]
 
 
-def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
-    """What each of the next samples' states owes to the state before, and to those samples.
+class NoiseGains(NamedTuple):
+    """What an observer makes of white noise of the displacement of standard deviation 1 m.
 
-    Shapes (4, m, 4) and (4, m, m), the second lower triangular in the samples: the states follow
-    x+ = (1 - L C) F x + L y, where F integrates a constant jerk and L places all poles.
+    Standard deviations of the ``acceleration`` [m/s²] and of the ``residual`` [m], displacement
+    less what the observer makes of it.
+    """
+
+    acceleration: float
+    residual: float
+
+
+@lru_cache(maxsize=256)
+def noise_gains(period: float, bandwidth: float) -> NoiseGains:
+    """Gains of the observer of this sample period [s] and bandwidth [Hz]."""
+    closed, gain = _closed_loop(period, bandwidth)
+    # The power of the states' noise: P = A P A' + g g', by doubling.
+    power, step = np.outer(gain, gain), closed
+    for _ in range(40):
+        power, step = power + step @ power @ step.T, step @ step
+    return NoiseGains(
+        acceleration=math.sqrt(power[2, 2]),
+        residual=math.sqrt(max(1.0 - 2.0 * gain[0] + power[0, 0], 0.0)),
+    )
+
+
+def _closed_loop(period: float, bandwidth: float) -> tuple[Array, Array]:
+    """Matrix (4, 4) and gain (4,) of the states: x+ = A x + g y.
+
+    They follow x+ = (1 - L C) F x + L y, where F integrates a constant jerk and L places all poles.
     """
     powers = [period**k / math.factorial(k) for k in range(_ORDER)]
     advance = np.zeros((_ORDER, _ORDER))
@@ -101,14 +132,21 @@ def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
     observability = np.vstack([output @ np.linalg.matrix_power(advance, k) for k in range(_ORDER)])
     predictor_gain = polynomial @ np.linalg.solve(observability, np.eye(_ORDER)[-1])
     gain = np.linalg.solve(advance, predictor_gain)
-    closed = (np.eye(_ORDER) - np.outer(gain, output)) @ advance
+    return (np.eye(_ORDER) - np.outer(gain, output)) @ advance, gain
+
+
+@lru_cache(maxsize=64)
+def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
+    """What each of the next samples' states owes to the state before, and to those samples.
+
+    Shapes (4, m, 4) and (4, m, m), the second lower triangular in the samples.
+    """
+    closed, gain = _closed_loop(period, bandwidth)
     decays = np.empty((_ORDER, _STRETCH, _ORDER))
-    responses = np.zeros((_ORDER, _STRETCH, _STRETCH))
-    impulse = gain
-    power = closed
-    for later in range(_STRETCH):
-        decays[:, later] = power
-        for sample in range(_STRETCH - later):
-            responses[:, sample + later, sample] = impulse
+    impulses = np.empty((_ORDER, _STRETCH))
+    impulse, power = gain, closed
+    for sample in range(_STRETCH):
+        decays[:, sample], impulses[:, sample] = power, impulse
         impulse, power = closed @ impulse, closed @ power
-    return decays, responses
+    later = np.subtract.outer(np.arange(_STRETCH), np.arange(_STRETCH))
+    return decays, np.where(later >= 0, impulses[:, later], 0.0)

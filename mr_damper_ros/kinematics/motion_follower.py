@@ -1,13 +1,15 @@
 """Motion of a stream of displacement, block by block, from the past alone.
 
 A steady sine is followed by its fit, any other motion by the observer of
-:mod:`mr_damper_ros.kinematics.causal`.
+:mod:`mr_damper_ros.kinematics.causal`, whose bandwidth may follow the motion
+(:mod:`mr_damper_ros.kinematics.adaptive_observer`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from mr_damper_ros.kinematics.adaptive_observer import AdaptiveObserver
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_centre import MotionCentre
@@ -25,7 +27,8 @@ _HALF_CYCLES_FOR_PEAK = 4
 class MotionFollower:
     """Follows samples of displacement ``period`` [s] apart.
 
-    ``bandwidth`` [Hz] of the observer is brought into the range that the period allows;
+    ``bandwidth`` [Hz] of the observer is brought into the range that the period allows; with 0 it
+    follows the motion and the noise;
     ``centre_memory`` [s] must hold a whole cycle of the motion.
 
     Only what a block's own motion needs is done when it comes. The rest, which takes longer, is
@@ -34,8 +37,12 @@ class MotionFollower:
     """
 
     def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
-        possible = float(np.clip(bandwidth, *possible_bandwidths(period)))
-        self._differentiator = CausalDifferentiator(period, possible)
+        self._differentiator: CausalDifferentiator | AdaptiveObserver
+        if bandwidth == 0.0:
+            self._differentiator = AdaptiveObserver(period)
+        else:
+            possible = float(np.clip(bandwidth, *possible_bandwidths(period)))
+            self._differentiator = CausalDifferentiator(period, possible)
         self._centre = MotionCentre(centre_memory, period)
         self._peak = PeakVelocity(period, centre_memory)
         self._sine = SineFollower(period, centre_memory)
@@ -93,6 +100,8 @@ class MotionFollower:
             return
         if self._steady:
             self._observe(self._unlearned)
+        if isinstance(self._differentiator, AdaptiveObserver):
+            self._differentiator.adapt()
         self._sine.learn(self._unlearned, self._centre.half_cycle)
         self._foresee(self._unlearned.size)
         self._unlearned = None

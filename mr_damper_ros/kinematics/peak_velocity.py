@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
+from mr_damper_ros.kinematics.adaptive_observer import AdaptiveObserver
 from mr_damper_ros.signals.arrays import Array
 
 HALF_CYCLES = 8
@@ -43,10 +43,6 @@ _TURNED = 0.25
 
 _AT_ONCE = 512
 """Samples looked through at once for the end of a half-cycle: a long recording has many."""
-
-_BANDWIDTH = 40.0
-"""Corner [Hz] of the observer of the velocity, where it is not observed anyway."""
-
 
 _LARGEST = 1e100
 """Inputs saturate here, so that no product of them overflows to infinity."""
@@ -195,8 +191,7 @@ class StreamPeakVelocity:
     """Follows the displacement of a stream of samples ``period`` [s] apart."""
 
     def __init__(self, period: float) -> None:
-        bandwidth = float(np.clip(_BANDWIDTH, *possible_bandwidths(period)))
-        self._differentiator = CausalDifferentiator(period, bandwidth)
+        self._differentiator = AdaptiveObserver(period)
         self._peak = PeakVelocity(period)
 
     def follow(self, displacement: Array) -> Array:

@@ -21,10 +21,10 @@ class PredictorSettings(CheckedSettings):
     """How the prediction follows the stream, and when it is no longer valid."""
 
     bandwidth: float = option(
-        40.0,
+        0.0,
         "Bandwidth [Hz] of the observer of velocity and acceleration: wider follows faster "
-        "motion, narrower passes less noise.",
-        minimum=0.1,
+        "motion, narrower passes less noise. 0: it follows the motion and the noise by itself.",
+        minimum=0.0,
         maximum=10_000.0,
     )
     centre_memory: float = option(

@@ -182,7 +182,7 @@ def test_a_constant_velocity_is_its_own_peak(constant: float) -> None:
 
 def test_windows_and_streams_have_the_same_peak_velocity() -> None:
     displacement = RANDOM.at(TIME).displacement
-    follower, assembler = MotionFollower(PERIOD, 40.0, MEMORY), WindowAssembler(2.0, 1.0)
+    follower, assembler = MotionFollower(PERIOD, 0.0, MEMORY), WindowAssembler(2.0, 1.0)
     assembler.add_current(0, 1.0)
     followed, windows = [], []
     for first in range(0, TIME.size, 50):

@@ -1,0 +1,84 @@
+"""The observer whose bandwidth follows the motion and the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mr_damper_ros.kinematics.adaptive_observer import AdaptiveObserver
+from mr_damper_ros.kinematics.causal import CausalDifferentiator, noise_gains, possible_bandwidths
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
+
+AMPLITUDE, NOISE = 5e-3, 1e-6
+"""[m]"""
+
+FACTOR = 4.0
+"""Most that the error may exceed that of the best fixed bandwidth by: where a motion is a pure
+sine the best one lies at the edge of what follows it at all, and the observer keeps off."""
+
+
+def measured(frequency: float, period: float, count: int) -> tuple[Array, Array]:
+    """Noisy displacement [m] and true acceleration [m/s²] of a sine."""
+    time = np.arange(count) * period
+    motion = SineMotion(AMPLITUDE, frequency).at(time)
+    noise = np.random.default_rng(3).standard_normal(count)
+    return motion.displacement + NOISE * noise, motion.acceleration
+
+
+def error_after(observer: AdaptiveObserver | CausalDifferentiator, u: Array, a: Array) -> float:
+    """Root mean square error of the acceleration over the second half, relative."""
+    half = slice(u.size // 2, None)
+    found = observer.follow(u)[2]
+    return float(np.linalg.norm((found - a)[half]) / np.linalg.norm(a[half]))
+
+
+@pytest.mark.parametrize(("frequency", "period"), [(0.05, 1e-3), (1.0, 1e-3), (20.0, 1e-3)])
+def test_it_comes_near_to_the_best_fixed_bandwidth(frequency: float, period: float) -> None:
+    u, a = measured(frequency, period, 40_000)
+    fixed = np.geomspace(0.5, possible_bandwidths(period)[1], 12)
+    best = min(error_after(CausalDifferentiator(period, b), u, a) for b in fixed)
+    assert error_after(AdaptiveObserver(period), u, a) < FACTOR * best
+
+
+def test_it_widens_when_the_motion_becomes_faster() -> None:
+    slow, _ = measured(0.2, 1e-3, 20_000)
+    fast, _ = measured(15.0, 1e-3, 2_000)
+    observer = AdaptiveObserver(1e-3)
+    observer.follow(slow)
+    before = observer.bandwidth
+    observer.follow(fast + slow[-1] - fast[0])
+    assert observer.bandwidth > 4.0 * before
+
+
+def test_steps_of_a_digital_sensor_count_as_noise() -> None:
+    step = 1e-5
+    u, _ = measured(0.05, 1e-3, 40_000)
+    observer = AdaptiveObserver(1e-3)
+    observer.follow(np.round(u / step) * step)
+    assert observer.bandwidth < 10.0
+
+
+@settings(deadline=None, max_examples=25)
+@given(cuts=st.lists(st.integers(1, 400), min_size=1, max_size=12))
+def test_the_blocks_do_not_matter(cuts: list[int]) -> None:
+    u, _ = measured(2.0, 1e-3, sum(cuts))
+    whole = AdaptiveObserver(1e-3).follow(u)
+    observer = AdaptiveObserver(1e-3)
+    parts = [observer.follow(part) for part in np.split(u, np.cumsum(cuts)[:-1])]
+    for one, other in zip(whole, zip(*parts, strict=True), strict=True):
+        # The sums of a block are taken in another order.
+        np.testing.assert_allclose(
+            np.concatenate(other), one, rtol=1e-6, atol=1e-9 * abs(one).max()
+        )
+
+
+def test_the_gain_of_noise_is_that_of_noise() -> None:
+    noise = np.random.default_rng(5).standard_normal(200_000)
+    u, _, a = CausalDifferentiator(1e-3, 60.0).follow(noise)
+    gains = noise_gains(1e-3, 60.0)
+    left = slice(2000, None)
+    assert np.std(a[left]) == pytest.approx(gains.acceleration, rel=0.03)
+    assert np.std((noise - u)[left]) == pytest.approx(gains.residual, rel=0.03)
