@@ -67,6 +67,7 @@ FULL: dict[str, Measure] = {
     "kinematics": kinematics.figures,
     "streaming_load": _of_nodes("streaming_load"),
     "lossy_link": _of_nodes("lossy_link"),
+    "hostile_messages": _of_nodes("hostile_messages"),
 }
 """Every module of figures, in the order of the table."""
 

@@ -41,8 +41,9 @@ MEMORY = 10.0
 _TURNED = 0.25
 """A half-cycle ends where the speed the other way comes to this part of the highest speed."""
 
-_AT_ONCE = 512
-"""Samples looked through at once for the end of a half-cycle: a long recording has many."""
+_AT_ONCE, _FEW = 512, 32
+"""Samples looked through at once for the end of a half-cycle: a long recording has many. But only a
+few where the last half-cycle had no more."""
 
 _LARGEST = 1e100
 """Inputs saturate here, so that no product of them overflows to infinity."""
@@ -74,12 +75,12 @@ class _HalfCycle:
     squared_velocity: float = 0.0
     squared_acceleration: float = 0.0
 
-    def add(self, velocity: Array, acceleration: Array) -> None:
-        self.highest = max(self.highest, float(np.max(np.abs(velocity))))
+    def add(self, highest: float, velocity: Array, acceleration: Array) -> None:
+        """Add samples of which the ``highest`` speed [m/s] is known."""
+        self.highest = max(self.highest, highest)
         self.count += velocity.size
-        with np.errstate(over="ignore"):
-            self.squared_velocity += float(velocity @ velocity)
-            self.squared_acceleration += float(acceleration @ acceleration)
+        self.squared_velocity += float(velocity.dot(velocity))
+        self.squared_acceleration += float(acceleration.dot(acceleration))
 
 
 class PeakVelocity:
@@ -94,6 +95,8 @@ class PeakVelocity:
         self._longest = max(round(memory / period), 1)
         self._finished: deque[_HalfCycle] = deque(maxlen=HALF_CYCLES)
         self._present = _HalfCycle(whole=False)
+        # Highest speed of those.
+        self._highest = 0.0
         self._sense = 0.0
         self._count = 0
         # Of the whole half-cycles; it changes with them, not with every block.
@@ -128,24 +131,32 @@ class PeakVelocity:
         """Inverse angular frequency [s] at the next samples, shape (n,), as :meth:`follow`."""
         found = np.empty(velocity.size)
         place = 0
-        while place < velocity.size:
-            place += self._follow_half_cycle(velocity[place:], acceleration[place:], found[place:])
+        at_once = _AT_ONCE
+        with np.errstate(over="ignore"):
+            while place < velocity.size:
+                part = slice(place, place + at_once)
+                used = self._follow_half_cycle(velocity[part], acceleration[part], found[part])
+                place += used
+                # A motion of nothing but reversals must not cost much more than another.
+                at_once = _FEW if used < _FEW else _AT_ONCE
         return found
 
     def _follow_half_cycle(self, velocity: Array, acceleration: Array, found: Array) -> int:
         """Follow up to the end of the half-cycle at the latest; returns the samples used."""
         present = self._present
-        speed = np.abs(velocity[: min(self._longest - present.count, _AT_ONCE)])
-        before = max(part.highest for part in (*self._finished, present))
-        highest = np.maximum(np.maximum.accumulate(speed), before)
+        speed = np.abs(velocity[: self._longest - present.count])
+        highest = np.maximum.accumulate(speed)
         if self._sense == 0.0:
-            self._sense = float(np.sign(velocity[np.argmax(speed > 0.0)]))
-        turned = self._sense * velocity[: speed.size] < -_TURNED * highest
-        ends = bool(turned.any())
-        used = int(np.argmax(turned)) if ends else speed.size
+            self._sense = float(np.sign(velocity[speed.nonzero()[0][:1]].sum()))
+        before = max(self._highest, present.highest)
+        turned = self._sense * velocity[: speed.size] < -_TURNED * np.maximum(highest, before)
+        used = int(turned.argmax())
+        ends = bool(turned[used])
+        if not ends:
+            used = speed.size
         if used > 0:
             found[:used] = self._time_scale(velocity[:used], acceleration[:used])
-            present.add(velocity[:used], acceleration[:used])
+            present.add(float(highest[used - 1]), velocity[:used], acceleration[:used])
             self._count += used
         if ends:
             self._sense = -self._sense
@@ -156,8 +167,7 @@ class PeakVelocity:
     def _time_scale(self, velocity: Array, acceleration: Array) -> Array | float:
         if self._whole_time_scale is not None:
             return self._whole_time_scale
-        with np.errstate(over="ignore"):
-            sums = np.cumsum(velocity**2), np.cumsum(acceleration**2)
+        sums = np.cumsum(velocity**2), np.cumsum(acceleration**2)
         return _root_of_ratio(*(s + more for s, more in zip(self._sums(), sums, strict=True)))
 
     def _sums(self) -> tuple[float, float]:
@@ -171,10 +181,13 @@ class PeakVelocity:
         if self._finished and not self._finished[0].whole:
             self._finished.clear()
         self._finished.append(self._present)
+        self._highest = max([part.highest for part in self._finished])
         self._present = _HalfCycle(whole=True)
         if self._finished[-1].whole:
-            squares = (np.array([total]) for total in self._sums())
-            self._whole_time_scale = float(_root_of_ratio(*squares)[0])
+            velocity, acceleration = self._sums()
+            # As _root_of_ratio, of two numbers.
+            usable = acceleration > 0.0 and math.isfinite(velocity) and math.isfinite(acceleration)
+            self._whole_time_scale = math.sqrt(velocity / acceleration) if usable else 0.0
         if self.known_from is None and len(self._finished) == HALF_CYCLES:
             self.known_from = self._count
 

@@ -18,6 +18,7 @@ from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, groups, option
+from mr_damper_ros.signals.blocks import MOST_SAMPLES
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class BridgeParameters(ParameterTable):
         10,
         "Samples per message; 1 has the least delay, more cost less.",
         minimum=1,
-        maximum=100_000,
+        maximum=MOST_SAMPLES,
         read_only=True,
     )
     current_rate: float = option(

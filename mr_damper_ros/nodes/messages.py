@@ -10,7 +10,7 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from std_msgs.msg import Header
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import BlockError, SampleBlock
+from mr_damper_ros.signals.blocks import BlockError, SampleBlock, check_live
 
 _SECOND = 1_000_000_000
 
@@ -72,6 +72,7 @@ def sample_block(message: MtsSamples) -> SampleBlock:
         displacement=from_field(message.displacement),
         force=from_field(message.force),
     )
+    check_live(block)
     if block.end_ns >= _STAMP_LIMIT:
         raise BlockError(
             "the block ends after the last time that a stamp can hold, in January 2038: is the "

@@ -23,6 +23,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.parameter_services import limit_parameter_services
 from mr_damper_ros.settings.option_table import Option, ParameterTable, build, options
 
 _NOT_OURS = ("use_sim_time", "start_type_description_service")
@@ -69,6 +70,7 @@ class NodeParameters(Generic[T]):
             descriptor.read_only = item.start_only if configured else item.read_only
             node.declare_parameter(name, (defaults | given)[name], descriptor, ignore_override=True)
         self._node = node
+        limit_parameter_services(node)
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
 

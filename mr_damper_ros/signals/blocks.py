@@ -35,8 +35,41 @@ _LARGEST = 1e12
 """No press moves so many metres or pulls so many newtons, and squares of it are still numbers."""
 
 
+MOST_SAMPLES = 5000
+"""A block that a node takes in holds at most so many samples: the work on each is bounded."""
+
+LONGEST_BLOCK = 10.0
+"""And stands for at most so long [s]: from what it says, so many windows are cut at once."""
+
+_LIVE_PERIODS = (1e-5, 1.0)
+"""Sample periods [s] that a node takes in: from each, the samples of a window are reckoned."""
+
+
 class BlockError(ValueError):
     """A block that cannot be used; the message says what is wrong with it."""
+
+
+def check_live(block: SampleBlock) -> None:
+    """Raise BlockError where a block would hold up a node that must answer meanwhile.
+
+    Files are read without these limits.
+    """
+    if block.sample_count > MOST_SAMPLES:
+        raise BlockError(
+            f"the block holds {block.sample_count} samples: send them in blocks of at most "
+            f"{MOST_SAMPLES}"
+        )
+    shortest, longest = _LIVE_PERIODS
+    if not shortest <= block.period <= longest:
+        raise BlockError(
+            f"the sample period is {block.period:g} s: from {shortest:g} to {longest:g} s can be "
+            "used; is it in seconds?"
+        )
+    duration = block.sample_count * block.period
+    if duration > LONGEST_BLOCK:
+        raise BlockError(
+            f"the block stands for {duration:g} s: send blocks of at most {LONGEST_BLOCK:g} s"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, BlockSequence, SampleBlock
+from mr_damper_ros.signals.blocks import (
+    LONGEST_BLOCK,
+    MOST_SAMPLES,
+    NANOSECONDS,
+    BlockError,
+    BlockSequence,
+    SampleBlock,
+    check_live,
+)
 
 PERIOD = 1e-3
 T0 = 1_700_000_000 * NANOSECONDS
@@ -146,3 +154,29 @@ def test_a_block_that_cannot_be_used_is_refused(changes: dict[str, object], sent
     with pytest.raises(BlockError) as caught:
         block(0, **changes)
     assert sentence in str(caught.value)
+
+
+# -- what a node takes in --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("count", "period"),
+    [(MOST_SAMPLES, 1e-5), (MOST_SAMPLES, LONGEST_BLOCK / MOST_SAMPLES), (1, 1.0), (10, 1.0)],
+)
+def test_a_block_up_to_the_limits_is_taken_in(count: int, period: float) -> None:
+    check_live(block(0, count, period=period))
+
+
+@pytest.mark.parametrize(
+    ("count", "period", "sentence"),
+    [
+        (MOST_SAMPLES + 1, 1e-4, "the block holds 5001 samples"),
+        (18_750, 1000.0, "the block holds 18750 samples"),
+        (10, 1000.0, "the sample period is 1000 s"),
+        (10, 9e-6, "the sample period is 9e-06 s"),
+        (11, 1.0, "the block stands for 11 s"),
+    ],
+)
+def test_a_block_beyond_the_limits_is_refused(count: int, period: float, sentence: str) -> None:
+    with pytest.raises(BlockError, match=sentence):
+        check_live(block(0, count, period=period))

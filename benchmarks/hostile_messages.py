@@ -1,0 +1,409 @@
+"""One hostile message at a time to the running nodes: how long they are deaf, what memory it takes.
+
+The rig runs meanwhile. A node is deaf as long as it leaves a service call unanswered.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from mr_damper_msgs.action import IdentifyGlobal
+from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, SupplyCurrent
+from mr_damper_msgs.srv import LoadParameters, SaveParameters
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from rclpy.client import Client
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Header
+
+from benchmarks.figure import Figure
+from benchmarks.three_nodes import ThreeNodes
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.messages import to_field
+from mr_damper_ros.processes.programs import PATIENCE, resident_bytes
+from mr_damper_ros.signals.blocks import MOST_SAMPLES
+
+_BUILD = Path("build")
+_MB = 1e6
+_SIZE = 1_000_000
+"""Of the largest messages [B]."""
+
+_WATCHED = 0.5
+"""Seconds for which a node is watched after a message, and at least after its last deafness."""
+
+_SLOW = 0.1
+"""An answer that takes longer [s] has been held up."""
+
+_NODES = ("identifier", "model")
+
+_OPTIONS: dict[str, dict[str, object]] = {
+    # Few messages: a computer that is busy otherwise answers late, too.
+    "bridge": {"block_size": 100},
+    "identifier": {},
+    "model": {},
+}
+
+
+@dataclass(frozen=True)
+class HostileMessage:
+    """A message by its name: ``publish`` on a topic, or, where it goes to a service, its request.
+
+    ``node`` is the one that offers the service.
+    """
+
+    name: str
+    message: Any
+    topic: str = ""
+    node: str = ""
+    service: str = ""
+    kind: type | None = None
+
+
+@dataclass(frozen=True)
+class Harm:
+    """What a message did: longest deafness [s] of a node, growth [MB] of one with its children."""
+
+    case: str
+    node: str
+    deaf: float
+    grown: float
+
+
+def figures(repetitions: int = 1) -> list[Figure]:
+    """``hostile_message_s`` and ``hostile_message_mb``."""
+    harms, running = campaign(repetitions)
+    deaf = max(harms, key=lambda harm: harm.deaf)
+    grown = max(harms, key=lambda harm: harm.grown)
+    what = (
+        f"{len({harm.case for harm in harms})} well-formed hostile messages of up to 1 MB on every "
+        "topic and service of identifier and model, over DDS while the rig runs"
+    )
+    ended = "" if running else " A NODE HAS ENDED."
+    return [
+        Figure(
+            "hostile_message_s",
+            deaf.deaf if running else math.inf,
+            f"{what}: longest time [s] for which a service call was not answered after one.",
+            (0.0, 0.5),
+            f"The {deaf.node}, after {deaf.case}.{ended}",
+        ),
+        Figure(
+            "hostile_message_mb",
+            grown.grown if running else math.inf,
+            f"{what}: largest growth [MB] of a node's memory, at its peak, with its workers'.",
+            (0.0, 50.0),
+            f"The {grown.node}, after {grown.case}.{ended}",
+        ),
+    ]
+
+
+def campaign(
+    repetitions: int = 1, chosen: Callable[[HostileMessage], bool] = lambda _: True
+) -> tuple[list[Harm], bool]:
+    """What each message did, and whether both nodes still ran at the end."""
+    _BUILD.mkdir(exist_ok=True)
+    with (
+        tempfile.TemporaryDirectory(dir=_BUILD, prefix="hostile-") as folder,
+        ThreeNodes(Path(folder).absolute(), _OPTIONS) as rig,
+    ):
+        rig.observer.until(lambda: rig.sets and rig.reports[-1].accepted, "the first set")
+        sender = _Sender(rig)
+        harms: list[Harm] = []
+        for _ in range(repetitions):
+            for case in cases():
+                if chosen(case):
+                    harms += sender.harm(case)
+        return harms, all(rig.nodes[name].running for name in _NODES)
+
+
+class _Sender:
+    """Sends a message and watches what it does."""
+
+    def __init__(self, rig: ThreeNodes) -> None:
+        self._rig = rig
+        self._node = rig.observer.node
+        self._publishers: dict[str, Any] = {}
+        self._clients: dict[str, Client] = {}
+        self._pings = {
+            name: self._client(GetParameters, f"/{name}/get_parameters") for name in _NODES
+        }
+
+    def harm(self, case: HostileMessage) -> list[Harm]:
+        """Send it, and see what becomes of both nodes."""
+        # What it takes to send it is not the node's.
+        send = self._ready(case)
+        before = {name: self._memory(name) for name in _NODES}
+        send()
+        deaf = self._listen()
+        result = []
+        for name in _NODES:
+            if not self._rig.nodes[name].running:
+                raise RuntimeError(
+                    f"the {name} has ended after {case.name}: {self._rig.nodes[name].last_words}"
+                )
+            peak = sum(_peak_bytes(pid) for pid in self._processes(name))
+            result.append(Harm(case.name, name, deaf[name], (peak - before[name]) / _MB))
+        return result
+
+    def _ready(self, case: HostileMessage) -> Callable[[], object]:
+        if case.topic:
+            return lambda: self._publisher(type(case.message), case.topic).publish(case.message)
+        assert case.kind is not None
+        client = self._client(case.kind, f"/{case.node}/{case.service}")
+        return lambda: client.call_async(case.message)
+
+    def _publisher(self, kind: type, topic: str) -> Any:
+        if topic not in self._publishers:
+            profile = quality.latched() if kind is DamperParameters else quality.stream(10)
+            publisher = self._node.create_publisher(kind, topic, profile)
+            self._publishers[topic] = publisher
+            self._rig.observer.until(publisher.get_subscription_count, f"a subscriber of {topic}")
+            # Connected on this side is not yet so on the other.
+            self._rig.observer.spin_for(0.5)
+        return self._publishers[topic]
+
+    def _client(self, kind: type, name: str) -> Client:
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, name)
+            self._rig.observer.until(self._clients[name].service_is_ready, name)
+        return self._clients[name]
+
+    def _listen(self) -> dict[str, float]:
+        """The longest time [s] that each node left a call unanswered."""
+        deaf = dict.fromkeys(_NODES, 0.0)
+        asked: dict[str, tuple[float, Any]] = {}
+        until = time.monotonic() + _WATCHED
+        while time.monotonic() < until or asked:
+            now = time.monotonic()
+            for name, client in self._pings.items():
+                if name in asked:
+                    since, answer = asked[name]
+                    waited = now - since
+                    if answer.done():
+                        del asked[name]
+                        deaf[name] = max(deaf[name], waited)
+                        if waited > _SLOW:
+                            until = now + _WATCHED
+                    elif waited > PATIENCE:
+                        return {**deaf, name: math.inf}
+                elif now < until:
+                    request = GetParameters.Request(names=["frame_id"])
+                    asked[name] = (now, client.call_async(request))
+            self._rig.observer.spin_once(0.002)
+        return deaf
+
+    def _processes(self, name: str) -> list[int]:
+        node = self._rig.nodes[name]
+        return [node.pid, *node.children]
+
+    def _memory(self, name: str) -> int:
+        """Memory [B] in use, from where its peak is counted from now on."""
+        for pid in self._processes(name):
+            Path(f"/proc/{pid}/clear_refs").write_text("5")
+        return sum(resident_bytes(pid) for pid in self._processes(name))
+
+
+def _peak_bytes(pid: int) -> int:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    # Of a child that has just ended there is none.
+    return sum(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+
+
+# -- the messages ------------------------------------------------------------------------------
+
+
+def cases() -> Iterator[HostileMessage]:
+    """All of them."""
+    yield from _samples()
+    yield from _small_topics()
+    yield from _results()
+    yield from _own_services()
+    yield from _parameter_services()
+
+
+def _samples() -> Iterator[HostileMessage]:
+    chance = np.random.default_rng(0)
+    most = _SIZE // 16
+    alternating = np.tile([1e-3, -1e-3], most // 2)
+    signals = {
+        "of a sine": 5e-3 * np.sin(2e-3 * math.pi * np.arange(most)),
+        "of noise": 1e-3 * chance.normal(size=most),
+        "that alternate": alternating,
+        "of zeros": np.zeros(most),
+        "of spikes": 1e12 * np.sign(alternating),
+    }
+    for what, signal in signals.items():
+        for count, period in (
+            *((most, 1e-3), (18_750, 1000.0)),
+            *((MOST_SAMPLES, 1e-3), (MOST_SAMPLES, 1e-5), (10, 1.0), (1, 1.0)),
+        ):
+            yield _block(f"{count} samples {what}, {period:g} s apart", signal[:count], period)
+    for count in (0, 1, 10):
+        odd = _block(f"{most} displacements and {count} forces", signals["of noise"], 1e-3)
+        odd.message.force = to_field(np.zeros(count))
+        yield odd
+    for what, stamp in _STAMPS.items():
+        yield _block(f"a block {what}", alternating[:10], 1e-3, stamp=stamp)
+    for sequence in (0, 2**64 - 1, 2**63):
+        yield _block(f"a block with seq {sequence}", alternating[:10], 1e-3, sequence=sequence)
+    for period in (0.0, -1.0, math.nan, math.inf, 1e-320):
+        yield _block(f"a block of period {period}", alternating[:10], period)
+
+
+_STAMPS = {
+    "from 1902": Time(sec=-(2**31)),
+    "from 2038": Time(sec=2**31 - 1, nanosec=999_999_999),
+    "from 1970": Time(),
+    "with four seconds of nanoseconds": Time(sec=1_700_000_000, nanosec=2**32 - 1),
+}
+
+
+def _block(
+    name: str,
+    displacement: np.ndarray,
+    period: float,
+    *,
+    sequence: int = 0,
+    stamp: Time | None = None,
+) -> HostileMessage:
+    if stamp is None:
+        stamp = Time(sec=int(time.time()))
+    message = MtsSamples(
+        header=Header(stamp=stamp, frame_id="damper"),
+        seq=sequence,
+        period=period,
+        displacement=to_field(displacement),
+        force=to_field(1e5 * displacement),
+    )
+    return HostileMessage(name, message, topic="mts/samples")
+
+
+def _small_topics() -> Iterator[HostileMessage]:
+    long = Header(frame_id="x" * _SIZE)
+    for what, stamp in _STAMPS.items():
+        header = Header(stamp=stamp)
+        yield HostileMessage(
+            f"a current {what}", SupplyCurrent(header=header, current=1.0), "supply/current"
+        )
+        yield HostileMessage(f"a temperature {what}", Temperature(header=header), "temperature")
+    for value in (math.nan, math.inf, -1e300, 1e300):
+        header = Header(stamp=Time(sec=int(time.time())))
+        current = SupplyCurrent(header=header, current=value)
+        yield HostileMessage(f"a current of {value} A", current, "supply/current")
+        temperature = Temperature(header=header, temperature=value)
+        yield HostileMessage(f"a temperature of {value} degrees", temperature, "temperature")
+    for message, topic in (
+        (SupplyCurrent(header=long), "supply/current"),
+        (Temperature(header=long), "temperature"),
+        (MtsSamples(header=long, period=1e-3), "mts/samples"),
+    ):
+        yield HostileMessage(f"a frame of 1 MB on {topic}", message, topic)
+
+
+def _results() -> Iterator[HostileMessage]:
+    """On the topics from the identifier to the model."""
+    count = len(PARAMETER_NAMES)
+    usual: dict[str, Any] = {
+        "id": "hostile",
+        "model": "sigmoid",
+        "names": list(PARAMETER_NAMES),
+        "units": ["1"] * count,
+        "values": to_field(THESIS_28_CELSIUS),
+        "standard_errors": to_field(np.full(count, math.nan)),
+        "observable": [True] * count,
+        "source": "file",
+        "peak_velocity_max": 1.0,
+        "current_max": 2.0,
+    }
+    text, texts = "x" * _SIZE, ["x"] * (_SIZE // 8)
+    numbers, flags = to_field(np.ones(_SIZE // 8)), [True] * _SIZE
+    for field, value in {
+        **dict.fromkeys(("id", "model", "source"), text),
+        **dict.fromkeys(("names", "units"), texts),
+        **dict.fromkeys(("values", "standard_errors"), numbers),
+        "observable": flags,
+    }.items():
+        message = DamperParameters(**{**usual, field: value})
+        yield HostileMessage(f"parameters with 1 MB of {field}", message, "damper/parameters")
+    for field, value in {
+        **dict.fromkeys(("method", "reason", "parameter_set"), text),
+        "coefficient_names": texts,
+        **dict.fromkeys(("coefficients", "coefficient_standard_errors"), numbers),
+    }.items():
+        report = FitReport(**{"confirms": True, field: value})
+        yield HostileMessage(f"a report with 1 MB of {field}", report, "damper/fit_report")
+
+
+def _own_services() -> Iterator[HostileMessage]:
+    for kind, service in ((SaveParameters, "save_parameters"), (LoadParameters, "load_parameters")):
+        for what, name in {"1 MB": "x" * _SIZE, "1 MB of ../": "../" * (_SIZE // 3)}.items():
+            request = kind.Request(name=name)
+            yield HostileMessage(f"{service} of {what}", request, "", "identifier", service, kind)
+    for what, goal in {
+        "a strategy of 1 MB": IdentifyGlobal.Goal(strategy="x" * _SIZE),
+        "all generations": IdentifyGlobal.Goal(generations=2**32 - 1),
+    }.items():
+        request = IdentifyGlobal.Impl.SendGoalService.Request(goal=goal)
+        request.goal_id.uuid = np.frombuffer(f"{what:16.16}".encode(), dtype=np.uint8)
+        yield HostileMessage(
+            f"a goal of {what}",
+            request,
+            "",
+            "identifier",
+            "identify_global/_action/send_goal",
+            IdentifyGlobal.Impl.SendGoalService,
+        )
+
+
+def _parameter_services() -> Iterator[HostileMessage]:
+    """That rclpy gives every node."""
+    names = {
+        "names of one letter": ["x"] * (_SIZE // 8),
+        "a name of 1 MB": ["x" * _SIZE],
+        "a known name over and over": ["frame_id"] * (_SIZE // 16),
+        "a prefix over and over": ["qos_overrides"] * (_SIZE // 20),
+    }
+    values = {
+        "one parameter over and over": [
+            Parameter("frame_id", value=f"{number}") for number in range(_SIZE // 40)
+        ],
+        "a text of 1 MB": [Parameter("frame_id", value="x" * _SIZE)],
+        "a name of 1 MB": [Parameter("x" * _SIZE, value=1.0)],
+        "many parameters": [Parameter(f"x{n}", value=1.0) for n in range(_SIZE // 40)],
+        "1 MB of numbers": [Parameter("frame_id", value=[1.0] * (_SIZE // 8))],
+    }
+    for node in _NODES:
+        for kind, service in (
+            (GetParameters, "get_parameters"),
+            (GetParameterTypes, "get_parameter_types"),
+            (DescribeParameters, "describe_parameters"),
+            (ListParameters, "list_parameters"),
+        ):
+            field = "prefixes" if kind is ListParameters else "names"
+            for what, entries in names.items():
+                request = kind.Request(**{field: entries})
+                yield HostileMessage(f"{service} with {what}", request, "", node, service, kind)
+        for kind, service in (
+            (SetParameters, "set_parameters"),
+            (SetParametersAtomically, "set_parameters_atomically"),
+        ):
+            for what, parameters in values.items():
+                request = kind.Request(parameters=[p.to_parameter_msg() for p in parameters])
+                yield HostileMessage(f"{service} with {what}", request, "", node, service, kind)
