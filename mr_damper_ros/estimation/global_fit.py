@@ -125,6 +125,7 @@ def _result(search: GlobalSearch, method: str, stopped: bool) -> GlobalFit:
         peak_velocity_range=(float(np.quantile(speeds, 0.05)), float(np.quantile(speeds, 0.95))),
         current_range=(float(currents.min()), float(currents.max())),
         model=model.name,
+        largest_force=max(window.largest_force for window in search.windows),
     )
     errors_of_set = [error_of_set(parameter_set, [window]) for window in search.windows]
     return GlobalFit(

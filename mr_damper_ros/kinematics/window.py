@@ -15,6 +15,9 @@ from mr_damper_ros.signals.arrays import Array
 _FOLLOWS_CURRENT = 1e-3
 """A history of samples this far apart [s] shows how a coil follows a step of the current."""
 
+_ALL_BUT_SPIKES = 0.995
+"""Part of the samples of which none is a spike: more of them spoil a window anyway."""
+
 
 @dataclass(frozen=True)
 class Window:
@@ -141,6 +144,11 @@ class Window:
     def sample_count(self) -> int:
         """Number of samples."""
         return int(self.force.size)
+
+    @cached_property
+    def largest_force(self) -> float:
+        """Size of the largest force [N], spikes of the sensor left out."""
+        return float(np.quantile(np.abs(self.force), _ALL_BUT_SPIKES))
 
     @cached_property
     def operating_point(self) -> tuple[float, float]:

@@ -41,9 +41,10 @@ class ParameterSet:
     ``observable`` (p,) tells which parameters the data determined (the others kept the value of
     the start). ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
     used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
+    ``largest_force`` [N] is the largest that the damper gave in these data, NaN where unknown.
 
     Raises ParameterError where the model is not known, shapes are wrong, a value is not finite
-    or out of its bounds, or a range is reversed.
+    or out of its bounds, a range is reversed, or the largest force is no size.
     """
 
     values: Array
@@ -56,6 +57,7 @@ class ParameterSet:
     nrmse: float = math.nan
     stamp_ns: int = 0
     model: str = DEFAULT_MODEL
+    largest_force: float = math.nan
 
     def __post_init__(self) -> None:
         model = known_model(self.model)
@@ -100,6 +102,10 @@ class ParameterSet:
             low, high = low_high
             if not low <= high:
                 raise ParameterError(f"{name} is [{low}, {high}]: give the lower bound first")
+        if self.largest_force < 0.0 or math.isinf(self.largest_force):
+            raise ParameterError(
+                f"largest_force is {self.largest_force}: give a size in newtons, or leave it out"
+            )
 
     @property
     def law(self) -> Model:
@@ -141,6 +147,7 @@ class ParameterSet:
             "nrmse": None if math.isnan(self.nrmse) else float(self.nrmse),
             "peak_velocity_range": [float(x) for x in self.peak_velocity_range],
             "current_range": [float(x) for x in self.current_range],
+            "largest_force": None if math.isnan(self.largest_force) else float(self.largest_force),
             "parameters": {
                 name: {
                     "value": float(value),
@@ -205,7 +212,7 @@ class ParameterSet:
     def _from_document(cls, document: Any) -> ParameterSet:
         known = {
             *("model", "id", "source", "stamp_ns", "nrmse"),
-            *("peak_velocity_range", "current_range", "parameters"),
+            *("peak_velocity_range", "current_range", "largest_force", "parameters"),
         }
         if not isinstance(document, dict) or "parameters" not in document:
             raise ParameterError(
@@ -258,7 +265,7 @@ class ParameterSet:
             if not isinstance(flag, bool):
                 raise ParameterError(f"observable of {name} is {_shown(flag)}: give true or false")
             observable.append(flag)
-        nrmse = document.get("nrmse")
+        nrmse, largest_force = document.get("nrmse"), document.get("largest_force")
         stamp = document.get("stamp_ns", 0)
         if isinstance(stamp, bool) or not isinstance(stamp, int):
             raise ParameterError("stamp_ns must be a whole number of nanoseconds")
@@ -277,6 +284,9 @@ class ParameterSet:
             nrmse=math.nan if nrmse is None else _number(nrmse, "nrmse"),
             stamp_ns=stamp,
             model=model,
+            largest_force=(
+                math.nan if largest_force is None else _number(largest_force, "largest_force")
+            ),
         )
 
 

@@ -31,6 +31,7 @@ def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> Da
         current_min=parameters.current_range[0],
         current_max=parameters.current_range[1],
         nrmse=parameters.nrmse,
+        largest_force=parameters.largest_force,
     )
 
 
@@ -56,6 +57,7 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
         nrmse=message.nrmse,
         stamp_ns=to_nanoseconds(message.header.stamp),
         model=message.model,
+        largest_force=message.largest_force,
     )
 
 

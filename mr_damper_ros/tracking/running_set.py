@@ -33,9 +33,11 @@ def set_of_window(
     errors[places] = found
     observable[places] = np.isfinite(found)
     velocity_range, current_range = summary.peak_velocity_range, summary.current_range
+    largest_force = summary.largest_force
     if model.knows_shape(running.observable):
         velocity_range = _wider(velocity_range, running.peak_velocity_range)
         current_range = _wider(current_range, running.current_range)
+        largest_force = _larger(largest_force, running.largest_force)
     return ParameterSet(
         values=fit.parameters,
         standard_errors=errors,
@@ -47,11 +49,18 @@ def set_of_window(
         nrmse=evidence.nrmse_after,
         stamp_ns=stamp_ns,
         model=model.name,
+        largest_force=largest_force,
     )
 
 
 def set_of_change(
-    running: ParameterSet, fit: WindowFit, evidence: Evidence, *, set_id: str, stamp_ns: int
+    running: ParameterSet,
+    fit: WindowFit,
+    evidence: Evidence,
+    summary: WindowSummary,
+    *,
+    set_id: str,
+    stamp_ns: int,
 ) -> ParameterSet:
     """The set after an early fit, which has found the strength of the damper changed."""
     model = running.law
@@ -70,7 +79,13 @@ def set_of_change(
         source=fit.method,
         nrmse=evidence.nrmse_after,
         stamp_ns=stamp_ns,
+        largest_force=_larger(summary.largest_force, running.largest_force),
     )
+
+
+def _larger(known: float, other: float) -> float:
+    """The larger of two forces [N], of which the other may be unknown (NaN)."""
+    return known if math.isnan(other) else max(known, other)
 
 
 def _wider(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:

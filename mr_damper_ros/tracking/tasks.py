@@ -55,13 +55,14 @@ class WindowSummary:
     """What is reported of a window that was fitted, and the range that it covers.
 
     ``amplitude`` [m]; ``frequency`` [Hz], NaN where the motion is no sine; the ranges of the peak
-    velocity [m/s], without its outermost twentieths, and of the current [A].
+    velocity [m/s], without its outermost twentieths, and of the current [A]; ``largest_force`` [N].
     """
 
     amplitude: float
     frequency: float
     peak_velocity_range: tuple[float, float]
     current_range: tuple[float, float]
+    largest_force: float
 
     @classmethod
     def of(cls, window: Window) -> WindowSummary:
@@ -72,6 +73,7 @@ class WindowSummary:
             frequency=window.motion.frequency,
             peak_velocity_range=(float(np.quantile(speed, 0.05)), float(np.quantile(speed, 0.95))),
             current_range=(float(current.min()), float(current.max())),
+            largest_force=window.largest_force,
         )
 
 

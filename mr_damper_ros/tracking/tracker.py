@@ -221,8 +221,8 @@ class WindowTracker:
         self._watch = result.watch or self._watch
         raw = task.window
         paused = self._paused_before(raw)
-        fit, evidence, watch = result.fit, result.evidence, result.watch
-        if fit is None or evidence is None or watch is None:
+        fit, evidence, summary, watch = result.fit, result.evidence, result.summary, result.watch
+        if fit is None or evidence is None or summary is None or watch is None:
             return None
         if not self._gatekeeper.may_be_early(evidence):
             return None
@@ -237,7 +237,7 @@ class WindowTracker:
         self._changed_ns = raw.end_ns - length
         set_id = f"early-{self._windows}"
         self.parameters = set_of_change(
-            self.parameters, fit, evidence, set_id=set_id, stamp_ns=raw.end_ns
+            self.parameters, fit, evidence, summary, set_id=set_id, stamp_ns=raw.end_ns
         )
         judgement = Judgement(
             Verdict.ACCEPTED_EARLY,

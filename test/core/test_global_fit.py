@@ -189,6 +189,10 @@ def test_the_set_is_valid_where_the_data_were(found: GlobalFit) -> None:
     assert high == pytest.approx(2.0 * math.pi * 3.0 * 10e-3, rel=ROUNDING, abs=0.0)
 
 
+def test_the_largest_force_is_that_of_all_windows(found: GlobalFit) -> None:
+    assert found.parameter_set.largest_force == max(window.largest_force for window in grid())
+
+
 @pytest.mark.parametrize("start", [THESIS_28_CELSIUS, THESIS_71_CELSIUS], ids=["28C", "71C"])
 def test_the_start_does_not_matter_where_all_is_observable(start: Array, found: GlobalFit) -> None:
     other = identify_global(SIGMOID, grid(), start, EvolutionSettings()).parameter_set

@@ -46,6 +46,7 @@ def parameter_sets(draw: st.DrawFn) -> ParameterSet:
         current_range=draw(ordered_pair()),
         nrmse=draw(st.one_of(st.floats(0.0), st.just(math.nan))),
         stamp_ns=draw(st.integers(-(2**63), 2**63 - 1)),
+        largest_force=draw(st.one_of(FINITE.map(abs), st.just(math.nan))),
     )
 
 
@@ -156,6 +157,12 @@ FAULTS = {
         r"peak_velocity_range is \[0.3, 0.1\]: give the lower bound first",
     ),
     "range of nan": (by_hand(current_range=[math.nan, 1.0]), "give the lower bound first"),
+    "force as text": (by_hand(largest_force="big"), "largest_force is 'big': give a number"),
+    "negative force": (
+        by_hand(largest_force=-1.0),
+        "largest_force is -1.0: give a size in newtons",
+    ),
+    "endless force": (by_hand(largest_force=math.inf), "largest_force is inf: give a size"),
 }
 
 

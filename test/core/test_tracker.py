@@ -49,6 +49,9 @@ SINE_ERROR = 1e-3
 PEAK_VELOCITY_ERROR = 1e-2
 """Relative error of the reported peak velocity, 31.4 mm/s."""
 
+NEARLY_THE_LARGEST = 0.03
+"""By which the largest force may miss the outermost sample: the noise of 5.5 N in 500 N."""
+
 HELD_BACK_ERROR = 10
 """Samples by which a quarter that is made of whole chunks may be too large or too small."""
 
@@ -389,6 +392,20 @@ def test_a_set_is_valid_where_its_window_was() -> None:
     speed = known.run().top_speed
     assert found.peak_velocity_range == pytest.approx((speed, speed), rel=SINE_ERROR)
     assert found.current_range == (1.0, 1.0)
+
+
+def test_a_set_knows_the_largest_force_of_its_window() -> None:
+    largest = np.max(np.abs(window().force))
+    assert experienced().parameters.largest_force == pytest.approx(largest, rel=NEARLY_THE_LARGEST)
+
+
+def test_a_spike_is_not_the_largest_force() -> None:
+    spoilt = window()
+    spoilt.force[[300, 301]] = 5e3
+    tracked = tracker(method="least_squares")
+    fed(tracked, spoilt)
+    largest = np.max(np.abs(window().force))
+    assert tracked.parameters.largest_force == pytest.approx(largest, rel=NEARLY_THE_LARGEST)
 
 
 def test_the_same_windows_give_the_same_sets() -> None:
