@@ -236,7 +236,9 @@ class StreamTrial:
         self._instruments = Instruments(faults)
         self._supply = Meter(1.0 / given.current_rate, step=CURRENT_STEP)
         windows = given.windows
-        self._assembler = WindowAssembler(windows.window, windows.hop, windows.looks)
+        self._assembler = WindowAssembler(
+            windows.window, windows.hop, windows.looks, windows.longest_window
+        )
         initial = given.initial or start_set(given.tracker.model)
         self._tracker = WindowTracker(given.tracker, initial)
         self._predictor = ForcePredictor(given.predictor)

@@ -21,6 +21,7 @@ from mr_damper_ros.tracking.screening import (
     Screening,
     fault_of_samples,
     fault_of_sign,
+    lack_of_motion,
 )
 
 RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
@@ -62,7 +63,7 @@ def measured_run(source: str | os.PathLike[str] | Recording) -> MeasuredRun:
     for recording in recordings:
         fault = fault_of_samples(
             recording.displacement, recording.force, recording.current, _LIMITS
-        )
+        ) or lack_of_motion(recording.displacement, _LIMITS)
         if fault:
             raise ValueError(f"{name}: {fault}")
         window = Window.from_samples(

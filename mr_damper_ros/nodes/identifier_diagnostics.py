@@ -54,7 +54,8 @@ class IdentifierDiagnostics:
             return Finding(WARN, f"{report.reason} as {report.set_id}", values)
         if report.accepted:
             return Finding(OK, f"accepted as {report.set_id}", values)
-        good = report.nrmse_before <= self._maximum_nrmse
+        waits = report.verdict is Verdict.TOO_LITTLE_MOTION and tracker.accepted_windows > 0
+        good = waits or report.nrmse_before <= self._maximum_nrmse
         return Finding(OK if good else WARN, f"not accepted: {report.reason}", values)
 
     def worker(self) -> Finding:

@@ -209,7 +209,7 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) ->
     except StateError as error:
         raise ConfigurationError(str(error)) from error
     return Identifier(
-        WindowAssembler(windows.window, windows.hop, windows.looks),
+        WindowAssembler(windows.window, windows.hop, windows.looks, windows.longest_window),
         tracker,
         worker,
         options.work,

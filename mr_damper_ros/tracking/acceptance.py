@@ -33,6 +33,10 @@ class Verdict(IntEnum):
     """The force changed by so much at once that the next window must confirm it."""
     FAILED = 8
     """Nothing was computed, through no fault of the data."""
+    TOO_LITTLE_MOTION = 9
+    """The motion does not show enough of the damper yet: nothing was fitted."""
+    BEYOND_LIMITS = 10
+    """The force differs from all that is known by more than a damper can change."""
 
     @property
     def accepted(self) -> bool:
@@ -54,6 +58,11 @@ ACCEPTED = Judgement(Verdict.ACCEPTED)
 def fault_of_data(sentence: str) -> Judgement:
     """The judgement of data that cannot be used."""
     return Judgement(Verdict.FAULT_OF_DATA, sentence)
+
+
+def too_little_motion(sentence: str) -> Judgement:
+    """The judgement of a window that lacks motion: its data may be all right."""
+    return Judgement(Verdict.TOO_LITTLE_MOTION, sentence)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.kinematics.cycles import holds_cycle
+from mr_damper_ros.kinematics.motion import displacement_noise
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
@@ -20,6 +22,17 @@ LARGEST_CURRENT = 50.0
 
 _CLIPPED_PART = 0.02
 _CLIPPED_RUN = 8
+
+_STUCK_PART = 0.05
+_STUCK_WAY = 0.05
+"""A force that is the same to the last bit in 5 % of a window in a row, while the motion turns and
+comes back by 5 % of its span, is no damper's."""
+
+_STILL = 12.0
+"""A displacement that spans fewer standard deviations of its noise does not move at all."""
+
+_MOVING_FORCE = 0.3
+"""Part of the largest known force that a force spans at least, to be that of a motion."""
 
 _RESTING = 0.02
 _LONGEST_REST = 0.25
@@ -48,7 +61,8 @@ class Screening(CheckedSettings):
 def fault_of_samples(displacement: Array, force: Array, current: Array, limits: Screening) -> str:
     """Why samples of shape (n,) [m, N, A] cannot be used, in one sentence; empty where they can.
 
-    Whether they are finite was asked where they came in: a recording, a block, a window is.
+    Whether they are finite was asked where they came in: a recording, a block, a window is. Motion
+    that is too small is no fault, but where the force says that there is one.
     """
     span = float(np.ptp(displacement))
     if span > LARGEST_SPAN:
@@ -59,31 +73,70 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
     largest = float(np.max(np.abs(current)))
     if largest > LARGEST_CURRENT:
         return f"the current reaches {largest:.3g} A: is it in milliamperes? give it in amperes"
-    if 0.5 * span < limits.minimum_amplitude:
-        return (
-            f"motion of {0.5e3 * span:.3g} mm is below {1e3 * limits.minimum_amplitude:.3g} mm, "
-            "the least that counts: move the damper more"
-        )
+    if lack_of_motion(displacement, limits):
+        return ""
     if np.ptp(force) == 0.0:
         return "the force does not change: is the load cell connected?"
     for name, array in (("force", force), ("displacement", displacement)):
         if _is_clipped(array):
             return f"the {name} is clipped at the end of its range: is the sensor overloaded?"
+    if _is_stuck(displacement, force):
+        return "the force stays the same while the motion turns: is the load cell connected?"
     return ""
 
 
-def fault_of_motion(velocity: Array, force: Array) -> str:
-    """Why motion and force of shape (n,) [m/s, N] of a window do not do; empty where they do.
+def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> str:
+    """Why a machine that stands still (n,) [m, N] cannot do so, in a sentence; empty where it can.
+
+    ``largest_force`` [N] is the largest known of the damper, NaN where none is.
+    """
+    still = float(np.ptp(displacement)) <= _STILL * displacement_noise(displacement)
+    low, high = np.quantile(force, (0.01, 0.99))
+    if still and high - low > _MOVING_FORCE * largest_force and holds_cycle(force):
+        return "the force follows a motion that the displacement does not show: is it stuck?"
+    return ""
+
+
+def lack_of_motion(displacement: Array, limits: Screening) -> str:
+    """Why a displacement (n,) [m] moves too little, in a sentence; empty where it does not."""
+    span = float(np.ptp(displacement))
+    if 0.5 * span >= limits.minimum_amplitude:
+        return ""
+    return (
+        f"motion of {0.5e3 * span:.3g} mm is below {1e3 * limits.minimum_amplitude:.3g} mm, "
+        "the least that counts: move the damper more"
+    )
+
+
+def lack_of_cycle(displacement: Array, velocity: Array) -> str:
+    """Why motion of shape (n,) [m, m/s] shows too little of the damper; empty where it does not.
 
     A machine that stops within a window leaves a stretch that says nothing of the damper.
     """
+    resting = part_at_rest(velocity)
+    if rests_too_long(resting):
+        return f"the machine stands still for {resting:.0%} of the window"
+    if not holds_cycle(displacement):
+        return (
+            "the window holds less than a cycle of the motion: it waits for more, "
+            "up to longest_window"
+        )
+    return ""
+
+
+def part_at_rest(velocity: Array) -> float:
+    """Part of the samples (n,) [m/s] in a row in which the machine stands still at most."""
     speed = np.abs(velocity)
+    if not speed.size:
+        return 1.0
     resting = np.concatenate(([0], (speed < _RESTING * speed.max()).view(np.int8), [0]))
     edges = np.flatnonzero(np.diff(resting))
-    longest = int(np.max(edges[1::2] - edges[::2], initial=0))
-    if longest > _LONGEST_REST * speed.size:
-        return f"the machine stands still for {longest / speed.size:.0%} of the window"
-    return fault_of_sign(velocity, force)
+    return float(np.max(edges[1::2] - edges[::2], initial=0)) / speed.size
+
+
+def rests_too_long(part: float) -> bool:
+    """Whether a machine that stands still for this part of a window spoils it."""
+    return part > _LONGEST_REST
 
 
 def fault_of_sign(velocity: Array, force: Array) -> str:
@@ -99,6 +152,24 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
             "of the displacement (extension and tension are positive)"
         )
     return ""
+
+
+def _is_stuck(displacement: Array, force: Array) -> bool:
+    """Whether a force stays exactly the same for long, though the motion turns there."""
+    same = np.concatenate(([0], (np.diff(force) == 0.0).view(np.int8), [0]))
+    edges = np.flatnonzero(np.diff(same))
+    if not edges.size:
+        return False
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    start, stop = int(edges[2 * longest]), int(edges[2 * longest + 1]) + 1
+    if stop - start < _STUCK_PART * force.size:
+        return False
+    stretch = displacement[start:stop]
+    way_back = max(
+        float(np.min(np.abs(stretch[[0, -1]] - extreme)))
+        for extreme in (stretch.max(), stretch.min())
+    )
+    return way_back > _STUCK_WAY * float(np.ptp(displacement))
 
 
 def _is_clipped(array: Array) -> bool:

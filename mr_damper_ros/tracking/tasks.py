@@ -31,7 +31,8 @@ class FitTask:
     ``baselines`` are those of the force scale; ``state`` is where the filter stood and ``watch``
     that of the detector of changes, if they run; samples stamped before ``changed_ns`` are of the
     damper before its last sudden change. ``known``: the start is a set of this very damper, and
-    holds up to the peak velocity ``fastest`` [m/s], infinite where that is not known.
+    holds up to the peak velocity ``fastest`` [m/s], infinite where that is not known;
+    ``largest_force`` [N] of the damper, NaN where that is not known.
     """
 
     window: RawWindow
@@ -43,6 +44,7 @@ class FitTask:
     baselines: tuple[WindowFit, ...] = ()
     known: bool = False
     fastest: float = math.inf
+    largest_force: float = math.nan
 
     @property
     def model(self) -> Model:

@@ -155,6 +155,7 @@ class WindowTracker:
             self._baselines.fits,
             known=bool(self.parameters.observable.any()),
             fastest=self.parameters.peak_velocity_range[1],
+            largest_force=self.parameters.largest_force,
         )
 
     def complete(self, task: FitTask, result: FitResult) -> Report:

@@ -7,16 +7,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mr_damper_ros.kinematics.cycles import averages, holds_cycle
 from mr_damper_ros.kinematics.peak_velocity import StreamPeakVelocity
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
+from mr_damper_ros.tracking.sample_store import SampleStore
+from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
 
 _USUAL_WAIT_NS = 1_000_000_000
 
 _WAIT_FOR_CURRENT = 64
 """At most this many complete windows wait for the current to become known."""
+
+_GROWTH = 1.25
+"""A window that lacks motion is tried again as many times as long."""
+
+_POINTS = 64
+"""Whether a longer window holds a cycle is seen in so many points for each window's length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +58,7 @@ class WindowSettings(CheckedSettings):
 
     window: float = option(
         2.0,
-        "Length of a window [s]; at least one cycle of the motion must fit in.",
+        "Length of a window [s]; where that holds no cycle of the motion the window grows.",
         minimum=0.01,
         maximum=3600.0,
     )
@@ -58,6 +67,12 @@ class WindowSettings(CheckedSettings):
         "Time [s] from the start of a window to the start of the next, at most the window's "
         "length.",
         minimum=0.001,
+        maximum=3600.0,
+    )
+    longest_window: float = option(
+        30.0,
+        "Length [s] up to which a window grows until it holds a cycle of the motion.",
+        minimum=0.01,
         maximum=3600.0,
     )
     looks: int = option(
@@ -79,19 +94,30 @@ class WindowSettings(CheckedSettings):
 class WindowAssembler:
     """Collects blocks into windows of ``window`` seconds, one every ``hop`` seconds of data.
 
+    Where these seconds hold no cycle of the motion, the window reaches further back: to where it
+    holds one, up to ``longest``. Of such a window only every third, fifth, ... force is taken, so
+    that it has no more than three times the usual number of samples, and the displacement is the
+    average about it. The next one comes when as large a part of it is new as of a usual window;
+    what lacks motion in between, or at any length, is handed out as it is, to be refused.
+
     A window is handed out once the current is known for all of it, that is once a value stamped
     at or after its last sample has come: what a window holds then does not depend on the order
     in which the messages of different topics arrive. ``looks`` windows more are cut within each
-    hop, see :class:`RawWindow`. A window from whose start the current is not known is left out;
-    the next look, which is as long, is then handed out in its place.
+    hop where there is a cycle to look at, see :class:`RawWindow`. A window from whose start the
+    current is not known is left out; the next look, which is as long, is then handed out in its
+    place.
     """
 
-    def __init__(self, window: float, hop: float, looks: int = 0) -> None:
-        """Raises ValueError, as :class:`WindowSettings` does."""
-        self._settings = WindowSettings(window, hop, looks)
+    def __init__(
+        self, window: float, hop: float, looks: int = 0, longest: float | None = None
+    ) -> None:
+        """Raises ValueError, as :class:`WindowSettings` does; ``longest`` None: its default."""
+        usual = WindowSettings.longest_window
+        self._settings = WindowSettings(window, hop, usual if longest is None else longest, looks)
         self._sequence = BlockSequence()
         self._peak: StreamPeakVelocity | None = None
-        self._current = ZeroOrderHold(keep=max(KEEP_CURRENT, 2.0 * window))
+        self._longest = max(window, self._settings.longest_window)
+        self._current = ZeroOrderHold(keep=max(KEEP_CURRENT, 2.0 * self._longest))
         self._temperature = math.nan
         self._events: list[str] = []
         self._waiting: list[RawWindow] = []
@@ -99,11 +125,11 @@ class WindowAssembler:
         self._empty()
 
     def _empty(self) -> None:
-        self._blocks: list[SampleBlock] = []
-        self._peaks: list[Array] = []
-        # Samples of the first block that lie before the present window, and those from there on.
-        self._skip = 0
-        self._count = 0
+        self._store = SampleStore()
+        # Samples from the start of the present window on are counted so.
+        self._start = 0
+        # End of the newest window with a cycle.
+        self._newest = 0
         # Of the parts of a hop: 0 where the next window is one to be fitted.
         self._part = 0
 
@@ -115,9 +141,11 @@ class WindowAssembler:
     @property
     def fill(self) -> float:
         """Part of the present window that is there, 0 to 1."""
-        if not self._blocks:
+        last = self._sequence.last
+        if last is None:
             return 0.0
-        return min(self._count * self._blocks[0].period / self._settings.window, 1.0)
+        count = self._store.end - self._start
+        return min(count * last.period / self._settings.window, 1.0)
 
     @property
     def waits_for_current(self) -> bool:
@@ -156,10 +184,8 @@ class WindowAssembler:
             # Windows that still wait belong to the time before the jump.
             self._waiting.clear()
             self._current.follow_jump()
-        self._blocks.append(block)
-        self._peaks.append(self._peak.follow(block.displacement))
-        self._count += block.sample_count
-        self._cut()
+        self._store.add(block, self._peak.follow(block.displacement))
+        self._cut(block.period)
         return self._ready()
 
     def add_current(self, stamp_ns: int, current: float) -> list[RawWindow]:
@@ -174,38 +200,66 @@ class WindowAssembler:
         """Set the temperature [°C] for the windows completed from now on."""
         self._temperature = celsius
 
-    def _cut(self) -> None:
-        period = self._blocks[0].period
+    def _cut(self, period: float) -> None:
         length = max(round(self._settings.window / period), 1)
         step = max(round(self._settings.hop / period), 1)
         parts = min(self._settings.looks + 1, step)
-        while self._count >= length:
+        while self._store.end - self._start >= length:
             to_this, to_next = (step * part // parts for part in (self._part, self._part + 1))
             look = to_this - step * (self._part - 1) // parts if self._part else 0
-            end = self._skip + length
-            self._waiting.append(
-                RawWindow(
-                    # From the stamp of its own block: a sample clock that is not quite the
-                    # nominal one must not drift away from the stamps.
-                    start_ns=self._blocks[0].start_ns + round(self._skip * period * NANOSECONDS),
-                    period=period,
-                    displacement=self._joined("displacement")[self._skip : end],
-                    force=self._joined("force")[self._skip : end],
-                    current=np.full(length, math.nan),
-                    temperature=self._temperature,
-                    look=look,
-                    peak_velocity=np.concatenate(self._peaks)[self._skip : end],
-                )
-            )
-            self._count -= to_next - to_this
-            self._skip += to_next - to_this
+            end = self._start + length
+            reach = self._reach(end, length, period)
+            if look:
+                if reach:
+                    self._waiting.append(self._window(end, reach, length, period, look))
+            elif reach and (end - self._newest) * length >= step * reach:
+                self._newest = end
+                self._waiting.append(self._window(end, reach, length, period))
+            else:
+                self._waiting.append(self._window(end, length, length, period))
+            self._start += to_next - to_this
             self._part = (self._part + 1) % parts
-            while self._blocks and self._skip >= self._blocks[0].sample_count:
-                self._skip -= self._blocks.pop(0).sample_count
-                self._peaks.pop(0)
+            # The next window ends after this one: what it does not reach is let go of.
+            self._store.forget(self._start + length - round(self._longest / period))
 
-    def _joined(self, name: str) -> Array:
-        return np.concatenate([getattr(block, name) for block in self._blocks])
+    def _reach(self, end: int, length: int, period: float) -> int:
+        """Samples back from the end that hold a cycle, ``length`` at least; 0 where too few do."""
+        store = self._store
+        if holds_cycle(store.displacement(end - length, end)):
+            return length
+        most = min(end - store.first, max(round(self._longest / period), length))
+        size = max(length // _POINTS, 1)
+        points = averages(store.displacement(end - most // size * size, end), most // size)
+        speed = np.diff(points)
+        reach = float(length)
+        while reach < most:
+            reach = min(reach * _GROWTH, most)
+            count = int(reach) // size
+            if holds_cycle(points[-count:]):
+                # What a machine did before it stopped says nothing of where it stands now.
+                resting = rests_too_long(part_at_rest(speed[-count:]))
+                return 0 if resting else min(count * size, most)
+        return 0
+
+    def _window(self, end: int, reach: int, length: int, period: float, look: int = 0) -> RawWindow:
+        """The window of so many samples before the end, thinned where it is a long one."""
+        # An odd number: then the sample in the middle is the average's own.
+        stride = max((reach // length - 1) // 2 * 2 + 1, 1)
+        count = reach // stride
+        start = end - count * stride
+        samples = self._store.samples(start, end)
+        middle = stride // 2
+        displacement = samples.displacement.reshape(count, stride)
+        return RawWindow(
+            start_ns=self._store.stamp_ns(start + middle),
+            period=stride * period,
+            displacement=displacement.mean(axis=1) if stride > 1 else samples.displacement,
+            force=samples.force[middle::stride],
+            current=np.full(count, math.nan),
+            temperature=self._temperature,
+            look=min(max(round(look / stride), 1), count) if look else 0,
+            peak_velocity=samples.peak_velocity[middle::stride],
+        )
 
     def _ready(self) -> list[RawWindow]:
         ready = []

@@ -10,14 +10,20 @@ from mr_damper_ros.estimation.map_estimate import with_prior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.tracking.acceptance import Evidence, fault_of_data
+from mr_damper_ros.tracking.acceptance import Evidence, fault_of_data, too_little_motion
 from mr_damper_ros.tracking.current_parts import judge_parts, parts_by_current
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
 from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples
 from mr_damper_ros.tracking.look_task import run_look
 from mr_damper_ros.tracking.reservoir import thinned_to_keep
-from mr_damper_ros.tracking.screening import fault_of_motion, fault_of_samples
+from mr_damper_ros.tracking.screening import (
+    fault_at_rest,
+    fault_of_samples,
+    fault_of_sign,
+    lack_of_cycle,
+    lack_of_motion,
+)
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, WindowSummary
 from mr_damper_ros.tracking.trackers import TRACKERS
 from mr_damper_ros.tracking.unscented_filter import FilterState
@@ -32,11 +38,18 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
     fault = fault_of_samples(raw.displacement, raw.force, raw.current, settings.screening)
     if fault:
         return FitResult(fault_of_data(fault))
+    lack = lack_of_motion(raw.displacement, settings.screening)
+    if lack:
+        fault = fault_at_rest(raw.displacement, raw.force, task.largest_force)
+        return FitResult(fault_of_data(fault) if fault else too_little_motion(lack))
     try:
         window = Window.from_samples(
             raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
         )
-        fault = fault_of_motion(window.motion.velocity, window.force)
+        lack = lack_of_cycle(raw.displacement, window.motion.velocity)
+        if lack:
+            return FitResult(too_little_motion(lack))
+        fault = fault_of_sign(window.motion.velocity, window.force)
         if fault:
             return FitResult(fault_of_data(fault))
         if raw.look:

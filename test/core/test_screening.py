@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.screening import Screening, fault_of_samples
+from mr_damper_ros.tracking.screening import Screening, fault_of_samples, lack_of_motion
 
 Samples = dict[str, Array]
 
@@ -22,7 +22,8 @@ def samples() -> Samples:
 
 
 def fault(data: Samples, **limits: float) -> str:
-    return fault_of_samples(**data, limits=Screening(**limits))
+    given = Screening(**limits)
+    return fault_of_samples(**data, limits=given) or lack_of_motion(data["displacement"], given)
 
 
 def test_a_good_window_has_no_fault() -> None:

@@ -265,7 +265,7 @@ BAD_WINDOWS = {
     spike: "",
     current_step: "times the usual one: a disturbance or a sensor fault",
     clipped: "the force is clipped",
-    stopped: "move the damper",
+    stopped: "the force follows a motion that the displacement does not show",
     stopped_half_way: "the machine stands still for",
     millimetres: "is it in millimetres",
     kilonewtons: "changed by -100% at once",

@@ -17,7 +17,7 @@ from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 PERIOD = 1e-3
 T0 = known.T0
 COUNT = 3000
-DISPLACEMENT = np.arange(COUNT) * 1e-6
+DISPLACEMENT = 5e-3 * np.sin(2.0 * np.pi * 5.0 * PERIOD * np.arange(COUNT))
 FORCE = -np.arange(COUNT, dtype=float)
 
 

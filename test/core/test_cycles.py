@@ -1,0 +1,63 @@
+"""A stretch of motion holds a cycle where it shows the force at all signs of v and a."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.kinematics.cycles import averages, holds_cycle
+
+COUNT = 2000
+
+
+def sine(cycles: float, phase: float = 0.0, noise: float = 0.0) -> np.ndarray:
+    """5 mm, so many cycles in 2000 samples, from a phase [cycles] on."""
+    t = np.linspace(0.0, cycles, COUNT, endpoint=False)
+    error = np.random.default_rng(0).normal(0.0, noise, COUNT) if noise else 0.0
+    return np.asarray(5e-3 * np.sin(2.0 * np.pi * (t + phase)) + error)
+
+
+@known.fixed(60)
+@given(st.floats(1.15, 200.0), st.floats(0.0, 1.0), st.sampled_from([0.0, 1e-6, 1e-5]))
+def test_more_than_a_cycle_of_a_sine_is_one(cycles: float, phase: float, noise: float) -> None:
+    assert holds_cycle(sine(cycles, phase, noise))
+
+
+@known.fixed(60)
+@given(st.floats(0.01, 0.5), st.floats(0.0, 1.0), st.sampled_from([0.0, 1e-6, 5e-6]))
+def test_half_a_cycle_of_a_sine_is_none(cycles: float, phase: float, noise: float) -> None:
+    assert not holds_cycle(sine(cycles, phase, noise))
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
+def test_a_cycle_from_any_turn_or_middle_is_one(phase: float) -> None:
+    assert holds_cycle(sine(1.0, phase))
+
+
+def test_a_turn_back_is_no_cycle() -> None:
+    # The parabola at the top of a slow sine moves up and down, but never slows down below.
+    assert not holds_cycle(sine(0.1, 0.2, 1e-6))
+
+
+def test_a_slow_stroke_with_a_ripple_is_none() -> None:
+    assert not holds_cycle(sine(0.2) + 0.02 * sine(40.0))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_motion_is_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    waves = [rng.normal() * sine(k * rng.uniform(0.9, 1.1), rng.uniform()) for k in range(2, 20)]
+    assert holds_cycle(np.sum(waves, axis=0))
+
+
+@pytest.mark.parametrize("value", [np.zeros(COUNT), np.ones(3), np.empty(0), np.arange(9.0)])
+def test_no_motion_or_hardly_a_sample_is_none(value: np.ndarray) -> None:
+    assert not holds_cycle(value)
+
+
+def test_averages_are_of_whole_groups_at_the_end() -> None:
+    assert averages(np.arange(7.0), 3).tolist() == [2.0, 5.0]
+    assert averages(np.arange(3.0), 3).tolist() == [0.0, 1.0, 2.0]
