@@ -16,6 +16,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.error_sums import ErrorSums
 from mr_damper_ros.tracking.predictor import PredictorSettings
 from mr_damper_ros.tracking.state_directory import read_parameter_file
+from mr_damper_ros.tracking.validity import current_allowance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -155,7 +156,7 @@ def _remark(found: ParameterSet, run: MeasuredRun) -> str:
             f"peak velocity {_span(speeds)} m/s, and the set is for {low:.3g} to {high:.3g} m/s"
         )
     low, high = found.current_range
-    margin = _MARGINS.current_margin
+    margin = current_allowance(found.current_range, _MARGINS.current_margin)
     if not low - margin <= min(currents) <= max(currents) <= high + margin:
         remarks.append(f"current {_span(currents)} A, and the set is for {low:.3g} to {high:.3g} A")
     return f"OUT OF RANGE: {'; '.join(remarks)}" if remarks else ""

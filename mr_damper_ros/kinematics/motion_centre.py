@@ -5,9 +5,22 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from mr_damper_ros.kinematics.rest_watch import RestWatch
 from mr_damper_ros.signals.arrays import Array
 
+_HALF_CYCLES = 4
+"""A random motion turns at irregular times: so many of its half-cycles tell how slowly."""
+
+_AT_ONCE = 16
+"""Samples of which no more than the last is looked at for a reversal."""
+
 _STRETCHES = 64
+
+_LONGEST = 10
+"""A slow cycle is kept whole for up to so many memories."""
+
+_CYCLE = 3
+"""Reversals from the begin of a cycle to its end."""
 
 _SMALLEST_RETURN = 1e-4
 """A reversal counts once the motion has come back by this [m] and by a quarter of its span."""
@@ -16,11 +29,13 @@ _SMALLEST_RETURN = 1e-4
 class MotionCentre:
     """Middle of the span of the displacement over the last ``memory`` seconds.
 
-    It is exact for any steady motion of which a whole cycle lies within the memory. It is kept by
-    the lowest and highest value of short stretches, so that its cost does not grow with the rate.
+    It is exact for any steady motion. Where the last whole cycle is longer than the memory it is
+    taken over that cycle. It is kept by the lowest and highest value of short stretches, so that
+    its cost does not grow with the rate.
 
     ``reversals`` counts the changes of direction; ``half_cycle`` [s] is the time between the last
-    two of them, NaN before.
+    two of them, NaN before. ``resting``: the displacement has hardly changed for longer than any
+    reversal of the latest motion took.
     """
 
     def __init__(self, memory: float, period: float) -> None:
@@ -31,6 +46,9 @@ class MotionCentre:
         self._lows: deque[float] = deque()
         self._highs: deque[float] = deque()
         self._remembered = 0
+        self._turns: deque[int] = deque(maxlen=_CYCLE)
+        self._half_cycles: deque[float] = deque(maxlen=_HALF_CYCLES)
+        self._rest = RestWatch(period)
         self._direction = 0
         self._bottom, self._top = math.inf, -math.inf
         self._count = 0
@@ -41,6 +59,11 @@ class MotionCentre:
 
     def follow(self, displacement: Array) -> float:
         """Centre [m] after these samples of shape (n,), n >= 1."""
+        for first in range(0, displacement.size, _AT_ONCE):
+            centre = self._follow(displacement[first : first + _AT_ONCE])
+        return centre
+
+    def _follow(self, displacement: Array) -> float:
         low, high = float(displacement.min()), float(displacement.max())
         if not self._counts or self._counts[-1] >= self._length:
             self._counts.append(0)
@@ -50,15 +73,35 @@ class MotionCentre:
         self._lows[-1] = min(self._lows[-1], low)
         self._highs[-1] = max(self._highs[-1], high)
         self._remembered += displacement.size
-        while self._remembered - self._counts[0] >= self._memory:
+        while self._remembered - self._counts[0] >= self._needed:
             self._remembered -= self._counts.popleft()
             self._lows.popleft()
             self._highs.popleft()
         self._count += displacement.size
         bottom, top = min(self._lows), max(self._highs)
         self._bottom, self._top = min(self._bottom, low), max(self._top, high)
-        self._count_reversals(float(displacement[-1]), max(0.25 * (top - bottom), _SMALLEST_RETURN))
+        newest = float(displacement[-1])
+        self._count_reversals(newest, max(0.25 * (top - bottom), _SMALLEST_RETURN))
+        amplitude = 0.5 * (top - bottom)
+        self._rest.follow(low, high, newest, displacement.size, amplitude, self.usual_half_cycle)
         return 0.5 * (bottom + top)
+
+    @property
+    def resting(self) -> bool:
+        """Whether the displacement has hardly changed for longer than at any reversal."""
+        return self._rest.resting
+
+    @property
+    def usual_half_cycle(self) -> float:
+        """The longest [s] of the latest half-cycles; NaN before the first."""
+        return max(self._half_cycles, default=math.nan)
+
+    @property
+    def _needed(self) -> int:
+        """Samples to remember: the memory's, or those since the begin of the last cycle."""
+        if len(self._turns) < _CYCLE:
+            return _LONGEST * self._memory
+        return min(max(self._memory, self._count - self._turns[0]), _LONGEST * self._memory)
 
     def _count_reversals(self, newest: float, threshold: float) -> None:
         if self._direction >= 0 and self._top - newest > threshold:
@@ -73,5 +116,7 @@ class MotionCentre:
             self.reversals += 1
             if self.reversals > 1:
                 self.half_cycle = (self._count - self._turned_at) * self._period
+                self._half_cycles.append(self.half_cycle)
             self._turned_at = self._count
+            self._turns.append(self._count)
         self._direction = direction

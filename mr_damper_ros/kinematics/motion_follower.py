@@ -61,6 +61,16 @@ class MotionFollower:
         return self._centre.reversals
 
     @property
+    def resting(self) -> bool:
+        """Whether the motion has come to rest."""
+        return not self._steady and self._centre.resting
+
+    @property
+    def half_cycle(self) -> float:
+        """The longest [s] of the latest half-cycles, NaN before the first."""
+        return self._centre.usual_half_cycle
+
+    @property
     def usual_peak_velocity(self) -> float:
         """Root mean square [m/s] over the latest half-cycles up to the last block observed."""
         return self._peak.root_mean_square

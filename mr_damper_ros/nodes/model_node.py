@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.messages import header, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
@@ -26,6 +26,9 @@ from mr_damper_ros.tracking.state_directory import StateError, read_parameter_fi
 
 _REPORTS = 10
 """Reports that may wait: only the newest ones matter."""
+
+_POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
+"""Errors of valid forces over the last seconds that deserve a warning, and an error."""
 
 _HEAD_START = 1e-3
 """Seconds from a force to the rest of the work on its block: on a computer with no processor to
@@ -145,7 +148,7 @@ class ModelNode(Node):
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
         self._finish()
-        prediction = self._predictor.predict(block)
+        prediction = self._predictor.predict(block, self.get_clock().now().nanoseconds)
         self._force.publish(self._message.of(prediction))
         self._published = time.perf_counter()
         self._slowest = max(self._slowest, self._published - began)
@@ -221,11 +224,14 @@ class ModelNode(Node):
         values = {"NRMSE": f"{nrmse:.4f}"}
         if self._last is None or self._inputs.silent:
             return Finding(STALE, "nothing to predict: no samples come", values)
+        values["doubt"] = self._last.doubt.kind.name
         if not self._last.valid:
-            return Finding(WARN, f"not valid: {self._last.reason}", values)
+            level = ERROR if self._last.doubt.kind.grave else WARN
+            return Finding(level, f"not valid: {self._last.reason}", values)
         if math.isnan(nrmse):
             return Finding(OK, "valid", values)
-        return Finding(OK, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
+        level = ERROR if nrmse > _BAD_NRMSE else WARN if nrmse > _POOR_NRMSE else OK
+        return Finding(level, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
 
     def _latency_finding(self) -> Finding:
         slowest, self._slowest = self._slowest, 0.0

@@ -115,5 +115,6 @@ class PredictionMessage:
         message.force = to_field(prediction.force)
         message.parameter_set = prediction.set_id
         message.valid = prediction.valid
+        message.doubt = int(prediction.doubt.kind)
         message.reason = prediction.reason
         return message

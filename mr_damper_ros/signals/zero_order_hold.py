@@ -73,6 +73,15 @@ class ZeroOrderHold:
         """Whether a value is in force at the stamp."""
         return bool(self._stamps) and self._stamps[0] <= stamp_ns
 
+    def around(self, stamp_ns: int) -> tuple[int, int | None]:
+        """Stamp of the value in force at a stamp, and that of the next (None: there is none yet).
+
+        As for :meth:`at`, the first value is taken before it is stamped; there must be one.
+        """
+        following = bisect_right(self._stamps, stamp_ns) or 1
+        later = self._stamps[following] if following < len(self._stamps) else None
+        return self._stamps[following - 1], later
+
     def constant(self, start_ns: int, period: float, count: int) -> float | None:
         """The one value [A] that :meth:`at` gives for these samples; None where there are more."""
         following = bisect_right(self._stamps, start_ns) or 1

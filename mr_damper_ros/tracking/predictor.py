@@ -10,14 +10,28 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.models.force_stream import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.settings.option_table import CheckedSettings, option
+from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockSequence, SampleBlock
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
+from mr_damper_ros.tracking.force_watch import ForceWatch
+from mr_damper_ros.tracking.freshness import Freshness
+from mr_damper_ros.tracking.validity import (
+    NO_DOUBT,
+    Doubt,
+    DoubtKind,
+    ValiditySettings,
+    doubt_of_current_age,
+    doubt_of_current_range,
+    doubt_of_parameters_age,
+    doubt_of_size,
+    doubt_of_speed,
+    middle,
+)
 
 
 @dataclass(frozen=True)
-class PredictorSettings(CheckedSettings):
+class PredictorSettings(ValiditySettings):
     """How the prediction follows the stream, and when it is no longer valid."""
 
     bandwidth: float = option(
@@ -33,48 +47,29 @@ class PredictorSettings(CheckedSettings):
         minimum=0.01,
         maximum=3600.0,
     )
-    current_timeout: float = option(
-        1.0,
-        "Age [s] of the supply current beyond which the force is marked invalid.",
-        minimum=0.0,
-        maximum=3600.0,
-    )
-    parameters_timeout: float = option(
-        600.0,
-        "Time [s] for which no window has confirmed the parameters, beyond which the force is "
-        "marked invalid: a damper that heats may change by a quarter in ten minutes. 0: no limit. "
-        "Those of parameter_file have none either.",
-        minimum=0.0,
-        maximum=1e9,
-    )
-    velocity_margin: float = option(
-        0.25,
-        "Part by which the peak velocity may leave the identified range before the force is "
-        "marked invalid (0.25 = 25 %).",
-        minimum=0.0,
-        maximum=100.0,
-    )
-    current_margin: float = option(
-        0.1,
-        "How far [A] the current may leave the identified range before the force is marked "
-        "invalid.",
-        minimum=0.0,
-        maximum=100.0,
-    )
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Predicted force [N], shape (n,), of the block's samples; ``reason`` tells why not valid."""
+    """Predicted force [N], shape (n,), of the block's samples; ``doubt`` tells why not valid."""
 
     start_ns: int
     sequence: int
     period: float
     force: Array
     set_id: str
-    valid: bool
-    reason: str
+    doubt: Doubt
     continuity: str
+
+    @property
+    def valid(self) -> bool:
+        """Whether there is no doubt."""
+        return not self.doubt
+
+    @property
+    def reason(self) -> str:
+        """The doubt in words; empty where it is valid."""
+        return self.doubt.sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +78,7 @@ class _Reckoned:
 
     force: Array
     finite: bool
-    doubt: str
+    doubt: Doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +101,10 @@ class ForcePredictor:
         self._motion: MotionFollower | None = None
         self._stream: ForceStream | None = None
         self._foreseen: _Foreseen | None = None
+        self._freshness = Freshness(settings.max_age)
+        self._watch: ForceWatch | None = None
+        # What the watch has yet to learn from: predicted and measured force, velocity.
+        self._unlearned: tuple[Array, Array, Array] | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
 
@@ -113,6 +112,11 @@ class ForcePredictor:
     def sequence(self) -> BlockSequence:
         """How the blocks have followed each other so far."""
         return self._sequence
+
+    @property
+    def freshness(self) -> Freshness:
+        """How old the samples are."""
+        return self._freshness
 
     @property
     def parameters(self) -> ParameterSet | None:
@@ -131,6 +135,8 @@ class ForcePredictor:
         if self._stream is not None:
             self._stream.retrace(parameters.values)
         self._foreseen = None
+        if self._watch is not None:
+            self._watch.forget_error()
         self._parameters = parameters
         self._confirmed_ns = confirmed_ns
 
@@ -150,8 +156,14 @@ class ForcePredictor:
         :meth:`predict` does what it must itself, with the same results.
         """
         if self._motion is not None:
+            self._learn()
             self._motion.catch_up()
             self._foreseen = self._foresee(self._motion.foreseen)
+
+    def _learn(self) -> None:
+        unlearned, self._unlearned = self._unlearned, None
+        if unlearned is not None and self._watch is not None and self._motion is not None:
+            self._watch.learn(*unlearned, self._motion.half_cycle)
 
     def _foresee(self, motion: Motion | None) -> _Foreseen | None:
         """Force of the next block, as far as it can be known already."""
@@ -185,22 +197,36 @@ class ForcePredictor:
     ) -> _Reckoned:
         held = motion.held_within(*parameters.peak_velocity_range)
         force = stream.follow(parameters.values, held, current)
-        doubt = self._doubt_of_range(motion, steady, current, parameters)
+        settings = self._settings
+        doubt = (
+            doubt_of_current_range(current, parameters, settings.current_margin)
+            or doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin)
+            or doubt_of_size(force, parameters, settings.force_margin)
+        )
         return _Reckoned(force, bool(np.isfinite(force).all()), doubt)
 
-    def predict(self, block: SampleBlock) -> Prediction:
-        """Force at the samples of a block; NaN, and not valid, where it cannot be computed."""
+    def predict(self, block: SampleBlock, now_ns: int | None = None) -> Prediction:
+        """Force at the samples of a block; NaN, and not valid, where it cannot be computed.
+
+        ``now_ns`` is the present time on the clock of the stamps, where there is one.
+        """
         verdict = self._sequence.follow(block)
         if verdict.kind == "repeat":
-            return self._invalid(block, verdict.sentence, verdict.sentence)
+            repeated = Doubt(DoubtKind.REPEATED, verdict.sentence)
+            return self._invalid(block, repeated, verdict.sentence)
         if verdict.kind == "jump_back":
             self._current.follow_jump()
+            self._freshness.restart()
+        stale = self._freshness.judge(block.end_ns, now_ns)
         if self._motion is None or verdict.restarts:
             self._motion = MotionFollower(
                 block.period, self._settings.bandwidth, self._settings.centre_memory
             )
             self._stream = None
             self._foreseen = None
+            self._watch = ForceWatch(block.period, self._settings.maximum_error)
+            self._unlearned = None
+        self._learn()
         motion = self._motion.follow(block.displacement)
         # It was for this block, whatever becomes of it.
         foreseen, self._foreseen = self._foreseen, None
@@ -214,23 +240,37 @@ class ForcePredictor:
         assert self._parameters is not None
         if not reckoned.finite:
             self._stream = None
-            reason = f"the force of {self._parameters.set_id} is beyond what a number can hold"
-            return self._invalid(block, reason, verdict.sentence)
-        reason = (
-            self._motion.doubt
-            or self._doubt_of_memory()
-            or self._doubt_of_age(block)
-            or reckoned.doubt
-        )
+            sentence = f"the force of {self._parameters.set_id} is beyond what a number can hold"
+            return self._invalid(block, Doubt(DoubtKind.NOT_FINITE, sentence), verdict.sentence)
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
             period=block.period,
             force=reckoned.force,
             set_id=self._parameters.set_id,
-            valid=not reason,
-            reason=reason,
+            doubt=self._doubt(block, motion, reckoned) or stale,
             continuity=verdict.sentence,
+        )
+
+    def _doubt(self, block: SampleBlock, motion: Motion, reckoned: _Reckoned) -> Doubt:
+        """Why not to rely on the force of a block: what is known of the motion comes first."""
+        assert self._motion is not None
+        assert self._watch is not None
+        settling = self._doubt_of_motion()
+        if settling:
+            # A force that nobody could know says nothing of the parameters.
+            self._watch.forget_moment()
+            if settling.kind is not DoubtKind.AT_REST:
+                self._unlearned = (reckoned.force, block.force, motion.velocity)
+            return settling
+        self._unlearned = (reckoned.force, block.force, motion.velocity)
+        measured = self._watch.judge(reckoned.force, block.force)
+        settings, live = self._settings, self._freshness.live
+        return (
+            doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live)
+            or doubt_of_parameters_age(self._confirmed_ns, block.end_ns, settings, live=live)
+            or reckoned.doubt
+            or measured
         )
 
     def _reckon_block(self, motion: Motion, block: SampleBlock) -> _Reckoned:
@@ -242,87 +282,61 @@ class ForcePredictor:
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         return self._reckon(motion, self._motion.steady, current, self._parameters, self._stream)
 
-    def _missing(self, block: SampleBlock) -> str:
-        """What a prediction for a block lacks, in a sentence; empty for nothing."""
+    def _missing(self, block: SampleBlock) -> Doubt:
+        """What a prediction for a block lacks."""
         if self._parameters is None:
-            return "no parameters yet: start the identifier or give parameter_file"
+            return Doubt(
+                DoubtKind.MISSING,
+                "no parameters yet: start the identifier or give parameter_file",
+            )
         if self._current.known_from(block.start_ns):
-            return ""
+            return NO_DOUBT
         last = self._current.last_stamp_ns
         if last is None:
-            return "no supply current yet: is it published on supply/current?"
+            return Doubt(
+                DoubtKind.MISSING,
+                "no supply current yet: is it published on supply/current?",
+            )
         ahead = (last - block.start_ns) / NANOSECONDS
-        return (
-            f"no supply current yet that holds for these samples: the newest is stamped {ahead:.3g}"
-            " s after their begin; are both stamped by one clock?"
+        return Doubt(
+            DoubtKind.MISSING,
+            "no supply current yet that holds for these samples: the newest is stamped "
+            f"{ahead:.3g} s after their begin; are both stamped by one clock?",
         )
 
-    def _doubt_of_memory(self) -> str:
-        """Why the model does not know its past yet; empty where it does, or needs none."""
+    def _doubt_of_motion(self) -> Doubt:
+        """Whether the motion, and what the model remembers of it, is known."""
         assert self._stream is not None
         assert self._motion is not None
+        if self._motion.doubt:
+            return Doubt(DoubtKind.SETTLING, self._motion.doubt)
+        if self._motion.resting:
+            return Doubt(
+                DoubtKind.AT_REST,
+                "the damper is at rest: its force then depends on how it came to rest",
+            )
         if self._stream.remembers and self._motion.reversals == self._begun_at:
-            return "the model does not know its past before the motion has reversed"
-        return ""
-
-    def _doubt_of_age(self, block: SampleBlock) -> str:
-        """Why current or parameters are too old for this block; empty where they are not."""
-        last = self._current.last_stamp_ns
-        assert last is not None
-        age = (block.end_ns - last) / NANOSECONDS
-        if age > self._settings.current_timeout:
-            return (
-                f"the supply current is {age:.1f} s old: is it still published, with stamps on the "
-                "clock of the samples?"
+            return Doubt(
+                DoubtKind.SETTLING,
+                "the model does not know its past before the motion has reversed",
             )
-        limit = self._settings.parameters_timeout
-        if limit > 0.0 and self._confirmed_ns is not None:
-            age = (block.end_ns - self._confirmed_ns) / NANOSECONDS
-            if age > limit:
-                return (
-                    f"no window has confirmed the parameters for {age:.0f} s: "
-                    "is the identifier running, and does the damper move?"
-                )
-        return ""
+        return NO_DOUBT
 
-    def _doubt_of_range(
-        self, motion: Motion, steady: bool, current: Array, parameters: ParameterSet
-    ) -> str:
-        """Why the parameters do not hold for this motion and current; empty where they do."""
-        low, high = parameters.current_range
-        margin = self._settings.current_margin
-        if current.min() < low - margin or current.max() > high + margin:
-            return (
-                f"the current of {_middle(current):.2f} A is outside of the identified "
-                f"{low:.2f} to {high:.2f} A"
-            )
-        low, high = parameters.peak_velocity_range
-        margin = self._settings.velocity_margin
-        speed = _middle(motion.peak_velocity)
+    def _speed(self, motion: Motion, steady: bool) -> float:
+        """The peak velocity [m/s] that stands for a block."""
+        speed = middle(motion.peak_velocity)
         if self._motion is not None and not steady:
             # A motion that is no sine passes through low values without being small.
             speed = max(speed, self._motion.usual_peak_velocity)
-        if not low * (1.0 - margin) <= speed <= high * (1.0 + margin):
-            return (
-                f"the peak velocity of {speed:.3g} m/s is outside of the identified "
-                f"{low:.3g} to {high:.3g} m/s"
-            )
-        return ""
+        return speed
 
-    def _invalid(self, block: SampleBlock, reason: str, continuity: str) -> Prediction:
+    def _invalid(self, block: SampleBlock, doubt: Doubt, continuity: str) -> Prediction:
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
             period=block.period,
             force=np.full(block.sample_count, np.nan),
             set_id=self._parameters.set_id if self._parameters else "",
-            valid=False,
-            reason=reason,
+            doubt=doubt,
             continuity=continuity,
         )
-
-
-def _middle(values: Array) -> float:
-    """Upper median: of a few values in a tenth of the time that NumPy's median takes."""
-    half = values.size // 2
-    return float(np.partition(values, half)[half])

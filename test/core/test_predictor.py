@@ -48,8 +48,11 @@ MOVED_CENTRE = 1e-4
 def predictor(
     parameters: ParameterSet | None = SET, current: float | None = 1.0, **settings: float
 ) -> ForcePredictor:
-    """A predictor whose current is known from the start of the stream, ten times a second."""
-    made = ForcePredictor(PredictorSettings(**settings))
+    """A predictor whose current is known from the start of the stream, ten times a second.
+
+    The streams here carry no force.
+    """
+    made = ForcePredictor(PredictorSettings(**{"maximum_error": 0.0, **settings}))
     if parameters is not None:
         made.set_parameters(parameters)
     if current is not None:
@@ -111,10 +114,11 @@ def test_the_force_does_not_depend_on_later_blocks() -> None:
     np.testing.assert_array_equal(usual[:4000], changed[:4000])
 
 
-def test_the_measured_force_is_not_looked_at() -> None:
-    blocks = [dataclasses.replace(b, force=np.full(10, 1e6)) for b in stream()]
+def test_the_force_does_not_depend_on_the_measured_one() -> None:
+    blocks = [dataclasses.replace(b, force=np.full(10, 1e6)) for b in stream()[:200]]
     np.testing.assert_array_equal(
-        forces(predicted(predictor(), blocks)), forces(predicted(predictor(), stream()))
+        forces(predicted(predictor(maximum_error=0.2), blocks)),
+        forces(predicted(predictor(), stream()[:200])),
     )
 
 

@@ -1,0 +1,175 @@
+"""Holds the predicted force against the one that was measured in the same samples.
+
+Two errors are followed, both as parts of the recent peak of the measured force: the mean error of
+some milliseconds, which tells at once that the force is wrong now, and the root mean square over a
+cycle, which tells that the parameters are: then nothing is valid until they are right again.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.recent_force import RecentForce
+from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
+
+_MOMENT = 0.005
+"""Seconds over which the error of the moment is taken: less than a twentieth of most cycles."""
+
+_LASTING = 0.5
+"""Part of the allowed error that the root mean square over a cycle may reach ..."""
+
+_BACK = 0.75
+"""... and the part of either limit that it must fall below again."""
+
+_CHANCE = 3.0
+"""Standard deviations of noise that are no error of the prediction."""
+
+_MOST_NOISE = 0.1
+"""What looks like noise is taken for it up to this part of the peak."""
+
+_SHORTEST, _LONGEST = 0.2, 20.0
+"""Seconds within which the time lies over which a lasting error is taken."""
+
+
+class ForceWatch:
+    """Watches the forces of samples ``period`` [s] apart.
+
+    ``maximum_error`` is a part of the peak of the measured force; 0: that force is not looked at.
+    """
+
+    def __init__(self, period: float, maximum_error: float) -> None:
+        self._period = period
+        self._limit = maximum_error
+        self._recent = RecentForce(period)
+        self._moment = max(round(_MOMENT / period), 1)
+        self._starts: tuple[int, np.ndarray, Array] | None = None
+        self._time = _SHORTEST
+        # Mean error [N] of the latest moment, mean square [1] of the error over the peak.
+        self._fast = 0.0
+        self._square = 0.0
+        self._wrong_now = False
+        self._wrong = False
+
+    def forget_error(self) -> None:
+        """Other parameters: the lasting error of those before says nothing of them.
+
+        Where they were wrong these have to show first that they are not.
+        """
+        self._square = (_LASTING * self._limit) ** 2 if self._wrong else 0.0
+        self._recent.forget_predicted()
+
+    def forget_moment(self) -> None:
+        """The samples do not go on from where the force could be known, or were not judged."""
+        self._fast = self._square = 0.0
+        self._wrong_now = self._wrong = False
+
+    def judge(self, predicted: Array, measured: Array) -> Doubt:
+        """Follow the forces (n,) [N] of the next samples: why to doubt the predicted one."""
+        if self._limit == 0.0:
+            return self._doubt_of_power()
+        peak = self._recent.peak
+        if not peak > 0.0:
+            # Nothing is known of the force yet, or it never changed.
+            return self._doubt_of_sensor() if peak == 0.0 else NO_DOUBT
+        largest = self._follow(predicted, measured, peak)
+        if not largest < math.inf:
+            return Doubt(DoubtKind.WRONG, "the predicted force has no finite error")
+        return (
+            self._doubt_of_sensor()
+            or self._doubt_of_power()
+            or self._doubt_of_error(largest, peak, measured)
+        )
+
+    def learn(self, predicted: Array, measured: Array, velocity: Array, half_cycle: float) -> None:
+        """What only later samples need of these: forces [N] and velocity [m/s], shape (n,)."""
+        self._recent.add(measured, predicted, velocity, half_cycle)
+        if not math.isnan(half_cycle):
+            self._time = min(max(2.0 * half_cycle, _SHORTEST), _LONGEST)
+
+    def _follow(self, predicted: Array, measured: Array, peak: float) -> float:
+        """Follow both errors; returns the largest error [N] of a moment."""
+        count = measured.size
+        if count == 1:
+            error = float(predicted[0]) - float(measured[0])
+            self._fast += min(1.0 / self._moment, 1.0) * (error - self._fast)
+            largest = abs(self._fast)
+            square = error * error
+        else:
+            errors = predicted - measured
+            square = float(errors @ errors) / count
+            if count <= self._moment:
+                self._fast += count / self._moment * (float(errors.sum()) / count - self._fast)
+                largest = abs(self._fast)
+            else:
+                starts, sizes = self._moments(count)
+                means = np.add.reduceat(errors, starts) / sizes
+                self._fast = float(means[-1])
+                largest = float(np.abs(means).max())
+        if not square < math.inf:
+            return math.inf
+        square = max(square - self._noise(peak) ** 2, 0.0) / peak**2
+        # One burst of error must not be remembered for ever.
+        square = min(square, self._limit**2)
+        part = min(count * self._period / self._time, 1.0)
+        self._square += part * (square - self._square)
+        return largest
+
+    def _noise(self, peak: float) -> float:
+        return min(self._recent.noise, _MOST_NOISE * peak)
+
+    def _moments(self, count: int) -> tuple[np.ndarray, Array]:
+        """Where the moments of a block begin, and how many samples each has."""
+        if self._starts is None or self._starts[0] != count:
+            starts = np.arange(0, count, self._moment)
+            self._starts = (count, starts, np.diff(np.append(starts, count)).astype(float))
+        return self._starts[1:]
+
+    def _doubt_of_error(self, largest: float, peak: float, measured: Array) -> Doubt:
+        chance = _CHANCE * self._noise(peak) / math.sqrt(self._moment)
+        if largest > self._limit * peak:
+            # A force that grows is not wrong because it was smaller before.
+            peak = max(peak, float(np.abs(measured - self._recent.centre).max()))
+        limit = self._limit * (_BACK if self._wrong_now else 1.0) * peak + chance
+        self._wrong_now = largest > limit
+        lasting = _LASTING * self._limit * (_BACK if self._wrong else 1.0)
+        self._wrong = self._square > lasting**2
+        if self._wrong_now:
+            return Doubt(
+                DoubtKind.WRONG,
+                f"the predicted force is off by {largest:.3g} N, and the peak of the measured one "
+                f"is {peak:.3g} N: maximum_error is {self._limit:.0%}",
+            )
+        if self._wrong:
+            return Doubt(
+                DoubtKind.WRONG,
+                f"the predicted force was off by {math.sqrt(self._square):.0%} of the peak over "
+                f"the last cycle: valid again below {lasting:.0%}",
+            )
+        return NO_DOUBT
+
+    def _doubt_of_sensor(self) -> Doubt:
+        if self._recent.stuck:
+            return Doubt(
+                DoubtKind.SENSOR,
+                "the measured force does not change though the damper moves: is the load cell "
+                "connected? without one set maximum_error to 0",
+            )
+        if self._recent.measured_drives:
+            return Doubt(
+                DoubtKind.SENSOR,
+                "the measured force drives the motion, which no damper does: has the sign of the "
+                "force or of the displacement changed?",
+            )
+        return NO_DOUBT
+
+    def _doubt_of_power(self) -> Doubt:
+        if self._recent.predicted_drives:
+            return Doubt(
+                DoubtKind.DRIVING,
+                "the predicted force drives the motion, which no damper does: are the parameters "
+                "those of this damper, and the signs of force and displacement right?",
+            )
+        return NO_DOUBT

@@ -1,0 +1,129 @@
+"""What the measured force was like over the latest cycles: its peak, its noise, its power."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+
+_HALF_CYCLES = 4
+_SHORTEST_MEMORY = 0.4
+_LONGEST_MEMORY = 120.0
+"""The memory is so many half-cycles, and within these times [s]."""
+
+_STRETCHES = 16
+_LONGEST_STRETCH = 0.25
+"""The memory moves on by a sixteenth of it, or by so many seconds if that is less."""
+
+_DRIVING = 0.1
+"""Correlation of force and velocity below minus this: the force drives the motion."""
+
+_STILL = 1e-9
+"""Velocities [m/s] that are no motion."""
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Extremes and noise [N] of the measured force; sums of velocity and forces, and products."""
+
+    count: int
+    top: float
+    bottom: float
+    noise: float
+    sums: Array
+
+
+class RecentForce:
+    """Remembers some cycles of a stream of samples ``period`` [s] apart.
+
+    ``peak`` and ``centre`` [N]: half the span of the measured force and its middle, NaN before
+    anything is known of it.
+    ``noise`` [N]: standard deviation of its white part. ``stuck``: it has not changed at all for a
+    half-cycle. ``measured_drives`` and ``predicted_drives``: that force puts power into the motion.
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._parts: list[tuple[Array, Array, Array]] = []
+        self._count = 0
+        self._stretch = max(round(_SHORTEST_MEMORY / _STRETCHES / period), 1)
+        self._past: deque[_Stretch] = deque()
+        self._remembered = 0
+        self._unchanged = 0
+        self.peak = math.nan
+        self.centre = math.nan
+        self.noise = 0.0
+        self.stuck = False
+        self.measured_drives = False
+        self.predicted_drives = False
+
+    def add(self, measured: Array, predicted: Array, velocity: Array, half_cycle: float) -> None:
+        """Add samples of the forces [N] and the velocity [m/s], shape (n,).
+
+        ``half_cycle`` [s] is that of the motion, NaN before it is known.
+        """
+        self._parts.append((measured, predicted, velocity))
+        self._count += measured.size
+        if self._count >= self._stretch:
+            self._finish(half_cycle)
+
+    def forget_predicted(self) -> None:
+        """The predicted forces so far were those of other parameters."""
+        self.predicted_drives = False
+        for stretch in self._past:
+            stretch.sums[2] = stretch.sums[:, 3] = 0.0
+
+    def _finish(self, half_cycle: float) -> None:
+        measured, predicted, velocity = (
+            np.concatenate(rows) for rows in zip(*self._parts, strict=True)
+        )
+        count, self._count = self._count, 0
+        self._parts.clear()
+        if not np.isfinite(predicted).all():
+            predicted = np.zeros(count)
+        rows = np.stack((velocity, measured, predicted))
+        top, bottom = float(measured.max()), float(measured.min())
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.column_stack((rows.sum(axis=1), rows @ rows.T))
+        unchanged = top == bottom and (
+            not self._past or top == self._past[-1].top == self._past[-1].bottom
+        )
+        self._unchanged = self._unchanged + count if unchanged else 0
+        self._past.append(_Stretch(count, top, bottom, _white_part(measured), sums))
+        self._remembered += count
+        # Without a half-cycle nothing is known of how long to remember: the shortest time.
+        known = 0.0 if math.isnan(half_cycle) else half_cycle
+        memory = min(max(_HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
+        self._stretch = max(round(min(memory / _STRETCHES, _LONGEST_STRETCH) / self._period), 1)
+        while (self._remembered - self._past[0].count) * self._period >= memory:
+            self._remembered -= self._past.popleft().count
+        self._judge(known)
+
+    def _judge(self, half_cycle: float) -> None:
+        past = self._past
+        top, bottom = max(s.top for s in past), min(s.bottom for s in past)
+        self.peak, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
+        self.noise = sorted(stretch.noise for stretch in past)[len(past) // 2]
+        self.stuck = self._unchanged * self._period > max(half_cycle, _SHORTEST_MEMORY)
+        self.measured_drives = self.predicted_drives = False
+        if half_cycle == 0.0 or self._remembered * self._period < 2.0 * half_cycle:
+            return
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.sum([stretch.sums for stretch in past], axis=0)
+            products = sums[:, 1:] - np.outer(sums[:, 0], sums[:, 0]) / self._remembered
+            sizes = np.sqrt(np.maximum(np.diag(products), 0.0))
+            if sizes[0] > _STILL * math.sqrt(self._remembered):
+                self.measured_drives = bool(products[0, 1] < -_DRIVING * sizes[0] * sizes[1])
+                self.predicted_drives = bool(products[0, 2] < -_DRIVING * sizes[0] * sizes[2])
+
+
+def _white_part(force: Array) -> float:
+    """Standard deviation of the noise, from fourth differences; 0 of too few samples."""
+    if force.size < 5:
+        return 0.0
+    # The sum of the squared binomial coefficients of the fourth difference is 70.
+    return float(np.median(np.abs(np.diff(force, 4)))) / 0.6745 / math.sqrt(70.0)

@@ -1,0 +1,247 @@
+"""Why a predicted force should not be relied on: the kinds of doubt, and what each is judged by.
+
+Every kind of evidence is a function or a small class that returns a :class:`Doubt`; the predictor
+asks them all. The evidence of the measured force is in :mod:`mr_damper_ros.tracking.force_watch`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.settings.option_table import CheckedSettings, option
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+
+CURRENT_READING = 0.02
+"""A supply's reading of a constant current moves by so much [A]."""
+
+
+class DoubtKind(IntEnum):
+    """Why a force is not valid; the numbers are those of PredictedForce."""
+
+    NONE = 0
+    """It is valid."""
+    MISSING = 1
+    """There are no parameters, or no current, to predict with."""
+    NOT_FINITE = 2
+    """The parameters give no finite force."""
+    REPEATED = 3
+    """The block came twice or too late."""
+    SETTLING = 4
+    """The motion, or what the law remembers of it, is not known well enough yet."""
+    AT_REST = 5
+    """The damper does not move: its force then depends on how it came to rest."""
+    OUTDATED = 6
+    """The samples, the current or the parameters are too old, or stamped in the future."""
+    OUT_OF_RANGE = 7
+    """Motion or current are outside of what the parameters were identified from."""
+    TOO_LARGE = 8
+    """The force is larger than this damper has been measured to give."""
+    SENSOR = 9
+    """The measured force cannot be that of a damper in this motion."""
+    DRIVING = 10
+    """The predicted force drives the motion, which no damper does."""
+    WRONG = 11
+    """The predicted force is far from the measured one."""
+    REFUSED = 12
+    """The identifier says that the samples or the parameters cannot be trusted."""
+
+    @property
+    def grave(self) -> bool:
+        """Whether something is wrong with the rig or the parameters, rather than not yet known."""
+        return self in _GRAVE
+
+
+_GRAVE = frozenset(
+    {
+        *(DoubtKind.NOT_FINITE, DoubtKind.TOO_LARGE, DoubtKind.SENSOR),
+        *(DoubtKind.DRIVING, DoubtKind.WRONG, DoubtKind.REFUSED),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A reason not to rely on a force: its kind, and a sentence with figures for people."""
+
+    kind: DoubtKind = DoubtKind.NONE
+    sentence: str = ""
+
+    def __bool__(self) -> bool:
+        """Whether there is any doubt."""
+        return self.kind is not DoubtKind.NONE
+
+
+NO_DOUBT = Doubt()
+
+
+@dataclass(frozen=True)
+class ValiditySettings(CheckedSettings):
+    """When a predicted force is no longer valid."""
+
+    max_age: float = option(
+        0.5,
+        "Age [s] of the samples on the clock of this computer beyond which the force is marked "
+        "invalid. It counts where the stamps are within a minute of that clock, so not for a "
+        "recording that is played. 0: no limit.",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    current_timeout: float = option(
+        1.0,
+        "Age [s] of the supply current beyond which the force is marked invalid; also how far its "
+        "stamps may be ahead of the samples.",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    parameters_timeout: float = option(
+        600.0,
+        "Time [s] for which no window has confirmed the parameters, beyond which the force is "
+        "marked invalid: a damper that heats may change by a quarter in ten minutes. 0: no limit. "
+        "Those of parameter_file have none either.",
+        minimum=0.0,
+        maximum=1e9,
+    )
+    velocity_margin: float = option(
+        0.25,
+        "Part by which the peak velocity may leave the identified range before the force is "
+        "marked invalid (0.25 = 25 %).",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    current_margin: float = option(
+        0.1,
+        "Part of the width of the identified range by which the current may leave it before the "
+        f"force is marked invalid; {CURRENT_READING} A are always allowed.",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    force_margin: float = option(
+        0.3,
+        "Part by which the force may exceed the largest that the damper has been measured to give "
+        "before it is marked invalid.",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    maximum_error: float = option(
+        0.2,
+        "Error of the predicted force against the measured one, as a part of the latter's recent "
+        "peak, beyond which the force is marked invalid; half of it where it lasts. 0: the "
+        "measured force is not looked at, for a rig that has no load cell.",
+        minimum=0.0,
+        maximum=100.0,
+    )
+
+
+def current_allowance(current_range: tuple[float, float], margin: float) -> float:
+    """How far [A] the current may leave the identified range [A]: in proportion to its width.
+
+    Of a set for a single current nothing is known of any other.
+    """
+    low, high = current_range
+    return max(margin * (high - low), CURRENT_READING)
+
+
+def doubt_of_current_range(current: Array, parameters: ParameterSet, margin: float) -> Doubt:
+    """Whether the parameters hold for currents (n,) [A]."""
+    low, high = parameters.current_range
+    allowed = current_allowance(parameters.current_range, margin)
+    if low - allowed <= current.min() and current.max() <= high + allowed:
+        return NO_DOUBT
+    return Doubt(
+        DoubtKind.OUT_OF_RANGE,
+        f"the current of {middle(current):.2f} A is outside of the identified "
+        f"{low:.2f} to {high:.2f} A",
+    )
+
+
+def doubt_of_speed(speed: float, parameters: ParameterSet, margin: float) -> Doubt:
+    """Whether the parameters hold for a peak velocity [m/s]."""
+    low, high = parameters.peak_velocity_range
+    if low * (1.0 - margin) <= speed <= high * (1.0 + margin):
+        return NO_DOUBT
+    return Doubt(
+        DoubtKind.OUT_OF_RANGE,
+        f"the peak velocity of {speed:.3g} m/s is outside of the identified "
+        f"{low:.3g} to {high:.3g} m/s",
+    )
+
+
+def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doubt:
+    """Whether a force (n,) [N] is one that this damper has been measured to give."""
+    largest = getattr(parameters, "largest_force", math.nan)
+    if math.isnan(largest):
+        return NO_DOUBT
+    reached = max(float(force.max()), -float(force.min()))
+    if reached <= (1.0 + margin) * largest:
+        return NO_DOUBT
+    return Doubt(
+        DoubtKind.TOO_LARGE,
+        f"a force of {reached:.4g} N is predicted, and the damper has been measured to give "
+        f"{largest:.4g} N at most: are the parameters those of this damper?",
+    )
+
+
+def doubt_of_current_age(
+    current: ZeroOrderHold, end_ns: int, timeout: float, *, live: bool
+) -> Doubt:
+    """Whether the current is known up to the stamp of the end of a block.
+
+    The current of a recording may come far ahead of the samples; that of a running machine
+    (``live``) cannot.
+    """
+    held, following = current.around(end_ns)
+    age = (end_ns - held) / NANOSECONDS
+    if age > timeout:
+        return Doubt(
+            DoubtKind.OUTDATED,
+            f"the supply current is {age:.1f} s old: is it still published, with stamps on the "
+            "clock of the samples?",
+        )
+    newest = current.last_stamp_ns or held
+    ahead = (newest - end_ns) / NANOSECONDS
+    jumped = following is not None and following - held > timeout * NANOSECONDS
+    if jumped or (live and ahead > timeout):
+        return Doubt(
+            DoubtKind.OUTDATED,
+            f"the supply current is stamped {ahead:.1f} s after the samples: are both stamped by "
+            "one clock?",
+        )
+    return NO_DOUBT
+
+
+def doubt_of_parameters_age(
+    confirmed_ns: int | None, end_ns: int, settings: ValiditySettings, *, live: bool
+) -> Doubt:
+    """Whether a window has confirmed the parameters lately; None for parameters that do not age.
+
+    A recording may be older than the parameters it is predicted with, a running machine not.
+    """
+    if confirmed_ns is None or settings.parameters_timeout == 0.0:
+        return NO_DOUBT
+    age = (end_ns - confirmed_ns) / NANOSECONDS
+    if age > settings.parameters_timeout:
+        return Doubt(
+            DoubtKind.OUTDATED,
+            f"no window has confirmed the parameters for {age:.0f} s: "
+            "is the identifier running, and does the damper move?",
+        )
+    if live and -age > settings.current_timeout:
+        return Doubt(
+            DoubtKind.OUTDATED,
+            f"the parameters are stamped {-age:.1f} s after the samples, so that their age is not "
+            "known: was the clock set back?",
+        )
+    return NO_DOUBT
+
+
+def middle(values: Array) -> float:
+    """Upper median: of a few values in a tenth of the time that NumPy's median takes."""
+    half = values.size // 2
+    return float(np.partition(values, half)[half])

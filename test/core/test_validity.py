@@ -1,0 +1,255 @@
+"""Each kind of evidence against a predicted force is found, in time, and is no false alarm."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.tracking.validity import DoubtKind, current_allowance
+
+PERIOD = 1e-3
+RUN = known.run(current=1.0, samples=6000, seed=0)
+CHANGE = 4000
+"""The sample from which on something is wrong."""
+
+SOON = 0.1
+"""Seconds in which a force that is wrong by its whole size must be found."""
+
+SET = ParameterSet(
+    known.PLAUSIBLE, set_id="known", peak_velocity_range=(0.02, 0.05), current_range=(0.5, 1.5)
+)
+
+
+def predicted(
+    displacement: Array = RUN.displacement,
+    force: Array = RUN.force,
+    *,
+    size: int = 10,
+    parameters: ParameterSet = SET,
+    late: float | None = None,
+    **settings: float,
+) -> list[Prediction]:
+    """Predictions of a stream with its current; ``late`` [s] is the age of blocks by the clock."""
+    made = ForcePredictor(PredictorSettings(**settings))
+    made.set_parameters(parameters)
+    result = []
+    for block in known.blocks(displacement, force, (size,)):
+        made.add_current(block.start_ns, 1.0)
+        now_ns = None if late is None else block.end_ns + round(late * NANOSECONDS)
+        result.append(made.predict(block, now_ns))
+        made.catch_up()
+    return result
+
+
+def kinds(predictions: list[Prediction], first: int, last: int | None = None) -> set[DoubtKind]:
+    """Kinds of doubt of the blocks that lie within these samples."""
+    size = predictions[0].force.size
+    return {p.doubt.kind for p in predictions[first // size : last and last // size]}
+
+
+def seconds_until_doubt(predictions: list[Prediction]) -> float:
+    """Time from the change to the first doubt; what follows must not be valid again."""
+    size = predictions[0].force.size
+    after = [bool(p.doubt) for p in predictions[CHANGE // size :]]
+    assert all(after[after.index(True) :])
+    return after.index(True) * size * PERIOD
+
+
+def spoilt(values: Array, spoil: Array | float) -> Array:
+    """The same values up to the change, others from there on."""
+    result = values.copy()
+    result[CHANGE:] = spoil
+    return result
+
+
+# -- the measured force ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1, 10, 100, 1000])
+def test_a_right_force_stays_valid(size: int) -> None:
+    force = RUN.force[:4000]
+    assert kinds(predicted(RUN.displacement[:4000], force, size=size), 3000) == {DoubtKind.NONE}
+
+
+@pytest.mark.parametrize("factor", [1000.0, 10.0, 0.1, 0.001, -1.0])
+def test_a_force_far_from_the_measured_one_is_not_valid(factor: float) -> None:
+    predictions = predicted(force=spoilt(RUN.force, factor * RUN.force[CHANGE:]))
+    # A factor shows once the force has left zero.
+    assert seconds_until_doubt(predictions) <= SOON
+
+
+@pytest.mark.parametrize("factor", [1.3, 0.7])
+def test_a_force_that_is_wrong_for_most_of_a_cycle_is_not_valid_around_zero_either(
+    factor: float,
+) -> None:
+    predictions = predicted(force=spoilt(RUN.force, factor * RUN.force[CHANGE:]))
+    assert DoubtKind.NONE not in kinds(predictions, CHANGE + 250)
+
+
+def test_a_force_is_valid_again_once_it_is_right() -> None:
+    force = RUN.force.copy()
+    force[3000:3500] *= 10.0
+    predictions = predicted(force=force)
+    assert DoubtKind.WRONG in kinds(predictions, 3000, 3500)
+    assert kinds(predictions, 5700) == {DoubtKind.NONE}
+
+
+def test_new_parameters_that_are_right_are_valid_soon() -> None:
+    made = ForcePredictor(PredictorSettings())
+    made.set_parameters(dataclasses.replace(SET, values=known.PLAUSIBLE * 1.5))
+    blocks = known.blocks(RUN.displacement, RUN.force, (10,))
+    results = []
+    for number, block in enumerate(blocks):
+        made.add_current(block.start_ns, 1.0)
+        if number == 400:
+            made.set_parameters(SET)
+        results.append(made.predict(block))
+    assert not any(p.valid for p in results[:400])
+    assert all(p.valid for p in results[500:]), results[500].reason
+
+
+def test_a_load_cell_that_is_not_connected_makes_nothing_valid() -> None:
+    assert DoubtKind.NONE not in kinds(predicted(force=np.zeros(6000)), 0)
+
+
+def test_a_load_cell_that_sticks_is_told() -> None:
+    predictions = predicted(force=spoilt(RUN.force, float(RUN.force[CHANGE])))
+    assert predictions[-1].doubt.kind is DoubtKind.SENSOR
+    assert "maximum_error" in predictions[-1].reason
+
+
+def test_without_a_load_cell_the_measured_force_is_not_looked_at() -> None:
+    predictions = predicted(force=np.zeros(6000), maximum_error=0.0)
+    assert kinds(predictions, 3000) == {DoubtKind.NONE}
+
+
+def test_a_measured_force_that_drives_the_motion_is_told() -> None:
+    predictions = predicted(force=spoilt(RUN.force, -RUN.force[CHANGE:]))
+    assert predictions[-1].doubt.kind is DoubtKind.SENSOR
+    assert "has the sign" in predictions[-1].reason
+
+
+def test_parameters_whose_force_drives_the_motion_are_told_without_a_load_cell() -> None:
+    reversed_sign = known.PLAUSIBLE.copy()
+    reversed_sign[known.index("f0")] *= -1.0
+    parameters = dataclasses.replace(SET, values=reversed_sign)
+    predictions = predicted(force=np.zeros(6000), parameters=parameters, maximum_error=0.0)
+    assert kinds(predictions, 3000) == {DoubtKind.DRIVING}
+
+
+# -- size and range --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("current_range", "allowance"), [((0.5, 1.5), 0.1), ((1.0, 1.0), 0.02), ((0.9, 1.0), 0.02)]
+)
+def test_the_current_may_leave_its_range_in_proportion_to_its_width(
+    current_range: tuple[float, float], allowance: float
+) -> None:
+    assert current_allowance(current_range, 0.1) == pytest.approx(allowance)
+
+
+# -- motion ----------------------------------------------------------------------------------
+
+
+def test_a_displacement_that_sticks_is_a_rest() -> None:
+    stuck = float(RUN.displacement[CHANGE])
+    predictions = predicted(spoilt(RUN.displacement, stuck))
+    assert seconds_until_doubt(predictions) <= 2.0 * SOON
+    assert kinds(predictions, 5000) == {DoubtKind.AT_REST}
+
+
+def test_a_machine_at_rest_has_no_valid_force_and_one_that_starts_again_has() -> None:
+    time = np.arange(10_000) * PERIOD
+    moves = (time < 4.0) | (time >= 6.0)
+    u = np.where(moves, RUN.displacement.max() * np.sin(2.0 * np.pi * time), 0.0)
+    v = np.where(moves, np.gradient(u, PERIOD), 0.0)
+    a = -((2.0 * np.pi) ** 2) * u
+    force = np.where(moves, known.force(known.PLAUSIBLE, u, v, a, 1.0), 0.0)
+    predictions = predicted(u, force)
+    assert kinds(predictions, 2500, 4000) == {DoubtKind.NONE}
+    assert DoubtKind.NONE not in kinds(predictions, 4250, 6000)
+    assert kinds(predictions, 7500) == {DoubtKind.NONE}
+
+
+def test_a_slow_motion_is_not_valid_before_a_cycle_and_valid_after_some() -> None:
+    run = known.run(frequency=0.05, amplitude=0.1, samples=16_000, period=5e-3, seed=0)
+    blocks = known.blocks(run.displacement + 0.05, run.force, (20,), period=5e-3)
+    made = ForcePredictor(PredictorSettings())
+    made.set_parameters(SET)
+    results = []
+    for block in blocks:
+        made.add_current(block.start_ns, 1.0)
+        results.append(made.predict(block))
+    assert not any(p.valid for p in results[:200])
+    assert all(p.valid for p in results[600:]), {p.reason for p in results[600:]}
+
+
+# -- age -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("late", "kind"),
+    [
+        (0.4, DoubtKind.NONE),
+        (0.6, DoubtKind.OUTDATED),
+        (-0.6, DoubtKind.OUTDATED),
+        (3600.0, DoubtKind.NONE),
+    ],
+)
+def test_samples_of_a_running_machine_have_an_age(late: float, kind: DoubtKind) -> None:
+    """An hour ago nothing was running that still sends: it is a recording."""
+    assert kinds(predicted(late=late), 3000) == {kind}
+
+
+def test_an_age_without_a_limit_is_no_doubt() -> None:
+    assert kinds(predicted(late=0.6, max_age=0.0), 3000) == {DoubtKind.NONE}
+
+
+def fall_behind() -> list[DoubtKind]:
+    made = ForcePredictor(PredictorSettings())
+    made.set_parameters(SET)
+    found = []
+    for number, block in enumerate(known.blocks(RUN.displacement, RUN.force, (10,))):
+        made.add_current(block.start_ns, 1.0)
+        late = number * 0.2
+        found.append(made.predict(block, block.end_ns + round(late * NANOSECONDS)).doubt.kind)
+    return found
+
+
+def test_a_computer_that_falls_far_behind_plays_no_recording() -> None:
+    """A minute late, and later still: no force is valid again."""
+    assert DoubtKind.NONE not in fall_behind()
+
+
+def current_of(blocks: list[SampleBlock], ahead: float, *, live: bool) -> list[Prediction]:
+    """Predictions where the stamps of the current jump ahead [s] at the change."""
+    made = ForcePredictor(PredictorSettings())
+    made.set_parameters(SET)
+    result = []
+    for number, block in enumerate(blocks):
+        jump = ahead if number * 10 >= CHANGE else 0.0
+        if number % 10 == 0:
+            made.add_current(block.start_ns + round(jump * NANOSECONDS), 1.0)
+        result.append(made.predict(block, block.end_ns if live else None))
+    return result
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_current_whose_stamps_jump_ahead_is_unknown_at_once(live: bool) -> None:
+    blocks = known.blocks(RUN.displacement, RUN.force, (10,))
+    predictions = current_of(blocks, 5.0, live=live)
+    assert kinds(predictions, 3000, CHANGE) == {DoubtKind.NONE}
+    assert kinds(predictions, CHANGE) == {DoubtKind.OUTDATED}
+
+
+def test_a_current_that_stays_ahead_of_a_running_machine_stays_unknown() -> None:
+    predictions = current_of(known.blocks(RUN.displacement, RUN.force, (10,)), 1.5, live=True)
+    assert kinds(predictions, CHANGE) == {DoubtKind.OUTDATED}
