@@ -115,11 +115,14 @@ def _result(search: GlobalSearch, method: str, stopped: bool) -> GlobalFit:
         )
         errors[places] = np.sqrt(np.diag(covariance[block]))
     speeds = np.concatenate([window.motion.peak_velocity for window in search.windows])
-    currents = np.concatenate([window.current for window in search.windows])
+    observable = np.isfinite(errors)
+    # Between currents the law is a guess unless its dependence on them has been determined.
+    known = search.windows if model.knows_currents(observable) else search.windows[-1:]
+    currents = np.concatenate([window.current for window in known])
     parameter_set = ParameterSet(
         values=best,
         standard_errors=errors,
-        observable=np.isfinite(errors),
+        observable=observable,
         set_id=method,
         source=method,
         peak_velocity_range=(float(np.quantile(speeds, 0.05)), float(np.quantile(speeds, 0.95))),

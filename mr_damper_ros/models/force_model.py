@@ -163,9 +163,19 @@ class Model(ABC):
         free = self.free_in_one_run or self.parameter_names
         return tuple(name for name in self.parameter_names if name not in free)
 
-    def knows_shape(self, observable: np.ndarray) -> bool:
-        """Whether the flags (p,) hold a parameter that only several operating points determine."""
-        return bool(np.any(observable[self.places(self.shape_names)]))
+    def knows_speeds(self, observable: np.ndarray) -> bool:
+        """Whether the flags (p,) hold a parameter that only several peak velocities determine."""
+        return any(
+            parameter.peak_velocities > 1 and seen
+            for parameter, seen in zip(self.parameters, observable, strict=True)
+        )
+
+    def knows_currents(self, observable: np.ndarray) -> bool:
+        """Whether the flags (p,) hold a parameter that only several currents determine."""
+        return any(
+            parameter.currents > 1 and seen
+            for parameter, seen in zip(self.parameters, observable, strict=True)
+        )
 
     @property
     def strength_indices(self) -> np.ndarray:

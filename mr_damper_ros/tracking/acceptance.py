@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum
@@ -9,9 +10,18 @@ from enum import IntEnum
 import numpy as np
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
+from mr_damper_ros.tracking.known_forces import KnownForce, KnownForces
 
 _NO_NOISE = 1e-4
 """An NRMSE below this is better than any load cell: smaller ones are not told apart."""
+
+_WORSE = 0.05
+"""A set for all windows may leave so much more of the newest one's force than the running set."""
+
+_SAME_FORCE = 0.05
+_FAR_BETTER = 1.5
+"""Where a set holds and the residual stays large, another force is taken for that of a sensor,
+unless it is so near the known one, or the new set leaves so many times less."""
 
 
 class Verdict(IntEnum):
@@ -78,6 +88,13 @@ class AcceptanceSettings(CheckedSettings):
         minimum=1.0,
         maximum=1e6,
     )
+    change_limit: float = option(
+        3.0,
+        "Factor, up or down, by which temperature and wear change the force at most; what differs "
+        "more from the first accepted is taken after a reset only.",
+        minimum=1.0,
+        maximum=1e6,
+    )
     step_limit: float = option(
         0.5,
         "A relative change of the force beyond this must be confirmed by the next window.",
@@ -106,12 +123,14 @@ class AcceptanceHistory:
 
     ``residuals``: RMSE [N] and NRMSE of the newest accepted windows; ``refused_for_residual``:
     refusals in a row since; ``pending_change``: relative change of the force that is to be
-    confirmed.
+    confirmed; ``forces`` known of the damper, and the ``level`` of the running set against them.
     """
 
     residuals: tuple[tuple[float, float], ...] = ()
     refused_for_residual: int = 0
     pending_change: float | None = None
+    forces: tuple[KnownForce, ...] = ()
+    level: float = 1.0
 
 
 class Gatekeeper:
@@ -130,32 +149,61 @@ class Gatekeeper:
         self._residuals = deque(history.residuals, maxlen=self._MEMORY)
         self._refused_for_residual = history.refused_for_residual
         self._pending_change = history.pending_change
+        self._forces = KnownForces(history.forces, history.level)
 
     @property
     def history(self) -> AcceptanceHistory:
         """What is remembered now."""
         return AcceptanceHistory(
-            tuple(self._residuals), self._refused_for_residual, self._pending_change
+            tuple(self._residuals),
+            self._refused_for_residual,
+            self._pending_change,
+            self._forces.known,
+            self._forces.level,
         )
 
-    def judge(self, evidence: Evidence) -> Judgement:
-        """Whether the new set is accepted, and why not."""
-        judgement = self._judge(evidence)
+    def judge(
+        self, evidence: Evidence, force: KnownForce | None = None, *, holds: bool = False
+    ) -> Judgement:
+        """Whether the new set is accepted, and why not.
+
+        ``force``: size and operating point of the window's force, where they are to be judged.
+        ``holds``: whether the running set has been identified where the window is.
+        """
+        judgement = self._judge(evidence, force, holds)
         if judgement.verdict.accepted:
             self._residuals.append((evidence.rmse_after, evidence.nrmse_after))
+        if force is not None and (
+            judgement.verdict.accepted or judgement.verdict is Verdict.NO_BETTER
+        ):
+            self._forces.follow(force)
         return judgement
 
-    def judge_global(self, nrmse_before: float, nrmse_after: float) -> Judgement:
-        """Whether a set for the windows of the past is accepted: it leaves no trace."""
+    def judge_global(
+        self,
+        nrmse_before: float,
+        nrmse_after: float,
+        newest: tuple[float, float] = (math.inf, 0.0),
+    ) -> Judgement:
+        """Whether a set for the windows of the past is accepted: it leaves no trace.
+
+        ``newest``: NRMSE of the running and of the new set on the newest of these windows.
+        """
         if not nrmse_after <= self._settings.maximum_nrmse:
             return Judgement(
                 Verdict.POOR_FIT,
                 f"one set for all operating points leaves {nrmse_after:.0%} of the force "
                 f"unexplained, more than maximum_nrmse ({self._settings.maximum_nrmse:.0%})",
             )
-        if nrmse_after < nrmse_before:
-            return ACCEPTED
-        return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
+        if not nrmse_after < nrmse_before:
+            return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
+        if newest[1] > newest[0] + _WORSE:
+            return Judgement(
+                Verdict.NO_BETTER,
+                f"one set for all operating points leaves {newest[1]:.0%} of the newest window's "
+                f"force unexplained, the running set {newest[0]:.0%}",
+            )
+        return ACCEPTED
 
     def may_be_early(self, evidence: Evidence) -> bool:
         """Whether a fit to a few samples after a change may replace the running set.
@@ -170,7 +218,14 @@ class Gatekeeper:
             <= self._settings.residual_factor
             and evidence.nrmse_after < evidence.nrmse_before
             and abs(evidence.force_change) <= self._settings.step_limit
+            and not self._forces.changes_too_much(
+                1.0 + evidence.force_change, self._settings.change_limit
+            )
         )
+
+    def follow_change(self, evidence: Evidence) -> None:
+        """An early fit has changed the force of the running set."""
+        self._forces.level *= 1.0 + evidence.force_change
 
     def is_usual(self, rmse: float, nrmse: float) -> bool:
         """Whether a residual, RMSE [N] and NRMSE, is that of samples to identify from."""
@@ -194,7 +249,7 @@ class Gatekeeper:
             )
         )
 
-    def _judge(self, evidence: Evidence) -> Judgement:
+    def _judge(self, evidence: Evidence, force: KnownForce | None, holds: bool) -> Judgement:
         settings = self._settings
         pending, self._pending_change = self._pending_change, None
         if not np.isfinite(evidence.nrmse_after):
@@ -205,12 +260,25 @@ class Gatekeeper:
                 f"the fit leaves {evidence.nrmse_after:.0%} of the force unexplained, more than "
                 f"maximum_nrmse ({settings.maximum_nrmse:.0%})",
             )
+        beyond = self._beyond(evidence, force, holds) if force is not None else ""
+        if beyond:
+            return Judgement(
+                Verdict.BEYOND_LIMITS,
+                f"{beyond}, more than change_limit ({settings.change_limit:g}) allows: "
+                "check the sensors; where the damper is another one now, call reset",
+            )
         known = bool(self._residuals)
         if known:
             excess = self._excess(evidence.rmse_after, evidence.nrmse_after)
             if excess > settings.residual_factor:
                 self._refused_for_residual += 1
-                if self._refused_for_residual <= self._PATIENCE:
+                # A known force with another residual: the sensor, not the damper.
+                doubtful = (
+                    holds
+                    and abs(evidence.force_change) > _SAME_FORCE
+                    and evidence.nrmse_before < _FAR_BETTER * evidence.nrmse_after
+                )
+                if self._refused_for_residual <= self._PATIENCE or doubtful:
                     return Judgement(
                         Verdict.DISTURBED,
                         f"the residual is {excess:.1f} times the usual one: "
@@ -233,3 +301,11 @@ class Gatekeeper:
                 "waiting for the next window to confirm it",
             )
         return ACCEPTED
+
+    def _beyond(self, evidence: Evidence, force: KnownForce, holds: bool) -> str:
+        """Why the force is beyond all that this damper can give, in words; empty where it is not.
+
+        Where the running set holds, it tells what the force was at first at a new operating point.
+        """
+        expected = self._forces.level * (1.0 + evidence.force_change) if holds else math.nan
+        return self._forces.objection(force, self._settings.change_limit, expected)

@@ -23,4 +23,6 @@ def run_global(
     before, after = (
         error_of_set(found, task.windows).nrmse for found in (start, fit.parameter_set)
     )
-    return GlobalResult(None, fit, before, after)
+    newest = task.windows[-1:]
+    running, found = (error_of_set(each, newest).nrmse for each in (start, fit.parameter_set))
+    return GlobalResult(None, fit, before, after, (running, found))

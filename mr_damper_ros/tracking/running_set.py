@@ -10,7 +10,32 @@ import numpy as np
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.acceptance import Evidence
+from mr_damper_ros.tracking.known_forces import KnownForce
+from mr_damper_ros.tracking.reservoir import OperatingPoint
 from mr_damper_ros.tracking.tasks import WindowSummary
+
+_AGREES = 0.1
+"""A law that is off by less of the force where it was not known holds there, too."""
+
+_SAME_SPEED = 1.1
+_SAME_CURRENT = 0.05
+
+
+def holds_at(running: ParameterSet, point: OperatingPoint) -> bool:
+    """Whether a set has been identified where the operating point is."""
+    speed, current = point
+    return bool(
+        running.observable.any()
+        and _is_within((speed, speed), running.peak_velocity_range, _SAME_SPEED)
+        and _is_within((current, current), running.current_range, 1.0, _SAME_CURRENT)
+    )
+
+
+def known_force(fit: WindowFit, summary: WindowSummary) -> KnownForce:
+    """The size of the force of a window, without what the fit leaves of it."""
+    speed, current = fit.operating_point
+    size = summary.spread * math.sqrt(max(1.0 - fit.nrmse**2, 0.0))
+    return KnownForce(speed, current, size, summary.largest_force)
 
 
 def set_of_window(
@@ -24,7 +49,9 @@ def set_of_window(
 ) -> ParameterSet:
     """The set after a window whose fit was accepted; ``stamp_ns`` is that of its last sample.
 
-    Parameters that the window was not fitted with keep what is known of them.
+    Parameters that the window was not fitted with keep what is known of them. The range is that of
+    the window; where the dependence on the peak velocity, or on the current, has been determined
+    and agrees with the window, that of the running set as well.
     """
     model = running.law
     errors = running.standard_errors.copy()
@@ -32,11 +59,21 @@ def set_of_window(
     places, found = model.fitted_errors(fit.scales, fit.covariance)
     errors[places] = found
     observable[places] = np.isfinite(found)
+    # The law as it was known led to the force here: then it goes on to hold where it held.
+    agrees = abs(evidence.force_change) <= _AGREES
     velocity_range, current_range = summary.peak_velocity_range, summary.current_range
     largest_force = summary.largest_force
-    if model.knows_shape(running.observable):
+    known = (
+        model.knows_speeds(running.observable)
+        and (agrees or _is_within(velocity_range, running.peak_velocity_range, _SAME_SPEED)),
+        model.knows_currents(running.observable)
+        and (agrees or _is_within(current_range, running.current_range, 1.0, _SAME_CURRENT)),
+    )
+    if known[0]:
         velocity_range = _wider(velocity_range, running.peak_velocity_range)
+    if known[1]:
         current_range = _wider(current_range, running.current_range)
+    if any(known):
         largest_force = _larger(largest_force, running.largest_force)
     return ParameterSet(
         values=fit.parameters,
@@ -90,3 +127,9 @@ def _larger(known: float, other: float) -> float:
 
 def _wider(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
     return min(one[0], other[0]), max(one[1], other[1])
+
+
+def _is_within(
+    one: tuple[float, float], other: tuple[float, float], factor: float, margin: float = 0.0
+) -> bool:
+    return other[0] / factor - margin <= one[0] and one[1] <= other[1] * factor + margin

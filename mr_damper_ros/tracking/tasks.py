@@ -57,7 +57,8 @@ class WindowSummary:
     """What is reported of a window that was fitted, and the range that it covers.
 
     ``amplitude`` [m]; ``frequency`` [Hz], NaN where the motion is no sine; the ranges of the peak
-    velocity [m/s], without its outermost twentieths, and of the current [A]; ``largest_force`` [N].
+    velocity [m/s], without its outermost twentieths, and of the current [A]; the ``largest_force``
+    and the ``spread`` (standard deviation) of the force [N].
     """
 
     amplitude: float
@@ -65,6 +66,7 @@ class WindowSummary:
     peak_velocity_range: tuple[float, float]
     current_range: tuple[float, float]
     largest_force: float
+    spread: float
 
     @classmethod
     def of(cls, window: Window) -> WindowSummary:
@@ -76,6 +78,7 @@ class WindowSummary:
             peak_velocity_range=(float(np.quantile(speed, 0.05)), float(np.quantile(speed, 0.95))),
             current_range=(float(current.min()), float(current.max())),
             largest_force=window.largest_force,
+            spread=float(np.std(window.force)),
         )
 
 
@@ -116,10 +119,11 @@ class GlobalResult:
     """What a global identification found; ``refusal`` says why nothing, else it is None.
 
     ``nrmse_before`` and ``nrmse_after`` are those of the set before and of that found, over the
-    samples of all windows together.
+    samples of all windows together; ``newest`` those over the newest window alone.
     """
 
     refusal: Judgement | None = None
     fit: GlobalFit | None = None
     nrmse_before: float = math.nan
     nrmse_after: float = math.nan
+    newest: tuple[float, float] = (math.nan, math.nan)

@@ -27,7 +27,12 @@ from mr_damper_ros.tracking.force_scale import Baselines
 from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.reports import Report, report_of_global, report_of_window
 from mr_damper_ros.tracking.reservoir import Reservoir
-from mr_damper_ros.tracking.running_set import set_of_change, set_of_window
+from mr_damper_ros.tracking.running_set import (
+    holds_at,
+    known_force,
+    set_of_change,
+    set_of_window,
+)
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, GlobalResult, GlobalTask
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
@@ -82,6 +87,7 @@ class WindowTracker:
         self._temperatures = TemperatureMaps(memory.temperatures)
         self._searched_points = memory.searched_points
         self._seen_ns = 0
+        self._other_damper = False
         # Whether the law over the current does not explain the newest window.
         self._unexplained = False
 
@@ -121,6 +127,8 @@ class WindowTracker:
         """Back to the initial set; baselines and reservoir are forgotten."""
         self.parameters = self._initial
         self._start_again()
+        # Who resets says that what was known of the damper need not hold any more.
+        self._other_damper = True
 
     def replace(self, parameters: ParameterSet) -> None:
         """Run with this set (loaded by the user) from now on; it also starts a new baseline.
@@ -179,13 +187,16 @@ class WindowTracker:
         if parts is not None and not parts.explained:
             # Judged before the window is: its own residual is that of a wrong law.
             self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
-        judgement = self._gatekeeper.judge(evidence)
+        force = known_force(fit, summary)
+        holds = not self._other_damper and holds_at(self.parameters, fit.operating_point)
+        judgement = self._gatekeeper.judge(evidence, force, holds=holds)
         if judgement.verdict.accepted or judgement.verdict is Verdict.NO_BETTER:
             # The filter learns from every good window, the running set from those that help.
             self._state = result.state
             self._watch = self._watch or result.watch
         if judgement.verdict.accepted:
             self._watch = result.watch
+            self._other_damper = False
             self._accepted += 1
             self._accepted_since_global += 1
             self.parameters = set_of_window(
@@ -197,6 +208,8 @@ class WindowTracker:
                 stamp_ns=task.window.end_ns,
             )
             self._baselines.add(fit)
+        if judgement.verdict is Verdict.BEYOND_LIMITS:
+            self._unexplained = False
         if judgement.verdict.accepted or self._unexplained:
             for kept in result.kept:
                 self._reservoir.add(kept)
@@ -228,6 +241,7 @@ class WindowTracker:
         if not self._gatekeeper.may_be_early(evidence):
             return None
         self._windows += 1
+        self._gatekeeper.follow_change(evidence)
         self._state = result.state
         # A law that is not exact swings about the force: the next change shows against a window.
         self._watch = None
@@ -284,4 +298,4 @@ class WindowTracker:
     def _judge_global(self, result: GlobalResult) -> Judgement:
         if result.fit is None:
             return result.refusal or fault_of_data("the windows could not be fitted")
-        return self._gatekeeper.judge_global(result.nrmse_before, result.nrmse_after)
+        return self._gatekeeper.judge_global(result.nrmse_before, result.nrmse_after, result.newest)

@@ -15,6 +15,7 @@ from mr_damper_ros.tracking.acceptance import (
     Gatekeeper,
     Verdict,
 )
+from mr_damper_ros.tracking.known_forces import KnownForce
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -157,6 +158,101 @@ def test_a_force_without_noise_is_no_disturbance_after_another() -> None:
     # What remains of an emulated force without noise is rounding, 1e-12 N or 1e-9 N.
     gatekeeper = experienced(1e-12)
     assert gatekeeper.judge(evidence(20.0, 1e-9)) == ACCEPTED
+
+
+# -- limits on change ------------------------------------------------------------------------
+
+
+def force(factor: float = 1.0, speed: float = 0.03, current: float = 1.0) -> KnownForce:
+    """So many times the force that was known at first at 0.03 m/s and 1 A."""
+    return KnownForce(speed, current, factor * SPREAD, factor * 1.6 * SPREAD)
+
+
+def used_to(*known: KnownForce, **settings: float) -> Gatekeeper:
+    """A gatekeeper that has accepted these forces."""
+    gatekeeper = Gatekeeper(AcceptanceSettings(**settings))
+    for each in known or (force(),):
+        assert gatekeeper.judge(evidence(10.0, 5.0), each) == ACCEPTED
+    return gatekeeper
+
+
+@pytest.mark.parametrize("factor", [1000.0, 10.0, 3.5, 0.3, 0.1, 1e-3])
+def test_a_force_beyond_the_limit_is_not_taken_by_repetition(factor: float) -> None:
+    gatekeeper = used_to()
+    for _ in range(20):
+        judgement = gatekeeper.judge(evidence(400.0, 5.0, factor - 1.0), force(factor))
+        assert judgement.verdict is Verdict.BEYOND_LIMITS
+    assert "more than change_limit (3) allows" in judgement.sentence
+    assert "call reset" in judgement.sentence
+
+
+def test_after_a_force_beyond_the_limit_the_known_one_is_taken_at_once() -> None:
+    gatekeeper = used_to()
+    for _ in range(20):
+        gatekeeper.judge(evidence(400.0, 5.0, 9.0), force(10.0))
+    assert gatekeeper.judge(evidence(10.0, 5.0), force()) == ACCEPTED
+
+
+def test_a_force_does_not_creep_beyond_the_limit() -> None:
+    gatekeeper, factor = used_to(), 1.0
+    while gatekeeper.judge(evidence(60.0, 5.0, 0.1), force(1.1 * factor)) == ACCEPTED:
+        factor *= 1.1
+    assert 3.0 / 1.1 < factor <= 3.0
+
+
+def test_a_force_does_not_creep_beyond_the_limit_by_early_fits() -> None:
+    gatekeeper, factor = used_to(), 1.0
+    while gatekeeper.may_be_early(evidence(60.0, 5.0, -0.1)):
+        gatekeeper.follow_change(evidence(60.0, 5.0, -0.1))
+        factor *= 0.9
+    assert 1.0 / 3.0 <= factor < 1.0 / (3.0 * 0.9)
+
+
+@pytest.mark.parametrize(
+    ("factor", "speed", "current"),
+    [(0.1, 0.03, 0.0), (8.0, 0.03, 2.0), (4.0, 0.12, 1.0), (0.3, 0.003, 1.0), (1.5, 0.3, 1.0)],
+)
+def test_another_operating_point_may_have_another_force(
+    factor: float, speed: float, current: float
+) -> None:
+    found = used_to().judge(evidence(10.0, 5.0), force(factor, speed, current))
+    assert found == ACCEPTED
+
+
+@pytest.mark.parametrize(
+    ("factor", "speed", "current"), [(1000.0, 0.03, 2.0), (1e-3, 0.03, 0.0), (10.0, 0.015, 1.0)]
+)
+def test_another_operating_point_does_not_explain_any_force(
+    factor: float, speed: float, current: float
+) -> None:
+    found = used_to().judge(evidence(10.0, 5.0), force(factor, speed, current))
+    assert found.verdict is Verdict.BEYOND_LIMITS
+
+
+def test_where_the_law_is_known_it_limits_the_force_of_a_new_operating_point() -> None:
+    gatekeeper = used_to()
+    found = gatekeeper.judge(evidence(400.0, 5.0, 4.0), force(1.0, current=2.0), holds=True)
+    assert found.verdict is Verdict.BEYOND_LIMITS
+
+
+def test_the_limit_can_be_moved_and_is_kept() -> None:
+    gatekeeper = used_to(change_limit=20.0)
+    assert gatekeeper.judge(evidence(10.0, 5.0), force(10.0)) == ACCEPTED
+    other = Gatekeeper(AcceptanceSettings(), gatekeeper.history)
+    assert other.judge(evidence(10.0, 5.0), force(10.0)).verdict is Verdict.BEYOND_LIMITS
+
+
+def test_a_sensor_that_stays_disturbed_changes_no_known_force() -> None:
+    gatekeeper = experienced(5.0)
+    disturbed = evidence(25.0, 20.0, change=-0.2)
+    for _ in range(20):
+        assert gatekeeper.judge(disturbed, force(), holds=True).verdict is Verdict.DISTURBED
+
+
+def test_one_set_for_all_that_is_worse_where_the_damper_is_now_is_refused() -> None:
+    gatekeeper = Gatekeeper(AcceptanceSettings())
+    assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.09)) == ACCEPTED
+    assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.11)).verdict is Verdict.NO_BETTER
 
 
 def test_the_residual_factor_is_used() -> None:

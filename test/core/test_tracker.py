@@ -268,7 +268,7 @@ BAD_WINDOWS = {
     stopped: "the force follows a motion that the displacement does not show",
     stopped_half_way: "the machine stands still for",
     millimetres: "is it in millimetres",
-    kilonewtons: "changed by -100% at once",
+    kilonewtons: "the force is 0.001 times what it was at first, more than change_limit",
     reversed_force: "",
     not_a_number: "the force holds NaN",
     samples_dropped_unseen: "",
