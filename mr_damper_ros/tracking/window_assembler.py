@@ -103,7 +103,7 @@ class WindowAssembler:
     A window is handed out once the current is known for all of it, that is once a value stamped
     at or after its last sample has come: what a window holds then does not depend on the order
     in which the messages of different topics arrive. ``looks`` windows more are cut within each
-    hop where there is a cycle to look at, see :class:`RawWindow`. A window from whose start the
+    hop where ``window`` seconds hold a cycle, see :class:`RawWindow`. A window from whose start the
     current is not known is left out; the next look, which is as long, is then handed out in its
     place.
     """
@@ -210,8 +210,9 @@ class WindowAssembler:
             end = self._start + length
             reach = self._reach(end, length, period)
             if look:
-                if reach:
-                    self._waiting.append(self._window(end, reach, length, period, look))
+                # In part of a cycle what a law leaves of the force looks like a change of it.
+                if reach == length:
+                    self._waiting.append(self._window(end, length, length, period, look))
             elif reach and (end - self._newest) * length >= step * reach:
                 self._newest = end
                 self._waiting.append(self._window(end, reach, length, period))
@@ -257,7 +258,7 @@ class WindowAssembler:
             force=samples.force[middle::stride],
             current=np.full(count, math.nan),
             temperature=self._temperature,
-            look=min(max(round(look / stride), 1), count) if look else 0,
+            look=look,
             peak_velocity=samples.peak_velocity[middle::stride],
         )
 

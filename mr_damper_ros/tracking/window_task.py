@@ -57,7 +57,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         before_change = math.ceil((task.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))
         if before_change > 0.5 * window.sample_count:
             return FitResult(
-                fault_of_data("most of the window lies before the change of the force")
+                too_little_motion("most of the window lies before the change of the force")
             )
         window = window.part(slice(max(before_change, 0), None))
         tracker = TRACKERS[settings.tracker]
