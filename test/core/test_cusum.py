@@ -287,7 +287,7 @@ def test_a_change_of_the_operating_point_is_no_change_of_the_damper() -> None:
 
 
 def test_a_large_change_waits_for_whole_windows_to_confirm_it() -> None:
-    _, reports = stream(0.3)
+    _, reports = stream(0.4)
     assert early(reports) == []
     assert any("waiting for the next window to confirm" in report.reason for report in reports)
 

@@ -320,10 +320,36 @@ def test_a_refused_window_leaves_no_trace_in_reservoir_and_baseline() -> None:
 
 def test_a_large_step_is_followed_once_it_is_confirmed() -> None:
     tracked = experienced()
-    first, second = fed(tracked, window(5, strength=0.3), window(6, strength=0.3))
+    first, second = fed(tracked, window(5, strength=0.4), window(6, strength=0.4))
     assert (first.accepted, second.accepted) == (False, True)
     assert "waiting for the next window to confirm" in first.reason
-    assert second.scale.value == pytest.approx(0.3, rel=SCALE_ERROR)
+    assert second.scale.value == pytest.approx(0.4, rel=SCALE_ERROR)
+
+
+def test_a_force_beyond_all_change_is_taken_after_a_reset_only() -> None:
+    tracked = experienced()
+    reports = fed(tracked, *(window(n, strength=5.0) for n in range(5, 15)))
+    assert {report.verdict for report in reports} == {Verdict.BEYOND_LIMITS}
+    tracked.reset()
+    assert fed(tracked, window(15, strength=5.0))[0].accepted
+
+
+def test_after_a_force_beyond_all_change_the_good_set_is_confirmed_at_once() -> None:
+    tracked = experienced()
+    good = tracked.parameters
+    fed(tracked, *(window(n, strength=0.1) for n in range(5, 15)))
+    assert tracked.parameters is good
+    assert fed(tracked, window(15))[0].confirms
+
+
+def test_a_known_set_limits_the_first_force_too_until_a_reset() -> None:
+    tracked = tracker()
+    tracked.replace(
+        ParameterSet(known.PLAUSIBLE, observable=np.ones(16, dtype=bool), set_id="loaded")
+    )
+    assert fed(tracked, window(0, strength=5.0))[0].verdict is Verdict.BEYOND_LIMITS
+    tracked.reset()
+    assert fed(tracked, window(1, strength=5.0))[0].accepted
 
 
 def test_a_single_wrong_window_is_never_confirmed() -> None:
@@ -392,6 +418,50 @@ def test_a_set_is_valid_where_its_window_was() -> None:
     speed = known.run().top_speed
     assert found.peak_velocity_range == pytest.approx((speed, speed), rel=SINE_ERROR)
     assert found.current_range == (1.0, 1.0)
+
+
+def known_over(
+    *names: str, speeds: tuple[float, float], currents: tuple[float, float]
+) -> WindowTracker:
+    """A tracker of a set that is nearly right, and known over these ranges by these parameters."""
+    tracked = tracker()
+    observable = np.isin(tracked.parameters.law.parameter_names, ("f0", *names))
+    tracked.replace(
+        dataclasses.replace(
+            tracked.parameters,
+            values=known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.97, 1.0),
+            observable=observable,
+            peak_velocity_range=speeds,
+            current_range=currents,
+        )
+    )
+    return tracked
+
+
+def test_a_window_keeps_the_range_over_which_the_dependence_is_known() -> None:
+    tracked = known_over("a1", "k2", speeds=(0.01, 0.1), currents=(0.2, 1.5))
+    assert fed(tracked, window(0))[0].accepted
+    assert tracked.parameters.peak_velocity_range == (0.01, 0.1)
+    assert tracked.parameters.current_range == (0.2, 1.5)
+
+
+def test_a_known_dependence_on_the_speed_says_nothing_of_other_currents() -> None:
+    tracked = known_over("a1", speeds=(0.01, 0.1), currents=(0.2, 1.5))
+    assert fed(tracked, window(0))[0].accepted
+    assert tracked.parameters.peak_velocity_range == (0.01, 0.1)
+    assert tracked.parameters.current_range == (1.0, 1.0)
+
+
+def test_a_law_that_is_wrong_at_another_current_does_not_hold_there_and_here() -> None:
+    tracked = known_over("k2", speeds=(0.01, 0.1), currents=(0.2, 0.3))
+    assert fed(tracked, window(0, strength=0.7))[0].accepted
+    assert tracked.parameters.current_range == (1.0, 1.0)
+
+
+def test_a_law_that_is_right_at_another_current_holds_there_and_here() -> None:
+    tracked = known_over("k2", speeds=(0.01, 0.1), currents=(0.2, 0.3))
+    assert fed(tracked, window(0))[0].accepted
+    assert tracked.parameters.current_range == (0.2, 1.0)
 
 
 def test_a_set_knows_the_largest_force_of_its_window() -> None:
