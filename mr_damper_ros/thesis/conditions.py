@@ -22,7 +22,7 @@ from mr_damper_ros.models.published_conditions import (
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.errata import METHOD_TITLES, find_errata
+from mr_damper_ros.thesis.errata import METHOD_TITLES, disagreement, find_errata
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text, to_error, with_error
 from mr_damper_ros.thesis.runs import coefficients, loop, title, window
 from mr_damper_ros.thesis.style import DASHES, INK, legend_above, panels
@@ -37,6 +37,9 @@ COEFFICIENT_UNITS = {
     "f_d": "N",
 }
 _SCALES = np.array([1e3 if unit == "mm/s" else 1.0 for unit in COEFFICIENT_UNITS.values()])
+
+_AGREEING = 0.02
+"""Relative norm of the difference of two loops that agree."""
 
 FIGURES = {0.0: "60–67", 0.5: "68–75", 1.0: "76–83", 1.5: "84–90"}
 """Figures of the thesis by current [A] (table 12)."""
@@ -184,10 +187,35 @@ def _coefficients(data: dict[str, Any]) -> Table:
         "coefficients",
         "What one run determines: seven coefficients with standard errors, in every sound "
         "condition, beside those that follow from both published sets (to the same digits). "
-        "Where the loops agree, so do the coefficients.",
+        + _agreement(data),
         ("Condition", "Set", *heads),
         rows,
     )
+
+
+def _agreement(data: dict[str, Any]) -> str:
+    """How far the coefficients of the published sets agree where their loops do, in words."""
+    f_t, f_d = (list(COEFFICIENT_UNITS).index(name) for name in ("f_t", "f_d"))
+    apart: dict[str, tuple[Array, Array]] = {}
+    for condition in CONDITIONS:
+        if any(_mark(data, condition.name, method) for method in PUBLISHED_METHODS):
+            continue
+        if disagreement(condition) < _AGREEING:
+            one, two = (published_coefficients(condition, method) for method in PUBLISHED_METHODS)
+            apart[condition.name] = one, two
+    worst = max(apart, key=lambda name: _change(*apart[name], f_d))
+    one, two = apart[worst]
+    return (
+        f"Where the loops of both published sets agree to {100 * _AGREEING:.0f} % "
+        f"({len(apart)} conditions), f_t agrees to "
+        f"{100 * max(_change(*pair, f_t) for pair in apart.values()):.0f} %. The smaller "
+        "coefficients need not: what one gives another takes, as at "
+        f"{title(worst)}, where f_d is {one[f_d]:.1f} and {two[f_d]:.1f} N."
+    )
+
+
+def _change(one: Array, two: Array, place: int) -> float:
+    return abs(float(two[place] / one[place]) - 1.0)
 
 
 def published_coefficients(condition: Condition, method: str) -> Array:

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.published_conditions import CONDITIONS, Condition, find, parameters
+from mr_damper_ros.models.published_conditions import Condition, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.conditions import identified
-from mr_damper_ros.thesis.errata import find_errata
+from mr_damper_ros.thesis.errata import sound_conditions
 from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison
 from mr_damper_ros.thesis.runs import loop
 from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels
@@ -25,12 +25,6 @@ FREQUENCY_SERIES = tuple(f"5.0mm_{f}Hz_0.5A" for f in (1, 3, 5))
 STROKE_SERIES = tuple(f"{a:.1f}mm_1Hz_0.5A" for a in (2.5, 5.0, 7.5))
 CURRENT_SERIES = tuple(f"5.0mm_1Hz_{i:.1f}A" for i in (0.0, 0.5, 1.5))
 """At 1.0 A the tables of 5.0 mm repeat those of 0 A: left out."""
-
-
-def sound_conditions() -> tuple[Condition, ...]:
-    """Conditions whose Nelder-Mead row passed all criteria."""
-    wrong = {condition for condition, method in find_errata() if method == "nelder_mead"}
-    return tuple(c for c in CONDITIONS if c not in wrong)
 
 
 def compute(campaign: Campaign) -> dict[str, Any]:

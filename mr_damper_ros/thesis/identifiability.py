@@ -2,7 +2,7 @@
 
 The Jacobian of the run with respect to relative changes of the sixteen parameters has seven
 singular values that count and nine that are zero: along those nine directions the parameters may
-move and the loop does not. All clean runs together leave few flat directions or none.
+move and the loop does not. All sound runs together leave few flat directions or none.
 """
 
 from __future__ import annotations

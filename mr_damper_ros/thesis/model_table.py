@@ -15,7 +15,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign, Settings
-from mr_damper_ros.thesis.dependency import sound_conditions
+from mr_damper_ros.thesis.errata import sound_conditions
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import title, window
 from mr_damper_ros.thesis.style import GREY, INK, MARKS, panels

@@ -18,7 +18,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, EXTENDED_NAMES
 from mr_damper_ros.thesis import model_table
 from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.dependency import sound_conditions
+from mr_damper_ros.thesis.errata import sound_conditions
 from mr_damper_ros.thesis.report import Block, Picture, Table, Text, shown, with_error
 from mr_damper_ros.thesis.runs import title, window
 from mr_damper_ros.thesis.style import DASHES, GREY, INK, legend_above, panels

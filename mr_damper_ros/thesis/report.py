@@ -204,7 +204,8 @@ def _block(folder: Path, block: Block) -> str:
     svg = base64.b64encode(write_picture(folder / "figures", block)).decode("ascii")
     caption = html.escape(block.caption)
     return (
-        f'<figure><img alt="{caption}" src="data:image/svg+xml;base64,{svg}">'
+        f'<figure><div class="picture"><img alt="{caption}" '
+        f'src="data:image/svg+xml;base64,{svg}"></div>'
         f"<figcaption>{caption}</figcaption></figure>"
     )
 
@@ -265,6 +266,7 @@ h2{font-size:1.3rem;margin-top:3rem;border-top:1px solid var(--line);padding-top
 p{max-width:46rem}a{color:inherit}nav li{margin:.35rem 0;max-width:46rem}
 .notice{background:var(--mark);padding:.6rem .9rem;max-width:none}
 figure{margin:1.5rem 0;break-inside:avoid}figure img{max-width:100%;height:auto}
+@media screen and (max-width:44rem){.picture{overflow-x:auto}figure img{max-width:none}}
 figcaption,.caption{font-size:.9rem;color:var(--soft);margin:.3rem 0;max-width:46rem}
 .table{overflow-x:auto;margin:1.5rem 0}table{border-collapse:collapse;font-size:.84rem;
 font-variant-numeric:tabular-nums;border-bottom:1px solid var(--ink)}
