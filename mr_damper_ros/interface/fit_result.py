@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,12 @@ MOST_LEFT = 0.3
 """A set that leaves more than this part of the force's standard deviation explains too little."""
 
 
+_GIVEN_THE_REST = (
+    "parameters (those with an error hold only together with the others, which one run cannot "
+    "tell and which are those of the start):"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class FittedRun:
     """What the identified set makes of one run.
@@ -63,7 +70,8 @@ class Identification:
     """Outcome of :func:`identify`.
 
     ``parameter_set`` is what was found, ``runs`` how it fits each run, in the order given;
-    ``searches`` holds every search that was made; ``duration`` [s] is what they took.
+    ``searches`` holds every search that was made; ``duration`` [s] is what they took; ``remarks``
+    say what seems wrong with the runs.
     """
 
     parameter_set: ParameterSet
@@ -71,6 +79,7 @@ class Identification:
     searches: MultiStart
     method: str
     duration: float
+    remarks: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> dict[str, Estimate]:
@@ -191,6 +200,7 @@ class Identification:
             "method": self.method,
             "success": self.success,
             "message": self.message,
+            "remarks": list(self.remarks),
             "bags": [_entry(run) for run in self.runs],
         }
 
@@ -198,12 +208,15 @@ class Identification:
         parts = []
         if len(self.runs) == 1 and self.coefficients:
             parts += [self._at_point, text_table("coefficient", self.coefficients), ""]
+            if not all(entry.observable for entry in self.parameters.values()):
+                parts.append(_GIVEN_THE_REST)
         parts += [text_table("parameter", self.parameters), ""]
         parts += [_line(run) for run in self.runs]
         parts.append(
             f"{self.method}: {self.evaluations} evaluations in {self.duration:.2f} s, "
             f"{self.message}"
         )
+        parts += [f"WARNING: {remark}" for remark in self.remarks]
         return "\n".join(parts)
 
     def _repr_html_(self) -> str:
@@ -213,12 +226,13 @@ class Identification:
         parts.append(html_estimates("parameter", self.parameters))
         rows = [(run.name, f"{run.error.rmse:.4g}", f"{run.error.nrmse:.2%}") for run in self.runs]
         parts += [html_table(("run", "RMSE [N]", "NRMSE"), rows), f"<p>{self.message}</p>"]
+        parts += [f"<p>WARNING: {html.escape(remark)}</p>" for remark in self.remarks]
         return "".join(parts)
 
     @property
     def _at_point(self) -> str:
         speed, current = self.runs[0].operating_point
-        return f"at a peak velocity of {speed:.4g} m/s and {current:.4g} A:"
+        return f"the loop at a peak velocity of {speed:.4g} m/s and {current:.4g} A:"
 
 
 def _entry(run: FittedRun) -> dict[str, Any]:

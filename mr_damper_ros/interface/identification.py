@@ -29,6 +29,7 @@ from mr_damper_ros.interface.measured_runs import (
     all_windows,
     measured_runs,
 )
+from mr_damper_ros.interface.run_doubts import remarks_on
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
 from mr_damper_ros.processes.process_pool import ProcessPool
@@ -53,6 +54,7 @@ def identify(
     generations: int = _EVOLUTION.generations,
     starts: int = 1,
     workers: int = 1,
+    accept_doubtful: bool = False,
     resume: str | os.PathLike[str] | None = None,
     report: Report | None = None,
 ) -> Identification:
@@ -72,8 +74,8 @@ def identify(
         samples; "nelder_mead" or "least_squares": local search on the samples;
         "differential_evolution": over all free parameters at once.
     start
-        Parameter set, or its file, whose values undetermined parameters keep; without it the set
-        from the literature.
+        Parameter set, or its file, whose values undetermined parameters keep; without it the
+        model's own initial values, which are the literature's set for the sigmoid law.
     seed, strategy, generations
         Of differential evolution; ``generations`` at most.
     starts
@@ -81,6 +83,9 @@ def identify(
     workers
         Processes; the result does not depend on it. A script that asks for more than one needs the
         usual ``if __name__ == "__main__":``.
+    accept_doubtful
+        Take runs that would be refused as clipped, driven by the force, or in wrong units; what
+        seems wrong is then a remark.
     resume
         File that keeps what each search has found, to go on from.
     report
@@ -90,7 +95,7 @@ def identify(
     -------
     Identification
         ``success`` is False where the search was stopped, or where the set leaves more than 30 %
-        of the force's standard deviation.
+        of the force's standard deviation; ``remarks`` say what seems wrong with the runs.
 
     Raises
     ------
@@ -121,6 +126,7 @@ def identify(
             force=force,
             current=current,
             period=period,
+            accept_doubtful=accept_doubtful,
             processes=processes,
         )
         windows = all_windows(measured)
@@ -150,6 +156,7 @@ def identify(
         searches=searches,
         method=method,
         duration=duration,
+        remarks=remarks_on(measured),
     )
 
 

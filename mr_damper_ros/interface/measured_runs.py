@@ -27,7 +27,11 @@ from mr_damper_ros.tracking.screening import (
 RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 """A bag's path, a recording, or any number of these."""
 
-_RECORD_ENDINGS = frozenset({".txt", ".csv", ".tsv", ".dat", ".asc", ".mat"})
+_RECORD_ENDINGS = frozenset(
+    {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms"}
+)
+
+_WAY_OUT = "accept_doubtful, --accept-doubtful: take it all the same"
 
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
@@ -38,7 +42,8 @@ class MeasuredRun:
 
     ``windows``: one for each stretch without a gap, which begins at ``starts`` [s] from the first
     sample. ``temperatures``: of each window that of its samples (n,) [°C], None where it was not
-    measured. ``provenance``: what the recording says of where it comes from, in words.
+    measured. ``provenance``: what the recording says of where it comes from, in words; ``remarks``:
+    what seems wrong with it.
     """
 
     name: str
@@ -46,6 +51,7 @@ class MeasuredRun:
     starts: tuple[float, ...]
     temperatures: tuple[Array | None, ...]
     provenance: str = ""
+    remarks: tuple[str, ...] = ()
 
     @property
     def longest(self) -> Window:
@@ -53,25 +59,37 @@ class MeasuredRun:
         return max(self.windows, key=lambda window: window.sample_count)
 
 
-def measured_run(source: str | os.PathLike[str] | Recording) -> MeasuredRun:
-    """A run from a bag or a recording; ValueError with a sentence where it cannot be used."""
+def measured_run(
+    source: str | os.PathLike[str] | Recording, accept_doubtful: bool = False
+) -> MeasuredRun:
+    """A run from a bag or a recording; ValueError with a sentence where it cannot be used.
+
+    Where ``accept_doubtful``, what would be refused is a remark, as long as there is any motion and
+    force.
+    """
     if isinstance(source, Recording):
         name, recordings = source.name, [source]
     else:
         name, recordings = os.fspath(source), _recordings(Path(source))
-    windows = []
+    windows, remarks = [], []
+
+    def doubt(fault: str, recording: Recording) -> None:
+        lifeless = not (np.ptp(recording.displacement) > 0.0 and np.ptp(recording.force) > 0.0)
+        if fault and (lifeless or not accept_doubtful):
+            way_out = "" if lifeless else f" ({_WAY_OUT})"
+            raise ValueError(f"{name}: {fault}{way_out}")
+        if fault:
+            remarks.append(f"{name}: {fault} (taken all the same)")
+
     for recording in recordings:
         fault = fault_of_samples(
             recording.displacement, recording.force, recording.current, _LIMITS
         ) or lack_of_motion(recording.displacement, _LIMITS)
-        if fault:
-            raise ValueError(f"{name}: {fault}")
+        doubt(fault, recording)
         window = Window.from_samples(
             recording.displacement, recording.force, recording.current, recording.period
         )
-        fault = fault_of_sign(window.motion.velocity, window.force)
-        if fault:
-            raise ValueError(f"{name}: {fault}")
+        doubt(fault_of_sign(window.motion.velocity, window.force), recording)
         windows.append(window)
     first_ns = recordings[0].start_ns
     return MeasuredRun(
@@ -80,6 +98,7 @@ def measured_run(source: str | os.PathLike[str] | Recording) -> MeasuredRun:
         starts=tuple((recording.start_ns - first_ns) / NANOSECONDS for recording in recordings),
         temperatures=tuple(recording.temperature for recording in recordings),
         provenance=recordings[0].details.get("provenance", ""),
+        remarks=tuple(dict.fromkeys(remarks)),
     )
 
 
@@ -90,6 +109,7 @@ def measured_runs(
     force: ArrayLike | None = None,
     current: ArrayLike | None = None,
     period: float | None = None,
+    accept_doubtful: bool = False,
     processes: ProcessPool | None = None,
 ) -> tuple[MeasuredRun, ...]:
     """All runs given, in their order; that of the four arrays, if they are given, is the last.
@@ -105,7 +125,8 @@ def measured_runs(
             "there are no runs: give paths of bags, recordings, or displacement, force, current "
             "and period"
         )
-    found = (processes or ProcessPool()).map(_task, flat)
+    tasks = [(source, accept_doubtful) for source in flat]
+    found = (processes or ProcessPool()).map(_task, tasks)
     return tuple(run for run in found if run is not None)
 
 
@@ -114,8 +135,8 @@ def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:
     return [window for run in runs for window in run.windows]
 
 
-def _task(source: str | Recording, tell: Tell) -> MeasuredRun:
-    return measured_run(source)
+def _task(task: tuple[str | Recording, bool], tell: Tell) -> MeasuredRun:
+    return measured_run(*task)
 
 
 def _flat(sources: Iterable[RunSource]) -> list[str | Recording]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.interface.comparison import Comparison, compare, error_entry, error_over
 from mr_damper_ros.interface.estimates import html_table
 from mr_damper_ros.interface.measured_runs import MeasuredRun, RunSource, measured_runs
+from mr_damper_ros.interface.run_doubts import remarks_on
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.error_sums import ErrorSums
 from mr_damper_ros.tracking.predictor import PredictorSettings
@@ -44,10 +45,14 @@ class ValidatedRun:
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Outcome of :func:`validate`: the set and its error on each run, in the order given."""
+    """Outcome of :func:`validate`: the set and its error on each run, in the order given.
+
+    ``remarks`` say what seems wrong with the runs.
+    """
 
     parameter_set: ParameterSet
     runs: tuple[ValidatedRun, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def error(self) -> ErrorSums:
@@ -71,7 +76,8 @@ class Validation:
             "bags": [
                 {"bag": run.name, "metrics": error_entry(run.error), "remark": run.remark}
                 for run in self.runs
-            ]
+            ],
+            "remarks": list(self.remarks),
         }
 
     def __str__(self) -> str:
@@ -84,6 +90,7 @@ class Validation:
             )
             if run.remark:
                 lines.append(f"  {run.remark}")
+        lines += [f"WARNING: {remark}" for remark in self.remarks]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -107,6 +114,7 @@ def validate(
     force: ArrayLike | None = None,
     current: ArrayLike | None = None,
     period: float | None = None,
+    accept_doubtful: bool = False,
 ) -> Validation:
     """Compare the force that a parameter set predicts with that of runs.
 
@@ -114,7 +122,7 @@ def validate(
     ----------
     parameters
         A parameter set of any model, or its file.
-    *runs, displacement, force, current, period
+    *runs, displacement, force, current, period, accept_doubtful
         As in :func:`identify`.
 
     Raises
@@ -137,11 +145,17 @@ def validate(
     if not isinstance(parameters, ParameterSet):
         parameters = read_parameter_file(Path(parameters))
     measured = measured_runs(
-        runs, displacement=displacement, force=force, current=current, period=period
+        runs,
+        displacement=displacement,
+        force=force,
+        current=current,
+        period=period,
+        accept_doubtful=accept_doubtful,
     )
     return Validation(
         parameters,
         tuple(ValidatedRun(compare(parameters, run), _remark(parameters, run)) for run in measured),
+        remarks_on(measured),
     )
 
 

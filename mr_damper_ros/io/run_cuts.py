@@ -33,6 +33,9 @@ _NOISE_SPANS = 8.0
 _CURRENT_STEP = 0.05
 """A change of a measured current [A] that begins another run."""
 
+_JOLT = 0.02
+"""What moves less than this part of the largest motion of the file is no run."""
+
 _TURNED = 0.05
 """The motion has turned when it has gone this part of the span from the middle."""
 
@@ -77,11 +80,17 @@ def find_runs(record: SampledRecord) -> list[slice]:
     rests for a second or more, and where a steady cycle gives way to another: of another amplitude,
     frequency or force. What does not move is no run.
     """
-    return [
-        phase
+    motions = [
+        motion
         for stretch in _stretches(record)
         for level in _levels(record, stretch)
         for motion in _motions(record, level)
+    ]
+    spans = [float(np.ptp(_position(record, motion))) for motion in motions]
+    return [
+        phase
+        for motion, span in zip(motions, spans, strict=True)
+        if span > _JOLT * max(spans)
         for phase in _phases(record, motion)
     ]
 

@@ -76,6 +76,19 @@ def _fail(parser: argparse.ArgumentParser, sentence: str) -> int:
     return FAILED
 
 
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """What programs that read runs take."""
+    parser.add_argument(
+        "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
+    )
+    parser.add_argument(
+        "--accept-doubtful",
+        action="store_true",
+        help="take runs that would be refused (clipped, driven by the force, wrong units), with a "
+        "warning",
+    )
+
+
 def add_plot_options(parser: argparse.ArgumentParser) -> None:
     """The options that :func:`write_plots` heeds."""
     parser.add_argument(

@@ -15,7 +15,14 @@ from mr_damper_ros.interface.identification import identify
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.whole_files import write_text
-from mr_damper_ros.tools.console import FAILED, INTERRUPTED, add_plot_options, run_tool, write_plots
+from mr_damper_ros.tools.console import (
+    FAILED,
+    INTERRUPTED,
+    add_plot_options,
+    add_run_options,
+    run_tool,
+    write_plots,
+)
 from mr_damper_ros.tools.progress import ProgressLine
 
 EXPLAINS_TOO_LITTLE = 3
@@ -38,9 +45,7 @@ def _parser() -> argparse.ArgumentParser:
         f"{100 * MOST_LEFT:.0f} %, with all results written; {FAILED} where a bag or an option "
         f"cannot be used; {INTERRUPTED} after Ctrl-C pressed twice.",
     )
-    parser.add_argument(
-        "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
-    )
+    add_run_options(parser)
     parser.add_argument(
         "--model",
         choices=tuple(MODELS),
@@ -58,10 +63,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--start",
-        default="literature",
         metavar="FILE",
-        help="parameter file whose values undetermined parameters keep (default: the thesis' "
-        "literature set); model sigmoid_lag also starts from a set of model sigmoid",
+        help="parameter file whose values undetermined parameters keep (default: the model's own "
+        "initial values, for the sigmoid law those of the thesis' literature set); model "
+        "sigmoid_lag also starts from a set of model sigmoid",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
     parser.add_argument(
@@ -130,12 +135,13 @@ def _identify(options: argparse.Namespace) -> int:
             options.bags,
             model=options.model,
             method=options.method,
-            start=None if options.start == "literature" else options.start,
+            start=options.start,
             seed=options.seed,
             strategy=options.strategy,
             generations=options.generations,
             starts=options.starts,
             workers=options.workers,
+            accept_doubtful=options.accept_doubtful,
             resume=options.resume,
             report=progress,
         )

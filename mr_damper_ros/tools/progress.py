@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import os
 import signal
 import sys
+import time
 from types import FrameType, TracebackType
 
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
+
+_LATE = 0.5
+"""Part of the time estimated below which the time left that was told is no longer true."""
 
 
 class ProgressLine:
@@ -19,6 +25,7 @@ class ProgressLine:
     def __init__(self) -> None:
         self.stopped = False
         self._shown = False
+        self._end = math.inf
 
     def __enter__(self) -> ProgressLine:
         self._previous = signal.signal(signal.SIGINT, self._interrupt)
@@ -38,16 +45,29 @@ class ProgressLine:
         if self.stopped:
             raise KeyboardInterrupt
         self.stopped = True
-        sys.stderr.write("\nstopping with the best so far (Ctrl-C again ends at once)\n")
+        # Not through sys.stderr: the signal may have come while something is written there.
+        os.write(2, b"\nstopping with the best so far (Ctrl-C again ends at once)\n")
 
     def __call__(self, progress: GlobalProgress) -> bool:
         """Show how far the search is; False once Ctrl-C was pressed."""
         if sys.stderr.isatty():
             self._shown = True
-            sys.stderr.write(
-                f"\r{progress.stage}: generation {progress.generation} of at most "
-                f"{progress.generations}, best cost {progress.best_cost:.5g}, "
-                f"about {progress.time_left:.0f} s left\033[K"
-            )
+            sys.stderr.write(f"\r{self._told(progress)}\033[K")
             sys.stderr.flush()
         return not self.stopped
+
+    def _told(self, progress: GlobalProgress) -> str:
+        """What is known of the progress, in words."""
+        parts = []
+        if progress.generations > 1:
+            parts.append(f"generation {progress.generation} of at most {progress.generations}")
+        if math.isfinite(progress.best_cost):
+            parts.append(f"best cost {progress.best_cost:.5g}")
+        if math.isfinite(progress.time_left):
+            now = time.monotonic()
+            # An estimate that grew would count upward.
+            self._end = min(self._end, now + progress.time_left)
+            left = self._end - now
+            late = left < _LATE * progress.time_left
+            parts.append("longer than expected" if late else f"at most {left:.0f} s left")
+        return f"{progress.stage}: {', '.join(parts)}" if parts else progress.stage

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mr_damper_ros.interface.validation import validate
 from mr_damper_ros.processes.whole_files import write_text
-from mr_damper_ros.tools.console import add_plot_options, run_tool, write_plots
+from mr_damper_ros.tools.console import add_plot_options, add_run_options, run_tool, write_plots
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,16 +24,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "parameters", type=Path, metavar="PARAMETERS.yaml", help="as written by identify --output"
     )
-    parser.add_argument(
-        "bags", nargs="+", type=Path, metavar="BAG", help="bag folder or .mcap file"
-    )
+    add_run_options(parser)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
     add_plot_options(parser)
     return parser
 
 
 def _validate(options: argparse.Namespace) -> int:
-    result = validate(options.parameters, options.bags)
+    result = validate(options.parameters, options.bags, accept_doubtful=options.accept_doubtful)
     print(result)
     if options.json is not None:
         write_text(options.json, json.dumps(result.document(), indent=2, allow_nan=False) + "\n")

@@ -34,9 +34,23 @@ _STILL = 12.0
 _MOVING_FORCE = 0.3
 """Part of the largest known force that a force spans at least, to be that of a motion."""
 
+_APPROACH = 8
+_SHORTEST_APPROACH = 2
+"""The way to an extreme is looked at over a quarter of the stay there, and half of that,"""
+
+_EVEN_SPEED = 0.37
+"""and is made at speed where more than this part of it lies in the latter half: half of it does at
+an even speed, a quarter where the rod comes to rest."""
+
+_DIGITS = 3.0
+"""Steps of the finest digit that such a way takes at least."""
+
 _RESTING = 0.02
 _LONGEST_REST = 0.25
 """A machine is standing still below 2 % of its top speed for this part of a window in a row."""
+
+_ROUGHER = 1.5
+"""A velocity whose mean frequency is this many times that of the force was none."""
 
 _DRIVING = 0.1
 """Correlation of force and velocity below minus this: the sign of one of them is wrong."""
@@ -147,6 +161,11 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
     centred = force - force.mean()
     power = float(centred @ velocity)
     if power < -_DRIVING * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
+        if _mean_frequency(velocity) > _ROUGHER * _mean_frequency(force):
+            return (
+                "displacement and force seem to have changed places: what is given as the "
+                "displacement is less smooth than what is given as the force"
+            )
         return (
             "the force drives the motion, which no damper does: reverse the sign of the force or "
             "of the displacement (extension and tension are positive)"
@@ -172,13 +191,46 @@ def _is_stuck(displacement: Array, force: Array) -> bool:
     return way_back > _STUCK_WAY * float(np.ptp(displacement))
 
 
+def _mean_frequency(values: Array) -> float:
+    """Mean of the frequencies in a signal (n,), each with its power, in lines of the spectrum.
+
+    The force of a damper is about as rough as the velocity, or rougher: it saturates.
+    """
+    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))) ** 2
+    return float(power @ np.arange(power.size)) / float(power.sum())
+
+
 def _is_clipped(array: Array) -> bool:
-    """Whether a signal stays at one of its extremes for many samples in a row."""
+    """Whether a signal is cut off at one of its extremes: it stays there, and gets there at speed.
+
+    A machine that rests at its dead centre, and digits too coarse for the turn of a sine, come to
+    the extreme slowly: there is nothing beyond it.
+    """
+    steps = np.abs(np.diff(array))
+    finest = float(np.min(steps[steps > 0.0], initial=np.inf))
     for extreme in (array.max(), array.min()):
         at_extreme = array == extreme
         if at_extreme.mean() < _CLIPPED_PART:
             continue
         edges = np.flatnonzero(np.diff(np.concatenate(([0], at_extreme.view(np.int8), [0]))))
-        if np.max(edges[1::2] - edges[::2]) >= _CLIPPED_RUN:
+        stays = [
+            (first, last)
+            for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+            if last - first >= _CLIPPED_RUN
+        ]
+        if stays and _arrives_at_speed(np.abs(array - extreme), stays, finest):
             return True
     return False
+
+
+def _arrives_at_speed(below: Array, stays: list[tuple[int, int]], finest: float) -> bool:
+    """Whether a signal, so far ``below`` its extreme (n,), does not slow down before its stays."""
+    near, far, count = 0.0, 0.0, 0
+    for first, last in stays:
+        reach = max((last - first) // _APPROACH, _SHORTEST_APPROACH)
+        for edge, way in ((first - 1, -1), (last, 1)):
+            if 0 <= edge + way * 2 * reach < below.size:
+                near += float(below[edge + way * reach])
+                far += float(below[edge + way * 2 * reach])
+                count += 1
+    return count > 0 and far > _DIGITS * finest * count and near > _EVEN_SPEED * far

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.screening import Screening, fault_of_samples, lack_of_motion
+from mr_damper_ros.tracking.screening import (
+    Screening,
+    fault_of_samples,
+    fault_of_sign,
+    lack_of_motion,
+)
 
 Samples = dict[str, Array]
 
@@ -95,3 +100,34 @@ def test_a_machine_that_dwells_at_its_ends_is_not_taken_for_clipped() -> None:
     data = samples()
     data["displacement"] = 5e-3 * swing + noise
     assert fault(data) == ""
+
+
+@pytest.mark.parametrize("dwell", [0.05, 0.1, 0.2])
+def test_a_crank_that_rests_at_dead_centre_is_not_taken_for_clipped(dwell: float) -> None:
+    # It slows down, stands still to the last digit, and sets off slowly.
+    t = np.arange(2000) * 1e-3
+    cycle = np.clip((t % 0.5) / 0.5 / (1.0 - dwell), 0.0, 1.0)
+    data = {
+        "displacement": 5e-3 * np.cos(2.0 * np.pi * cycle),
+        "force": known.run(current=1.0, samples=2000).force,
+        "current": np.full(2000, 1.0),
+    }
+    assert fault(data) == ""
+    clipped = np.minimum(data["displacement"], 4.8e-3)
+    assert "the displacement is clipped" in fault({**data, "displacement": clipped})
+
+
+def test_coarse_digits_of_a_slow_sine_are_not_taken_for_clipped() -> None:
+    data = samples()
+    data["displacement"] = np.round(data["displacement"] / 5e-5) * 5e-5
+    assert fault(data) == ""
+
+
+@pytest.mark.parametrize("frequency", [0.5, 2.0])
+def test_exchanged_displacement_and_force_are_not_called_a_wrong_sign(frequency: float) -> None:
+    run = known.run(current=1.0, frequency=frequency, samples=4000)
+    velocity = np.gradient(run.displacement, run.period)
+    assert fault_of_sign(velocity, run.force) == ""
+    assert "reverse the sign" in fault_of_sign(velocity, -run.force)
+    exchanged = fault_of_sign(np.gradient(run.force, run.period), run.displacement)
+    assert "displacement and force seem to have changed places" in exchanged

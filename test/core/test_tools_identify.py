@@ -127,7 +127,7 @@ def test_validate_gives_the_errors_that_identify_gave(tmp_path: Path) -> None:
     document = identified(tmp_path, ONE_RUN, "--method", "least_squares", "--output", str(output))
     assert validate.main([str(output), str(ONE_RUN), "--json", str(report)]) == 0
     validation = json.loads(report.read_text())
-    assert list(validation) == ["bags"]
+    assert list(validation) == ["bags", "remarks"]
     assert validation["bags"][0]["metrics"] == pytest.approx(document["bags"][0]["metrics"])
 
 
@@ -253,6 +253,60 @@ def test_an_interrupted_search_returns_the_best_so_far(tmp_path: Path) -> None:
     )
     assert ended.returncode == 0, ended.stderr
     assert "stopped" in json.loads(result.read_text())["message"]
+
+
+def test_what_would_be_refused_is_taken_with_a_warning_where_that_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = spoilt(tmp_path, displacement=np.minimum(RUN.displacement, 4.5e-3))
+    assert identify.main([str(bag)]) == 2
+    assert "--accept-doubtful" in capsys.readouterr().err
+    assert identify.main([str(bag), "--accept-doubtful"]) == 0
+    assert "WARNING: " in capsys.readouterr().out
+    dead = tmp_path / "dead"
+    write_bag(dead, dataclasses.replace(RUN, force=0.0 * RUN.force))
+    assert identify.main([str(dead), "--accept-doubtful"]) == 2
+
+
+def test_of_one_run_the_loop_comes_before_the_parameters(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert identify.main([str(ONE_RUN), "--method", "least_squares"]) == 0
+    said = capsys.readouterr().out
+    places = [said.index(text) for text in ("yield force", "hold only together", "\nparameter ")]
+    assert places == sorted(places)
+
+
+PROGRESS = GlobalProgress("laws", 3, 9, 0.5, 10.0)
+
+
+def shown_progress(monkeypatch: pytest.MonkeyPatch, *told: GlobalProgress) -> list[str]:
+    """What the line shows of each progress, a second after the one before."""
+    clock = iter(float(second) for second in range(len(told)))
+    monkeypatch.setattr("mr_damper_ros.tools.progress.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    written: list[str] = []
+    monkeypatch.setattr("sys.stderr.write", written.append, raising=False)
+    line = ProgressLine()
+    assert all(line(progress) for progress in told)
+    return written
+
+
+def test_the_progress_tells_no_cost_that_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    (shown,) = shown_progress(monkeypatch, dataclasses.replace(PROGRESS, best_cost=math.inf))
+    assert "cost" not in shown
+    assert "generation 3 of at most 9, at most 10 s left" in shown
+
+
+def test_the_time_left_never_counts_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    estimates = (10.0, 12.0, 5.0, 300.0)
+    shown = shown_progress(
+        monkeypatch, *(dataclasses.replace(PROGRESS, time_left=left) for left in estimates)
+    )
+    ends = [text.partition("0.5, ")[2].removesuffix("\033[K") for text in shown]
+    assert ends == ["at most 10 s left", "at most 9 s left", "at most 5 s left"] + [
+        "longer than expected"
+    ]
 
 
 def test_a_second_interrupt_ends_at_once() -> None:

@@ -507,6 +507,14 @@ def test_too_little_memory_is_one_sentence(capsys: pytest.CaptureFixture[str]) -
     )
 
 
+def test_a_value_may_begin_with_a_minus_sign(write: Any, tmp_path: Path) -> None:
+    path = write(["04/29 " + row for row in rows()])
+    given = [str(path), "--columns", "-," + COLUMNS, "--current", "-0.5"]
+    assert import_record.main([*given, "--output", str(tmp_path / "bag")]) == 0
+    with pytest.raises(SystemExit):
+        import_record.main([str(path), "--columns", "--current", "0.5"])
+
+
 def test_a_fault_of_the_program_keeps_its_traceback() -> None:
     def run(options: argparse.Namespace) -> int:
         raise KeyError("a fault")
