@@ -23,6 +23,9 @@ _FAR_BETTER = 1.5
 """Where a set holds and the residual stays large, another force is taken for that of a sensor,
 unless it is so near the known one, or the new set leaves so many times less."""
 
+BEYOND_CHANCE = 3.0
+"""A lead of so many standard errors comes by chance once in 700 windows."""
+
 
 class Verdict(IntEnum):
     """What became of a window or a global identification; the numbers are those of FitReport."""
@@ -52,6 +55,11 @@ class Verdict(IntEnum):
     def accepted(self) -> bool:
         """Whether a new set is in use."""
         return self in (Verdict.ACCEPTED, Verdict.ACCEPTED_EARLY)
+
+    @property
+    def confirms(self) -> bool:
+        """Whether the samples fit the set in use after it, a new one or the old one."""
+        return self.accepted or self is Verdict.NO_BETTER
 
 
 @dataclass(frozen=True)
@@ -108,20 +116,27 @@ class Evidence:
     """What a window says of the running and the new set, on samples held back from the fit.
 
     ``nrmse_before`` and ``nrmse_after``: RMSE/std; ``rmse_after`` [N]; ``force_change``: relative
-    change of the force from the running to the new set over the window's motion.
+    change of the force from the running to the new set over the window's motion; ``lead``: how far
+    the new set is ahead on samples that no set was fitted to, in standard errors of chance.
     """
 
     nrmse_before: float
     nrmse_after: float
     rmse_after: float
     force_change: float
+    lead: float = math.inf
+
+    @property
+    def better(self) -> bool:
+        """Whether the new set predicts better than the running one, beyond chance."""
+        return self.nrmse_after < self.nrmse_before and self.lead > BEYOND_CHANCE
 
 
 @dataclass(frozen=True)
 class AcceptanceHistory:
     """What a gatekeeper remembers.
 
-    ``residuals``: RMSE [N] and NRMSE of the newest accepted windows; ``refused_for_residual``:
+    ``residuals``: RMSE [N] and NRMSE of the newest good windows; ``refused_for_residual``:
     refusals in a row since; ``pending_change``: relative change of the force that is to be
     confirmed; ``forces`` known of the damper, and the ``level`` of the running set against them.
     """
@@ -171,11 +186,9 @@ class Gatekeeper:
         ``holds``: whether the running set has been identified where the window is.
         """
         judgement = self._judge(evidence, force, holds)
-        if judgement.verdict.accepted:
+        if judgement.verdict.confirms:
             self._residuals.append((evidence.rmse_after, evidence.nrmse_after))
-        if force is not None and (
-            judgement.verdict.accepted or judgement.verdict is Verdict.NO_BETTER
-        ):
+        if force is not None and judgement.verdict.confirms:
             self._forces.follow(force)
         return judgement
 
@@ -183,11 +196,12 @@ class Gatekeeper:
         self,
         nrmse_before: float,
         nrmse_after: float,
+        lead: float = math.inf,
         newest: tuple[float, float] = (math.inf, 0.0),
     ) -> Judgement:
         """Whether a set for the windows of the past is accepted: it leaves no trace.
 
-        ``newest``: NRMSE of the running and of the new set on the newest of these windows.
+        ``lead``: how far it is ahead of the running set, see :class:`Evidence`; ``newest``: NRMSE of the running and of the new set on the newest of these windows.
         """
         if not nrmse_after <= self._settings.maximum_nrmse:
             return Judgement(
@@ -195,7 +209,7 @@ class Gatekeeper:
                 f"one set for all operating points leaves {nrmse_after:.0%} of the force "
                 f"unexplained, more than maximum_nrmse ({self._settings.maximum_nrmse:.0%})",
             )
-        if not nrmse_after < nrmse_before:
+        if not (nrmse_after < nrmse_before and lead > BEYOND_CHANCE):
             return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
         if newest[1] > newest[0] + _WORSE:
             return Judgement(
@@ -216,7 +230,7 @@ class Gatekeeper:
             and evidence.nrmse_after <= self._settings.maximum_nrmse
             and self._excess(evidence.rmse_after, evidence.nrmse_after)
             <= self._settings.residual_factor
-            and evidence.nrmse_after < evidence.nrmse_before
+            and evidence.better
             and abs(evidence.force_change) <= self._settings.step_limit
             and not self._forces.changes_too_much(
                 1.0 + evidence.force_change, self._settings.change_limit
@@ -287,7 +301,7 @@ class Gatekeeper:
                 # It has lasted: the rig itself has become noisier.
                 self._residuals.clear()
         self._refused_for_residual = 0
-        if not evidence.nrmse_after < evidence.nrmse_before:
+        if not evidence.better:
             return Judgement(
                 Verdict.NO_BETTER, "the running set predicts the held-back samples as well"
             )

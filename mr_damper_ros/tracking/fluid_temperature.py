@@ -168,7 +168,7 @@ class TemperatureHistory:
 
 
 class TemperatureMaps:
-    """Temperatures and force scales of accepted windows, and the maps that they identify.
+    """Temperatures and force scales of good windows, and the maps that they identify.
 
     The force scales of one operating point must be against one baseline: begin with new maps where
     the baselines, or the damper, have become others.

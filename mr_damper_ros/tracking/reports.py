@@ -74,7 +74,7 @@ def report_of_window(
         nrmse_after=evidence.nrmse_after if evidence else math.nan,
         verdict=verdict,
         reason=judgement.sentence,
-        confirms=verdict.accepted or verdict is Verdict.NO_BETTER,
+        confirms=verdict.confirms,
         set_id=set_id,
         scale=result.scale,
         peak_velocity=fit.operating_point[0] if fit else math.nan,
@@ -93,7 +93,7 @@ def report_of_global(
     task: GlobalTask, result: GlobalResult, judgement: Judgement, set_id: str
 ) -> Report:
     """The report of a global identification; ``set_id`` names the set in use after it."""
-    stamp_ns = task.start.stamp_ns
+    stamp_ns = task.stamp_ns
     return Report(
         window_start_ns=stamp_ns,
         stamp_ns=stamp_ns,

@@ -1,4 +1,4 @@
-"""Accepted windows at different operating points, kept for the global identification."""
+"""Good windows at different operating points, kept for the global identification."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Kept:
 
 
 class Reservoir:
-    """The newest accepted window of each operating point, see :func:`thinned_to_keep`."""
+    """The newest good window of each operating point, see :func:`thinned_to_keep`."""
 
     def __init__(
         self, windows: Iterable[Window] = (), points: Iterable[OperatingPoint] = ()

@@ -31,8 +31,9 @@ class FitTask:
     ``baselines`` are those of the force scale; ``state`` is where the filter stood and ``watch``
     that of the detector of changes, if they run; samples stamped before ``changed_ns`` are of the
     damper before its last sudden change. ``known``: the start is a set of this very damper, and
-    holds up to the peak velocity ``fastest`` [m/s], infinite where that is not known;
-    ``largest_force`` [N] of the damper, NaN where that is not known.
+    holds up to the peak velocity ``fastest`` [m/s], infinite where that is not known; it has seen
+    the samples up to the stamp ``seen_ns``. ``largest_force`` [N] of the damper, NaN where that is
+    not known.
     """
 
     window: RawWindow
@@ -45,6 +46,7 @@ class FitTask:
     known: bool = False
     fastest: float = math.inf
     largest_force: float = math.nan
+    seen_ns: int = 0
 
     @property
     def model(self) -> Model:
@@ -107,11 +109,12 @@ class FitResult:
 
 @dataclass(frozen=True, eq=False)
 class GlobalTask:
-    """The reservoir's windows and the running set to start from."""
+    """The reservoir's windows, the last of them up to ``stamp_ns``, and the set to start from."""
 
     windows: tuple[Window, ...]
     start: ParameterSet
     settings: EvolutionSettings
+    stamp_ns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +122,13 @@ class GlobalResult:
     """What a global identification found; ``refusal`` says why nothing, else it is None.
 
     ``nrmse_before`` and ``nrmse_after`` are those of the set before and of that found, over the
-    samples of all windows together; ``newest`` those over the newest window alone.
+    samples of all windows together that were held back; ``lead`` is that of the set found, see
+    :class:`Evidence`; ``newest`` are the NRMSE of both over the newest window alone.
     """
 
     refusal: Judgement | None = None
     fit: GlobalFit | None = None
     nrmse_before: float = math.nan
     nrmse_after: float = math.nan
+    lead: float = math.inf
     newest: tuple[float, float] = (math.nan, math.nan)

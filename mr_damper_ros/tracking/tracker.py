@@ -90,6 +90,7 @@ class WindowTracker:
         self._other_damper = False
         # Whether the law over the current does not explain the newest window.
         self._unexplained = False
+        self._kept_ns = 0
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
         """Go on where another tracker was, which may have had other settings.
@@ -164,6 +165,7 @@ class WindowTracker:
             known=bool(self.parameters.observable.any()),
             fastest=self.parameters.peak_velocity_range[1],
             largest_force=self.parameters.largest_force,
+            seen_ns=self.parameters.stamp_ns,
         )
 
     def complete(self, task: FitTask, result: FitResult) -> Report:
@@ -190,15 +192,16 @@ class WindowTracker:
         force = known_force(fit, summary)
         holds = not self._other_damper and holds_at(self.parameters, fit.operating_point)
         judgement = self._gatekeeper.judge(evidence, force, holds=holds)
-        if judgement.verdict.accepted or judgement.verdict is Verdict.NO_BETTER:
-            # The filter learns from every good window, the running set from those that help.
+        if judgement.verdict.confirms:
+            # All but the running set learns from every good window; that from those that help.
             self._state = result.state
             self._watch = self._watch or result.watch
+            self._accepted_since_global += 1
+            self._baselines.add(fit)
         if judgement.verdict.accepted:
             self._watch = result.watch
             self._other_damper = False
             self._accepted += 1
-            self._accepted_since_global += 1
             self.parameters = set_of_window(
                 self.parameters,
                 fit,
@@ -207,10 +210,10 @@ class WindowTracker:
                 set_id=f"window-{self._windows}",
                 stamp_ns=task.window.end_ns,
             )
-            self._baselines.add(fit)
         if judgement.verdict is Verdict.BEYOND_LIMITS:
             self._unexplained = False
-        if judgement.verdict.accepted or self._unexplained:
+        if judgement.verdict.confirms or self._unexplained:
+            self._kept_ns = task.window.end_ns
             for kept in result.kept:
                 self._reservoir.add(kept)
         return judgement
@@ -281,7 +284,8 @@ class WindowTracker:
         self._accepted_since_global = 0
         self._searched_points = self._reservoir.operating_points
         settings = evolution or self._settings.evolution
-        return GlobalTask(self._reservoir.windows, self.parameters, settings)
+        stamp_ns = max(self._kept_ns, self.parameters.stamp_ns)
+        return GlobalTask(self._reservoir.windows, self.parameters, settings, stamp_ns)
 
     def complete_global(self, task: GlobalTask, result: GlobalResult) -> Report:
         """Judge a global identification and, if it is accepted, run with it."""
@@ -290,7 +294,7 @@ class WindowTracker:
             self.parameters = replace(
                 result.fit.parameter_set,
                 set_id=f"global-{self._windows}",
-                stamp_ns=task.start.stamp_ns,
+                stamp_ns=task.stamp_ns,
             )
             self._forget_scales()
         return report_of_global(task, result, judgement, self.parameters.set_id)
@@ -298,4 +302,6 @@ class WindowTracker:
     def _judge_global(self, result: GlobalResult) -> Judgement:
         if result.fit is None:
             return result.refusal or fault_of_data("the windows could not be fitted")
-        return self._gatekeeper.judge_global(result.nrmse_before, result.nrmse_after, result.newest)
+        return self._gatekeeper.judge_global(
+            result.nrmse_before, result.nrmse_after, result.lead, result.newest
+        )

@@ -47,7 +47,7 @@ class TrackerSettings(CheckedSettings):
     )
     global_period: int = option(
         20,
-        "A global identification follows every so many accepted windows; 0 for never.",
+        "A global identification follows every so many windows that fit; 0 for never.",
         minimum=0,
         maximum=1_000_000,
     )

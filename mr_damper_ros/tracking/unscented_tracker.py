@@ -8,7 +8,7 @@ from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples
+from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples, seen_samples
 from mr_damper_ros.tracking.reservoir import nearest_same
 from mr_damper_ros.tracking.scale_tracker import Followed, ScaleTracker
 from mr_damper_ros.tracking.unscented_filter import (
@@ -52,7 +52,7 @@ class UnscentedTracker(ScaleTracker):
             return None
         unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
         new = window.part(slice(max(window.sample_count - unseen, 0), None))
-        held_back = held_back_samples(new.sample_count)
+        held_back = held_back_samples(new.sample_count, seen_samples(task, new))
         follower = UnscentedFilter(
             state,
             task.model,
@@ -64,7 +64,7 @@ class UnscentedTracker(ScaleTracker):
         )
         follower.take_in(~held_back)
         trained = follower.as_fit(new).parameters
-        evidence = evidence_of(task.model, held_back, new, task.start, trained)
+        evidence = evidence_of(task, held_back, new, trained)
         if evidence.rmse_after > _ASTRAY * follower.noise_level:
             return None
         follower.take_in(held_back)

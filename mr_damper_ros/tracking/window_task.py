@@ -14,7 +14,7 @@ from mr_damper_ros.tracking.acceptance import Evidence, fault_of_data, too_littl
 from mr_damper_ros.tracking.current_parts import judge_parts, parts_by_current
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
-from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples
+from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples, seen_samples
 from mr_damper_ros.tracking.look_task import run_look
 from mr_damper_ros.tracking.reservoir import thinned_to_keep
 from mr_damper_ros.tracking.screening import (
@@ -64,7 +64,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         followed = tracker.follow(task, window)
         if followed is not None:
             return _fitted(task, window, followed.fit, followed.evidence, followed.state)
-        held_back = held_back_samples(window.sample_count)
+        held_back = held_back_samples(window.sample_count, seen_samples(task, window))
         model = task.model
         trained = fit_window(
             model,
@@ -79,7 +79,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
             trained = with_prior(
                 model, trained, part, task.start, fastest=task.fastest, robust=settings.robust
             )
-        evidence = evidence_of(model, held_back, window, task.start, trained.parameters)
+        evidence = evidence_of(task, held_back, window, trained.parameters)
         # What is published uses every sample; the held-back part only judged whether to.
         final = fit_window(
             model, window, trained.parameters, method="least_squares", robust=settings.robust

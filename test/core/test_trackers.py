@@ -43,7 +43,7 @@ class SmoothingTracker(ScaleTracker):
         scales = KEPT * task.state.scales + (1.0 - KEPT) * fit.scales
         held_back = held_back_samples(window.sample_count)
         after = problem.parameters(scales)
-        evidence = evidence_of(task.model, held_back, window, task.start, after)
+        evidence = evidence_of(task, held_back, window, after)
         state = FilterState(scales, fit.covariance, task.window.end_ns, fit.operating_point)
         return Followed(fit, evidence, state)
 

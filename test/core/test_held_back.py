@@ -1,0 +1,77 @@
+"""A set is exchanged only where it is better beyond chance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from benchmarks import honest_errors
+from mr_damper_ros.estimation.autocorrelation import NoiseModel
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.held_back import Lead, held_back_samples
+from mr_damper_ros.tracking.trackers import TRACKERS
+
+N = 1000
+
+RUNS = 400
+
+ROUNDING = 10
+"""Samples: a chunk is as many long, but for one more or less, and every fourth is held back."""
+
+CHANCE = 0.15
+"""Three standard errors of the mean of so many leads, of their deviation two more."""
+
+
+def noise(memory: float, seed: int) -> Array:
+    """Noise of unit variance whose autocorrelation falls as memory^lag, shape (N,)."""
+    white = np.random.default_rng(seed).normal(0.0, math.sqrt(1.0 - memory**2), N + 500)
+    return np.asarray(lfilter([1.0], [1.0, -memory], white)[500:])
+
+
+def lead(memory: float, seed: int, ahead: float) -> float:
+    """Lead of one of two forces that lie 0.1 apart, the truth ``ahead`` towards the new one."""
+    loop = np.sin(np.arange(N) / 80.0)
+    old, new = 100.0 * loop, 100.1 * loop
+    measured = 0.5 * (old + new) + ahead * (new - old) + noise(memory, seed)
+    judges = held_back_samples(N)
+    return Lead.together([Lead.of(old, new, measured, judges, NoiseModel.of(measured - new))])
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8, 0.95])
+def test_a_lead_by_chance_is_a_normal_number(memory: float) -> None:
+    leads = [lead(memory, seed, 0.0) for seed in range(RUNS)]
+    assert np.mean(leads) == pytest.approx(0.0, abs=CHANCE)
+    assert np.std(leads) == pytest.approx(1.0, abs=CHANCE)
+
+
+def test_of_a_better_force_the_lead_grows_with_the_samples() -> None:
+    parts = [
+        Lead.of(np.zeros(N), np.full(N, 0.1), 0.1 + noise(0.0, seed), every, NoiseModel.of(one))
+        for seed, one, every in ((s, noise(0.0, s), np.ones(N, dtype=bool)) for s in range(9))
+    ]
+    together = Lead.together(parts)
+    assert together > 2.0 * Lead.together(parts[:1])
+    assert together == pytest.approx(0.5 * 0.1 * math.sqrt(9 * N), rel=0.3)
+
+
+def test_without_noise_the_better_force_is_infinitely_ahead() -> None:
+    every = np.ones(N, dtype=bool)
+    force = np.sin(np.arange(N) / 80.0)
+    silent = NoiseModel.of(np.zeros(N))
+    assert Lead.together([Lead.of(1.1 * force, force, force, every, silent)]) == math.inf
+    assert Lead.together([Lead.of(force, force, force, every, silent)]) == 0.0
+
+
+@pytest.mark.parametrize("seen", [0, 300, 960])
+def test_nothing_is_held_back_of_what_was_seen(seen: int) -> None:
+    held_back = held_back_samples(N, seen)
+    assert not held_back[:seen].any()
+    assert held_back.sum() == pytest.approx((N - seen) / 4, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_a_constant_damper_keeps_its_set(tracker: str) -> None:
+    assert honest_errors.exchanges(tracker, windows=30) <= 1
