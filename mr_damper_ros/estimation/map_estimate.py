@@ -17,8 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import correlation_length
+from mr_damper_ros.estimation.covariance import correlation_length, normal_inverse
 from mr_damper_ros.estimation.local_search import LocalSearch
+from mr_damper_ros.estimation.repeatability import samples_per_cycle
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
@@ -61,11 +62,7 @@ def with_prior(
     width = problem.usual_change(WANDER, fastest)
     if not np.isfinite(width).all():
         return fit  # A set without any force knows nothing.
-    left = problem.residual(fit.scales)
-    length = max(correlation_length(left), 1)
-    # A fit with as many unknowns leaves less of few independent samples than is there.
-    freedom = max(left.size / length - prior.size, 1.0)
-    noise = float(np.sqrt(np.sum(left**2) / freedom))
+    noise = _effective_noise(problem, fit, window)
     evaluations = fit.evaluations
     for _ in range(_MOST_DOUBLINGS):
         search = LocalSearch(_Weighed(problem, prior, noise / width), prior)
@@ -80,13 +77,57 @@ def with_prior(
             break
         # The damper has changed by more than it usually does: less is known than was thought.
         width = 2.0 * width
-    precision = np.eye(prior.size)
-    if noise > 0.0:
-        information = problem.jacobian(unknowns) * width / noise
-        precision += information.T @ information
-    covariance = np.linalg.inv(precision) * np.outer(width, width)
-    weighed = fit_of(problem, unknowns, covariance, method=fit.method, evaluations=evaluations)
+    covariance, discrepancy = _errors_of_weighed(
+        problem.jacobian(unknowns) * width / max(noise, 1e-300), width, fit
+    )
+    weighed = fit_of(
+        problem,
+        unknowns,
+        covariance,
+        discrepancy=discrepancy,
+        method=fit.method,
+        evaluations=evaluations,
+    )
     return replace(weighed, success=fit.success, message=fit.message)
+
+
+def _effective_noise(problem: WindowProblem, fit: WindowFit, window: Window) -> float:
+    """Standard deviation [N] of white noise that would leave the unknowns as uncertain."""
+    left = problem.residual(fit.scales)
+    if not math.isfinite(samples_per_cycle(window)) or fit.discrepancy is None:
+        length = max(correlation_length(left), 1)
+        # A fit with as many unknowns leaves less of few independent samples than is there.
+        freedom = max(left.size / length - fit.scales.size, 1.0)
+        return float(np.sqrt(np.sum(left**2) / freedom))
+    white = np.diag(normal_inverse(problem.jacobian(fit.scales)))
+    whole = np.diag(fit.covariance) + np.diag(fit.discrepancy)
+    known = np.isfinite(whole) & (white > 0.0)
+    if not known.any():
+        return float(np.sqrt(np.mean(left**2)))
+    return math.sqrt(max(float(np.median(whole[known] / white[known])), 0.0))
+
+
+def _errors_of_weighed(jacobian: Array, width: Array, fit: WindowFit) -> tuple[Array, Array]:
+    """Covariances (f, f) of the weighed unknowns: repeatability and discrepancy.
+
+    ``jacobian`` (n, f) by unknowns in units of the prior's ``width`` (f,), residual in units of its
+    noise. What the window says comes through to the part ``gain``; the rest is the running set's,
+    which is the same from window to window and no nearer to the truth than the prior says.
+    """
+    information = jacobian.T @ jacobian
+    gain = np.linalg.solve(np.eye(width.size) + information, information)
+    units = np.outer(width, width)
+
+    def passed_on(covariance: Array) -> Array:
+        # What the window leaves open it does not pass on either.
+        return gain @ np.nan_to_num(covariance / units) @ gain.T
+
+    held = np.eye(width.size) - gain
+    discrepancy = np.zeros_like(units) if fit.discrepancy is None else fit.discrepancy
+    return (
+        np.asarray(passed_on(fit.covariance) * units),
+        np.asarray((passed_on(discrepancy) + held @ held.T) * units),
+    )
 
 
 class _Weighed:

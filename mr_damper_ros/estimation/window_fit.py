@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import least_squares_covariance
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
+from mr_damper_ros.estimation.repeatability import error_covariances, samples_per_cycle
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.window_problem import WindowProblem
@@ -37,10 +37,13 @@ class WindowFit:
 
     ``scales`` (f,) are the unknowns of the model's window problem, with their ``covariance``
     (f, f): the seven scales of the sigmoid law, the parameters that one run determines of another.
-    ``parameters`` (p,) are all of them. ``coefficients`` (c,) and ``coefficient_covariance`` (c, c)
-    hold at ``operating_point`` (peak velocity [m/s], current [A]); they are empty for a model
-    without. ``rmse`` [N] over the ``sample_count`` samples whose past is known; ``nrmse`` =
-    RMSE/std of the force.
+    It is that of their repeatability from window to window of the same motion; ``discrepancy``
+    (f, f), where it is known, is that of what another motion or law would say, see
+    :mod:`repeatability`.
+    ``parameters`` (p,) are all of them. ``coefficients`` (c,) and their covariances
+    ``coefficient_covariance`` and ``coefficient_discrepancy`` (c, c) hold at ``operating_point``
+    (peak velocity [m/s], current [A]); they are empty for a model without. ``rmse`` [N] over the
+    ``sample_count`` samples whose past is known; ``nrmse`` = RMSE/std of the force.
     """
 
     scales: Array
@@ -56,6 +59,15 @@ class WindowFit:
     evaluations: int
     success: bool
     message: str
+    discrepancy: Array | None = None
+    coefficient_discrepancy: Array | None = None
+
+    @property
+    def whole_covariance(self) -> Array:
+        """Covariance (f, f) by both kinds of error, as far as they are known."""
+        if self.discrepancy is None:
+            return self.covariance
+        return np.asarray(self.covariance + self.discrepancy)
 
 
 def fit_window(
@@ -101,11 +113,13 @@ def fit_window(
     problem, unknowns = search.problem, search.best
     settled = problem.settled
     jacobian, residual = problem.jacobian(unknowns), problem.residual(unknowns)
-    covariance = least_squares_covariance(jacobian[settled], residual[settled], weights[settled])
+    cycle = samples_per_cycle(window)
+    errors = error_covariances(jacobian[settled], residual[settled], cycle, weights[settled])
     return fit_of(
         problem,
         unknowns,
-        covariance,
+        errors.repeatability,
+        discrepancy=errors.discrepancy,
         method=method,
         evaluations=contest.evaluations,
         success=success,
@@ -120,12 +134,16 @@ def fit_of(
     method: str,
     evaluations: int,
     success: bool = True,
+    discrepancy: Array | None = None,
 ) -> WindowFit:
-    """Unknowns (f,) and their ``covariance`` (f, f), however found, as the fit of a window."""
+    """Unknowns (f,) and their covariances (f, f), however found, as the fit of a window."""
     window = problem.window
     residual = problem.residual(unknowns)[problem.settled]
     rmse = math.sqrt(float(np.mean(residual**2)))
     coefficients, coefficient_covariance = problem.coefficients(unknowns, covariance)
+    by_discrepancy = None
+    if discrepancy is not None:
+        _, by_discrepancy = problem.coefficients(unknowns, discrepancy)
     return WindowFit(
         scales=unknowns,
         covariance=covariance,
@@ -140,6 +158,8 @@ def fit_of(
         evaluations=evaluations,
         success=success,
         message=_CONVERGED if success else _STOPPED,
+        discrepancy=discrepancy,
+        coefficient_discrepancy=by_discrepancy,
     )
 
 

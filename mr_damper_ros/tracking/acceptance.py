@@ -23,8 +23,12 @@ _FAR_BETTER = 1.5
 """Where a set holds and the residual stays large, another force is taken for that of a sensor,
 unless it is so near the known one, or the new set leaves so many times less."""
 
-BEYOND_CHANCE = 3.0
-"""A lead of so many standard errors comes by chance once in 700 windows."""
+BEYOND_CHANCE = 2.0
+"""A set is exchanged for a lead of so many standard errors.
+
+A lead that is nothing but chance exceeds it once in 44 windows, and more rarely here: a new fit
+errs by its own noise, for which it falls behind on samples that it has not seen.
+"""
 
 
 class Verdict(IntEnum):
@@ -196,8 +200,8 @@ class Gatekeeper:
         self,
         nrmse_before: float,
         nrmse_after: float,
-        lead: float = math.inf,
         newest: tuple[float, float] = (math.inf, 0.0),
+        lead: float = math.inf,
     ) -> Judgement:
         """Whether a set for the windows of the past is accepted: it leaves no trace.
 

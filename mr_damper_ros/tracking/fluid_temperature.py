@@ -74,7 +74,8 @@ class TemperatureMap:
     def temperature(self, scale: ForceScale) -> FluidTemperature:
         """Temperature that a force scale tells of; unknown where none within the map has it.
 
-        The standard error holds those of the scale and of the map, but no thermometer's.
+        The standard error holds that of the map, and that of the scale or the scatter of scales
+        about the map, whichever is larger.
         """
         if not scale.value > 0.0:
             return FluidTemperature()
@@ -88,7 +89,7 @@ class TemperatureMap:
         celsius = 0.5 * (self.low + self.high) + inside[0] * self._half
         basis = self._basis(celsius)
         variance = float(basis @ self.covariance @ basis)
-        variance += (scale.standard_error / scale.value) ** 2
+        variance += max(scale.standard_error / scale.value, self.scatter) ** 2
         return FluidTemperature(celsius, math.sqrt(variance) / abs(self.slope(celsius)))
 
     @property

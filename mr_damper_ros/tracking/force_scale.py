@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mr_damper_ros.estimation.autocorrelation import NoiseModel
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
@@ -15,13 +17,78 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.reservoir import OperatingPoint, nearest_same
 
+_REMEMBERED = 40
+_FEWEST_PAIRS = 5
+
+_MEDIAN_SQUARE = 0.4549
+"""Median of a squared normal number."""
+
 
 @dataclass(frozen=True)
 class ForceScale:
-    """Force against the baseline, 1 = unchanged; NaN where there is no baseline to compare with."""
+    """Force against the baseline, 1 = unchanged; NaN where there is no baseline to compare with.
+
+    ``misfit``: in a motion that is no steady sine, root mean square of what the baseline cannot
+    follow, over that of the force; else NaN.
+    """
 
     value: float = math.nan
     standard_error: float = math.nan
+    misfit: float = math.nan
+
+
+@dataclass(frozen=True)
+class SeenScale:
+    """A scale in a motion that was no steady sine, and the stamps of its window."""
+
+    start_ns: int
+    end_ns: int
+    value: float
+    standard_error: float
+
+
+class ScaleScatter:
+    """How much the scale of a constant damper varies with the motion, learnt from window to window.
+
+    What a law cannot follow depends on the motion and may last longer than a window, so no window
+    tells by itself how far off its scale is. The difference of two windows that have no sample in
+    common does: the standard errors are widened until its median is what they say (the ratio of
+    Birge, Physical Review 40, 1932). A median, since a damper that changes at once is another
+    matter.
+    """
+
+    def __init__(self, seen: Iterable[SeenScale] = ()) -> None:
+        """Begin with these, oldest first."""
+        self._seen = deque(seen, maxlen=_REMEMBERED)
+
+    @property
+    def seen(self) -> tuple[SeenScale, ...]:
+        """The newest, oldest first."""
+        return tuple(self._seen)
+
+    def widened(self, scale: ForceScale, start_ns: int, end_ns: int) -> ForceScale:
+        """The scale of a window with an error that holds the scatter, and learn from it."""
+        if not (math.isfinite(scale.misfit) and scale.standard_error > 0.0):
+            return scale
+        if self._seen and start_ns < self._seen[-1].start_ns:
+            self._seen.clear()  # time was set back
+        self._seen.append(SeenScale(start_ns, end_ns, scale.value, scale.standard_error))
+        squares = self._squares()
+        if len(squares) < _FEWEST_PAIRS:
+            # Until it is known, it may be all that is not understood.
+            return replace(scale, standard_error=max(scale.misfit, scale.standard_error))
+        ratio = math.sqrt(float(np.median(squares)) / _MEDIAN_SQUARE)
+        return replace(scale, standard_error=max(ratio, 1.0) * scale.standard_error)
+
+    def _squares(self) -> list[float]:
+        """Squared differences of neighbours without a sample in common, in their variances."""
+        squares = []
+        for place, later in enumerate(self._seen):
+            before = [e for e in list(self._seen)[:place] if e.end_ns <= later.start_ns]
+            if before:
+                variance = before[-1].standard_error ** 2 + later.standard_error**2
+                squares.append((later.value - before[-1].value) ** 2 / variance)
+        return squares
 
 
 class Baselines:
@@ -41,6 +108,18 @@ class Baselines:
         if self.get(fit.operating_point) is None:
             self._fits.append(fit)
 
+    def at_current(self, operating_point: OperatingPoint) -> WindowFit | None:
+        """The oldest baseline at the current of an operating point, whatever its motion."""
+        speed, current = operating_point
+        points = [(speed, fit.operating_point[1]) for fit in self._fits]
+        same = (
+            place
+            for place, each in enumerate(points)
+            if nearest_same([each], (speed, current)) == 0
+        )
+        oldest = next(same, None)
+        return None if oldest is None else self._fits[oldest]
+
     def get(self, operating_point: OperatingPoint) -> WindowFit | None:
         """The baseline of an operating point (peak velocity [m/s], current [A]), if any."""
         index = nearest_same([fit.operating_point for fit in self._fits], operating_point)
@@ -48,22 +127,38 @@ class Baselines:
 
 
 def force_scale(model: Model, window: Window, fit: WindowFit, baselines: Baselines) -> ForceScale:
-    """Scale that maps the force of the baseline onto that of a fit, in the least-squares sense.
+    """Scale that maps the force of the baseline onto that of a window, in the least-squares sense.
 
-    Both are the forces that the sets predict over the motion of the window, so that its noise plays
-    no part. The standard error carries the covariance of the fit; that of the baseline is common to
-    all reports and left out.
+    In a steady sine the force of the window is what its fit predicts: what the law cannot follow is
+    in both and plays no part. The standard error is that of the fit from window to window; that of
+    the baseline is common to all reports and left out. In any other motion a fit follows the motion
+    of its window more than the damper: there the oldest baseline at the current is the one
+    reference, held against the measured force; see :class:`ScaleScatter` for its error.
     """
-    baseline = baselines.get(fit.operating_point)
+    steady = window.motion.sine is not None
+    point = fit.operating_point
+    baseline = baselines.get(point) if steady else baselines.at_current(point)
     if baseline is None:
         return ForceScale()
     problem = model.window_problem(window, fit.parameters)
     settled = problem.settled
-    reference, present = (
-        model.window_force(window, parameters)[settled]
-        for parameters in (baseline.parameters, fit.parameters)
-    )
+    reference = model.window_force(window, baseline.parameters)[settled]
+    if not steady:
+        return _measured_scale(reference, window.force[settled])
+    present = model.window_force(window, fit.parameters)[settled]
     return scale_between(reference, present, problem.jacobian(fit.scales)[settled], fit.covariance)
+
+
+def _measured_scale(reference: Array, measured: Array) -> ForceScale:
+    """Scale that maps the force (n,) [N] of a baseline onto the measured one, in least squares."""
+    power = float(reference @ reference)
+    if not 0.0 < power < math.inf:
+        return ForceScale()
+    value = float(measured @ reference) / power
+    noise = NoiseModel.of(measured - value * reference)
+    variance = float(noise.score_covariance(reference[:, np.newaxis])[0, 0]) / power**2
+    misfit = math.sqrt(noise.variance * reference.size / power)
+    return ForceScale(value, math.sqrt(max(variance, 0.0)), misfit)
 
 
 def with_strength(

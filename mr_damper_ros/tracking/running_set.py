@@ -56,7 +56,7 @@ def set_of_window(
     model = running.law
     errors = running.standard_errors.copy()
     observable = running.observable.copy()
-    places, found = model.fitted_errors(fit.scales, fit.covariance)
+    places, found = model.fitted_errors(fit.scales, fit.whole_covariance)
     errors[places] = found
     observable[places] = np.isfinite(found)
     # The law as it was known led to the force here: then it goes on to hold where it held.

@@ -23,7 +23,7 @@ from mr_damper_ros.tracking.acceptance import (
     fault_of_data,
 )
 from mr_damper_ros.tracking.fluid_temperature import FluidTemperature, TemperatureMaps
-from mr_damper_ros.tracking.force_scale import Baselines
+from mr_damper_ros.tracking.force_scale import Baselines, ScaleScatter
 from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.reports import Report, report_of_global, report_of_window
 from mr_damper_ros.tracking.reservoir import Reservoir
@@ -71,6 +71,7 @@ class WindowTracker:
             watch=self._watch,
             changed_ns=self._changed_ns,
             temperatures=self._temperatures.histories,
+            scales=self._scatter.seen,
             searched_points=self._searched_points,
         )
 
@@ -85,6 +86,7 @@ class WindowTracker:
         self._watch = memory.watch
         self._changed_ns = memory.changed_ns
         self._temperatures = TemperatureMaps(memory.temperatures)
+        self._scatter = ScaleScatter(memory.scales)
         self._searched_points = memory.searched_points
         self._seen_ns = 0
         self._other_damper = False
@@ -173,6 +175,9 @@ class WindowTracker:
         self._windows += 1
         self._paused_before(task.window)
         judgement = self._judge(task, result)
+        raw = task.window
+        scale = self._scatter.widened(result.scale, raw.start_ns, raw.end_ns)
+        result = replace(result, scale=scale)
         report = report_of_window(
             task, result, judgement, self.parameters.set_id, global_due=self._global_is_due()
         )
@@ -303,5 +308,5 @@ class WindowTracker:
         if result.fit is None:
             return result.refusal or fault_of_data("the windows could not be fitted")
         return self._gatekeeper.judge_global(
-            result.nrmse_before, result.nrmse_after, result.lead, result.newest
+            result.nrmse_before, result.nrmse_after, result.newest, result.lead
         )

@@ -25,6 +25,7 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.tracking.acceptance import AcceptanceHistory
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory
+from mr_damper_ros.tracking.force_scale import SeenScale
 from mr_damper_ros.tracking.reservoir import OperatingPoint
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.unscented_filter import FilterState
@@ -50,7 +51,8 @@ class TrackerMemory:
     scale; ``reservoir`` windows and their operating points (peak velocity [m/s], current [A]);
     ``state`` of the recursive filter; ``watch`` for changes; ``changed_ns``: begin of the last
     sudden change; ``temperatures`` with the force scales that came with them; ``searched_points``:
-    operating points that the last global identification had.
+    operating points that the last global identification had; ``scales`` seen in motions that were
+    no sine.
     """
 
     windows: int = 0
@@ -65,6 +67,7 @@ class TrackerMemory:
     changed_ns: int = 0
     temperatures: tuple[TemperatureHistory, ...] = ()
     searched_points: int = 0
+    scales: tuple[SeenScale, ...] = ()
 
 
 def to_text(memory: TrackerMemory) -> str:
@@ -200,6 +203,10 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
         yield sound, "such a temperature history"
         yield bool(np.all(np.abs(seen) < _LARGEST)), "such a temperature or force scale"
         yield bool(np.all(seen[:, 1:] > 0.0)), "such a force scale"
+    for scale in memory.scales:
+        yield max(abs(scale.start_ns), abs(scale.end_ns)) < _STAMP_LIMIT, "such a stamp"
+        numbers = [scale.value, scale.standard_error]
+        yield all(map(math.isfinite, numbers)) and scale.standard_error > 0.0, "such a force scale"
     if state is not None:
         yield _square(state.scales, state.covariance), "such a covariance"
         yield bool(np.all(np.isfinite(state.scales))), "a value that is not finite"

@@ -189,9 +189,9 @@ class UnscentedFilter:
 
 def state_of(fit: WindowFit, stamp_ns: int) -> FilterState | None:
     """State to start the filter from; None where the fit does not determine all scales."""
-    if not np.all(np.isfinite(fit.covariance)):
+    if not np.all(np.isfinite(fit.whole_covariance)):
         return None
-    return FilterState(fit.scales, fit.covariance, stamp_ns, fit.operating_point)
+    return FilterState(fit.scales, fit.whole_covariance, stamp_ns, fit.operating_point)
 
 
 def _blocks(chosen: np.ndarray) -> Iterator[np.ndarray]:
