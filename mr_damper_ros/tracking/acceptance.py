@@ -205,7 +205,8 @@ class Gatekeeper:
     ) -> Judgement:
         """Whether a set for the windows of the past is accepted: it leaves no trace.
 
-        ``lead``: how far it is ahead of the running set, see :class:`Evidence`; ``newest``: NRMSE of the running and of the new set on the newest of these windows.
+        ``newest``: NRMSE of the running and of the new set on the newest of these windows;
+        ``lead``: how far it is ahead of the running set, see :class:`Evidence`.
         """
         if not nrmse_after <= self._settings.maximum_nrmse:
             return Judgement(
@@ -305,7 +306,8 @@ class Gatekeeper:
                 # It has lasted: the rig itself has become noisier.
                 self._residuals.clear()
         self._refused_for_residual = 0
-        if not evidence.better:
+        # Where the running set was never identified, a set that was serves better.
+        if not (evidence.better if holds else evidence.nrmse_after < evidence.nrmse_before):
             return Judgement(
                 Verdict.NO_BETTER, "the running set predicts the held-back samples as well"
             )
