@@ -62,6 +62,16 @@ class Motion:
             return self
         return replace(self, peak_velocity=np.clip(v_m, low, high))
 
+    def part(self, chosen: slice | np.ndarray) -> Motion:
+        """The chosen samples: a slice, a mask of shape (n,) or places."""
+        return Motion(
+            displacement=self.displacement[chosen],
+            velocity=self.velocity[chosen],
+            acceleration=self.acceleration[chosen],
+            peak_velocity=self.peak_velocity[chosen],
+            sine=self.sine,
+        )
+
     @property
     def amplitude(self) -> float:
         """Half the span of the displacement, or the amplitude of the sine [m]."""

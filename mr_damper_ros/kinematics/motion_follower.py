@@ -24,6 +24,11 @@ _HALF_CYCLES_FOR_PEAK = 4
 """Of fewer half-cycles the angular frequency, and with it the peak velocity, is a guess."""
 
 
+_AHEAD = 0.02
+"""Seconds of a sine that are foreseen at once where blocks are smaller: a hundred numbers are
+computed in the time of one."""
+
+
 class MotionFollower:
     """Follows samples of displacement ``period`` [s] apart.
 
@@ -32,8 +37,9 @@ class MotionFollower:
     ``centre_memory`` [s] must hold a whole cycle of the motion.
 
     Only what a block's own motion needs is done when it comes. The rest, which takes longer, is
-    done by :meth:`catch_up`. ``foreseen`` is the motion of the next block if the sine goes on and
-    the block is as long as the last one; :attr:`steady` then says that it was so.
+    done by :meth:`catch_up`. ``foreseen`` is the motion of the next samples if the sine goes on;
+    ``came`` of them have come so far, as :attr:`steady` then says. As long as they do there is
+    nothing else to do for a while.
     """
 
     def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
@@ -46,8 +52,10 @@ class MotionFollower:
         self._centre = MotionCentre(centre_memory, period)
         self._peak = PeakVelocity(period, centre_memory)
         self._sine = SineFollower(period, centre_memory)
-        self._unlearned: Array | None = None
+        self._ahead = round(_AHEAD / period)
+        self._unlearned: list[Array] = []
         self.foreseen: Motion | None = None
+        self.came = 0
         self._steady = False
 
     @property
@@ -92,32 +100,48 @@ class MotionFollower:
 
     def follow(self, displacement: Array) -> Motion:
         """Motion at the next samples [m], shape (n,)."""
-        self.catch_up()
-        if self.foreseen is None or self.foreseen.displacement.size != displacement.size:
+        if self.foreseen is None or self.came >= self._ahead:
+            self._learn()
             self._foresee(displacement.size)
-        self._unlearned = displacement
-        foreseen = self.foreseen
-        self._steady = foreseen is not None and self._sine.holds(
-            foreseen.displacement, displacement
-        )
-        if foreseen is not None and self._steady:
-            return foreseen
+        end = self.came + displacement.size
+        if self.foreseen is not None and end > self.foreseen.displacement.size:
+            self._foresee(end)
+        if self.foreseen is not None:
+            motion = self.foreseen.part(slice(self.came, end))
+            self._steady = self._sine.holds(motion.displacement, displacement)
+            if self._steady:
+                self._unlearned.append(displacement)
+                self.came = end
+                return motion
+        self._learn()
+        self._steady = False
+        self._unlearned.append(displacement)
         return self._observe(displacement)
 
     def catch_up(self) -> None:
         """Learn from the last block what only those after it need; :meth:`follow` does it, too."""
-        if self._unlearned is None:
+        if not self._unlearned:
             return
+        if not self._steady or self.came >= self._ahead:
+            count = self._unlearned[-1].size
+            self._learn()
+            self._foresee(count)
+
+    def _learn(self) -> None:
+        if not self._unlearned:
+            return
+        displacement = np.concatenate(self._unlearned)
+        self._unlearned.clear()
         if self._steady:
-            self._observe(self._unlearned)
+            self._observe(displacement)
         if isinstance(self._differentiator, AdaptiveObserver):
             self._differentiator.adapt()
-        self._sine.learn(self._unlearned, self._centre.half_cycle)
-        self._foresee(self._unlearned.size)
-        self._unlearned = None
+        self._sine.learn(displacement, self._centre.half_cycle)
+        self.foreseen, self.came = None, 0
 
     def _foresee(self, count: int) -> None:
-        sine = self._sine.ahead(count)
+        """Foresee a block of so many samples that begins before the time to learn again."""
+        sine = self._sine.ahead(self._ahead + count)
         self.foreseen = None if sine is None else _steady_motion(*sine)
 
     def _observe(self, displacement: Array) -> Motion:

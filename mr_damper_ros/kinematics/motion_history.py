@@ -91,17 +91,9 @@ class MotionHistory:
             stride = self.current.size // _FEWER_PER_CYCLE
         if stride == 1:
             return self
-        m = self.motion
-        motion = Motion(
-            displacement=m.displacement[::stride],
-            velocity=m.velocity[::stride],
-            acceleration=m.acceleration[::stride],
-            peak_velocity=m.peak_velocity[::stride],
-            sine=m.sine,
-        )
         return replace(
             self,
-            motion=motion,
+            motion=self.motion.part(slice(None, None, stride)),
             current=self.current[::stride],
             period=stride * self.period,
             places=self.places / stride,

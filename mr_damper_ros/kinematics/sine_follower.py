@@ -30,6 +30,9 @@ _NOISE_FACTOR = 1.5
 _LEAVING = 5.0
 """A sample this many times the allowed residual away from the sine ends it."""
 
+_PARTS = 256
+"""Of small blocks so many are kept before they are joined."""
+
 _FIRST_STEPS = 8
 """Corrections of the frequency after a new start; one per block keeps it afterwards."""
 
@@ -46,7 +49,7 @@ class SineFollower:
 
     def __init__(self, period: float, memory: float) -> None:
         self._period = period
-        self._samples = np.empty(0)
+        self._parts: list[Array] = []
         self._most = max(round(memory / period), 2)
         self._omega = 0.0
         # Weights of sine, cosine and offset about the last sample of the fit, None without a steady
@@ -54,6 +57,8 @@ class SineFollower:
         self._weights: Array | None = None
         self._since = 0
         self._allowed = 0.0
+        # Samples until it is worth while to look for a sine again.
+        self._wait = 0
 
     def ahead(self, count: int) -> tuple[Array, Array, Array] | None:
         """Displacement about the centre, velocity and acceleration of the next samples, (count,).
@@ -84,8 +89,13 @@ class SineFollower:
         ``half_cycle`` [s] is the time between the last two reversals, NaN while unknown: the
         start of the frequency.
         """
-        self._samples = np.concatenate((self._samples, displacement))[-self._most :]
+        self._parts.append(displacement)
+        if len(self._parts) > _PARTS:
+            self._join()
         self._since += displacement.size
+        self._wait = max(self._wait - displacement.size, 0)
+        if self._omega == 0.0 and self._wait:
+            return
         turned = self._omega * self._period * self._since / (2.0 * math.pi)
         if self._omega != 0.0 and turned < 1.0 / _FITS_PER_CYCLE:
             return
@@ -98,9 +108,10 @@ class SineFollower:
             self._omega = math.pi / half_cycle
             steps = _FIRST_STEPS
         cycle = 2.0 * math.pi / self._omega / self._period
-        if self._samples.size < round(_FEWEST_CYCLES * cycle):
+        samples = self._join()
+        if samples.size < round(_FEWEST_CYCLES * cycle):
             return
-        recent = self._samples[-round(_CYCLES * cycle) :]
+        recent = samples[-round(_CYCLES * cycle) :]
         stride = max(recent.size // _POINTS, 1)
         # Time counts back from the newest sample.
         time: Array = self._period * np.arange(1.0 - recent.size, 1.0, stride)
@@ -115,8 +126,15 @@ class SineFollower:
         if math.sqrt(float(residual @ residual) / residual.size) > self._allowed:
             # Perhaps the frequency has been lost: start again from the reversals.
             self._omega = 0.0
+            self._wait = round(cycle / _FITS_PER_CYCLE)
             return
         self._weights = weights
+
+    def _join(self) -> Array:
+        """The samples that are kept."""
+        samples = np.concatenate(self._parts)[-self._most :]
+        self._parts = [samples]
+        return samples
 
     def _fit(self, time: Array, points: Array) -> tuple[Array, Array]:
         """One step of Gauss and Newton: weights of sine, cosine and offset; residual."""

@@ -69,14 +69,7 @@ class Window:
 
     def part(self, chosen: slice | Array) -> Window:
         """The chosen samples: a slice, or a mask of shape (n,)."""
-        m = self.motion
-        motion = Motion(
-            displacement=m.displacement[chosen],
-            velocity=m.velocity[chosen],
-            acceleration=m.acceleration[chosen],
-            peak_velocity=m.peak_velocity[chosen],
-            sine=m.sine,
-        )
+        motion = self.motion.part(chosen)
         places = self._places
         alone = self.steady or not self.period > 0.0
         whole = None if alone else self.whole or self

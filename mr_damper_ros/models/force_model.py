@@ -67,7 +67,8 @@ class Model(ABC):
 
     ``parameters`` stand in the order of every parameter array (p,). ``free_in_one_run`` names those
     that one run at one current determines (all where it is empty); the others keep the values of a
-    start. ``remembers``: whether the force depends on the samples before. ``strength`` names the
+    start. ``remembers``: whether the force depends on the samples before. ``turning``: arrays of
+    the state, the first ones, that only matter where the motion turns. ``strength`` names the
     parameters that rise and fall with the strength of the damper; where none are named, all that
     have a force in their unit. ``weighed``: whether a window is weighed against the running set
     rather than fitted on its own. ``many_at_once``: whether the problem of a window takes several
@@ -83,6 +84,7 @@ class Model(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     free_in_one_run: ClassVar[tuple[str, ...]] = ()
     remembers: ClassVar[bool] = False
+    turning: ClassVar[int] = 0
     strength: ClassVar[tuple[str, ...]] = ()
     weighed: ClassVar[bool] = False
     many_at_once: ClassVar[bool] = False
@@ -199,6 +201,11 @@ class Model(ABC):
         return np.clip(values, *self.bounds), "unknown", 0.0
 
     # Force
+
+    @property
+    def continuous(self) -> Model:
+        """The law without the jumps that it has and no damper; itself where it has none."""
+        return self
 
     def force(
         self, parameters: ArrayLike, motion: Motion, current: ArrayLike, period: float

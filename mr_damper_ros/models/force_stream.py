@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,16 @@ from mr_damper_ros.signals.arrays import Array
 
 _KEPT = 0.5
 """Seconds of motion from which a state is found anew: lag and hysteresis forget sooner."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """Force [N] of samples with this motion and current [A], and the state after them."""
+
+    force: Array
+    motion: Motion
+    current: Array
+    state: State
 
 
 class ForceStream:
@@ -34,7 +45,7 @@ class ForceStream:
     @property
     def remembers(self) -> bool:
         """Whether the force so far depends on the samples before."""
-        return self.model.remembers or bool(self._state)
+        return self.model.remembers or len(self._state or ()) > self.model.turning
 
     def follow(self, parameters: ArrayLike, motion: Motion, current: ArrayLike) -> Array:
         """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).
@@ -42,6 +53,12 @@ class ForceStream:
         ``current`` [A] is a number or has shape (n,). Raises ValueError where the number of
         parameters is wrong.
         """
+        ahead = self.ahead(parameters, motion, current)
+        self.take(ahead)
+        return ahead.force
+
+    def ahead(self, parameters: ArrayLike, motion: Motion, current: ArrayLike) -> Ahead:
+        """What :meth:`follow` would give; the stream stays where it is."""
         values = np.asarray(parameters, dtype=float)
         count = len(self.model.parameters)
         if values.shape[-1:] != (count,):
@@ -50,17 +67,19 @@ class ForceStream:
                 f"({', '.join(self.model.parameter_names)}): got shape {values.shape}"
             )
         amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
-        if self.model.remembers:
-            self._keep(motion, amperes)
         with np.errstate(over="ignore", invalid="ignore"):
-            force, self._state = self.model.follow(
-                values, motion, amperes, self._period, self._state
-            )
-        return force
+            force, state = self.model.follow(values, motion, amperes, self._period, self._state)
+        return Ahead(force, motion, amperes, state)
 
-    def _keep(self, motion: Motion, amperes: Array) -> None:
-        self._past.append((self._state, motion, amperes))
-        self._past_count += amperes.size
+    def take(self, ahead: Ahead) -> None:
+        """Go on to where :meth:`ahead` has looked."""
+        if self.model.remembers:
+            self._keep(ahead)
+        self._state = ahead.state
+
+    def _keep(self, ahead: Ahead) -> None:
+        self._past.append((self._state, ahead.motion, ahead.current))
+        self._past_count += ahead.current.size
         while (self._past_count - self._past[0][2].size) * self._period >= _KEPT:
             self._past_count -= self._past.popleft()[2].size
 

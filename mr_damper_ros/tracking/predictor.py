@@ -8,7 +8,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
-from mr_damper_ros.models.force_stream import ForceStream
+from mr_damper_ros.models.force_stream import Ahead, ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array
@@ -40,6 +40,12 @@ class PredictorSettings(ValiditySettings):
         "motion, narrower passes less noise. 0: it follows the motion and the noise by itself.",
         minimum=0.0,
         maximum=10_000.0,
+    )
+    gradual_reversal: bool = option(
+        True,
+        "Whether the branch of the sigmoid's hysteresis follows the velocity where the motion "
+        "turns, as recorded forces do; false: it jumps with the sign of the acceleration, as the "
+        "thesis' law does.",
     )
     centre_memory: float = option(
         10.0,
@@ -81,12 +87,27 @@ class _Reckoned:
     doubt: Doubt
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Foreseen:
-    """What was reckoned for the next block if the sine goes on and the current [A] stays."""
+    """What was reckoned for the next samples if the sine goes on and the current [A] stays.
 
+    ``motion`` is that of the follower, of which ``first`` samples had come before; ``held`` is what
+    the force was reckoned for. ``count`` samples have been used since.
+    """
+
+    motion: Motion
+    first: int
+    held: Motion
     current: float
-    reckoned: _Reckoned
+    ahead: Ahead
+    doubt: Doubt
+    count: int = 0
+
+    def use(self, came: int) -> Array:
+        """Force [N] of the samples up to that one of the motion."""
+        part = slice(self.count, came - self.first)
+        self.count = came - self.first
+        return self.ahead.force[part]
 
 
 class ForcePredictor:
@@ -130,11 +151,11 @@ class ForcePredictor:
         that does not age, such as one that a user gave. What the model remembers of the motion
         is found anew with this set; one of another model begins without.
         """
+        self._go_on()
         if self._stream is not None and self._stream.model.name != parameters.model:
             self._stream = None
         if self._stream is not None:
             self._stream.retrace(parameters.values)
-        self._foreseen = None
         if self._watch is not None:
             self._watch.forget_error()
         self._parameters = parameters
@@ -158,52 +179,66 @@ class ForcePredictor:
         if self._motion is not None:
             self._learn()
             self._motion.catch_up()
-            self._foreseen = self._foresee(self._motion.foreseen)
+            if self._foreseen is None or self._foreseen.motion is not self._motion.foreseen:
+                self._go_on()
+                self._foreseen = self._foresee(self._motion)
 
     def _learn(self) -> None:
         unlearned, self._unlearned = self._unlearned, None
         if unlearned is not None and self._watch is not None and self._motion is not None:
             self._watch.learn(*unlearned, self._motion.half_cycle)
 
-    def _foresee(self, motion: Motion | None) -> _Foreseen | None:
-        """Force of the next block, as far as it can be known already."""
+    def _foresee(self, follower: MotionFollower) -> _Foreseen | None:
+        """Force of the next samples, as far as it can be known already."""
         last, parameters, stream = self._sequence.last, self._parameters, self._stream
-        if motion is None or last is None or parameters is None:
+        motion, first = follower.foreseen, follower.came
+        if motion is None or last is None or parameters is None or stream is None:
             return None
-        if stream is None or stream.remembers or not self._current.known_from(last.end_ns):
+        if not self._current.known_from(last.end_ns):
             return None
         current = self._current.constant(last.end_ns, last.period, last.sample_count)
-        if current is None:
+        if current is None or first == motion.displacement.size:
             return None
-        amperes = np.full(last.sample_count, current)
-        return _Foreseen(current, self._reckon(motion, True, amperes, parameters, stream))
+        rest = motion.part(slice(first, None))
+        held = rest.held_within(*parameters.peak_velocity_range)
+        ahead = stream.ahead(parameters.values, held, current)
+        if not np.isfinite(ahead.force).all():
+            return None
+        doubt = self._doubt_of_force(rest, True, ahead.current, ahead.force)
+        return _Foreseen(motion, first, held, current, ahead, doubt)
 
-    def _came(self, foreseen: _Foreseen, block: SampleBlock) -> bool:
+    def _came(self, block: SampleBlock) -> bool:
         """Whether a block came as foreseen."""
-        if self._motion is None or not self._motion.steady:
+        foreseen, follower = self._foreseen, self._motion
+        if foreseen is None or follower is None or not follower.steady:
             return False
-        if foreseen.reckoned.force.size != block.sample_count:
+        if foreseen.motion is not follower.foreseen:
             return False
         current = self._current.constant(block.start_ns, block.period, block.sample_count)
         return current == foreseen.current
 
-    def _reckon(
-        self,
-        motion: Motion,
-        steady: bool,
-        current: Array,
-        parameters: ParameterSet,
-        stream: ForceStream,
-    ) -> _Reckoned:
-        held = motion.held_within(*parameters.peak_velocity_range)
-        force = stream.follow(parameters.values, held, current)
-        settings = self._settings
-        doubt = (
+    def _go_on(self) -> None:
+        """Let the model remember what came as foreseen; the rest will not."""
+        foreseen, self._foreseen = self._foreseen, None
+        if foreseen is None or foreseen.count == 0:
+            return
+        assert self._stream is not None
+        assert self._parameters is not None
+        if foreseen.count == foreseen.ahead.force.size:
+            self._stream.take(foreseen.ahead)
+        else:
+            came = foreseen.held.part(slice(0, foreseen.count))
+            self._stream.follow(self._parameters.values, came, foreseen.current)
+
+    def _doubt_of_force(self, motion: Motion, steady: bool, current: Array, force: Array) -> Doubt:
+        """Whether the parameters hold for a motion and a current, and give a possible force."""
+        assert self._parameters is not None
+        settings, parameters = self._settings, self._parameters
+        return (
             doubt_of_current_range(current, parameters, settings.current_margin)
             or doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin)
             or doubt_of_size(force, parameters, settings.force_margin)
         )
-        return _Reckoned(force, bool(np.isfinite(force).all()), doubt)
 
     def predict(self, block: SampleBlock, now_ns: int | None = None) -> Prediction:
         """Force at the samples of a block; NaN, and not valid, where it cannot be computed.
@@ -228,11 +263,11 @@ class ForcePredictor:
             self._unlearned = None
         self._learn()
         motion = self._motion.follow(block.displacement)
-        # It was for this block, whatever becomes of it.
-        foreseen, self._foreseen = self._foreseen, None
-        if foreseen is not None and self._came(foreseen, block):
-            reckoned = foreseen.reckoned
+        if self._foreseen is not None and self._came(block):
+            force = self._foreseen.use(self._motion.came)
+            reckoned = _Reckoned(force, True, self._foreseen.doubt)
         else:
+            self._go_on()
             missing = self._missing(block)
             if missing:
                 return self._invalid(block, missing, verdict.sentence)
@@ -276,11 +311,16 @@ class ForcePredictor:
     def _reckon_block(self, motion: Motion, block: SampleBlock) -> _Reckoned:
         assert self._parameters is not None
         assert self._motion is not None
+        parameters, steady = self._parameters, self._motion.steady
         if self._stream is None:
-            self._stream = self._parameters.law.stream(block.period)
+            law = parameters.law.continuous if self._settings.gradual_reversal else parameters.law
+            self._stream = law.stream(block.period)
             self._begun_at = self._motion.reversals
         current = self._current.at(block.start_ns, block.period, block.sample_count)
-        return self._reckon(motion, self._motion.steady, current, self._parameters, self._stream)
+        held = motion.held_within(*parameters.peak_velocity_range)
+        force = self._stream.follow(parameters.values, held, current)
+        doubt = self._doubt_of_force(motion, steady, current, force)
+        return _Reckoned(force, bool(np.isfinite(force).all()), doubt)
 
     def _missing(self, block: SampleBlock) -> Doubt:
         """What a prediction for a block lacks."""

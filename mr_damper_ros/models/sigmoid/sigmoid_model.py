@@ -41,6 +41,7 @@ from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_INDICES,
     SCALE_PARAMETER_NAMES,
+    Coefficients,
     coefficient_parameter_jacobian,
     force_from_coefficients,
     operating_point_coefficients,
@@ -128,9 +129,26 @@ class SigmoidModel(Model):
     def follow(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N] of the law; it remembers nothing."""
+        """Force [N] of the law; remembered is at most the branch."""
         coefficients = operating_point_coefficients(parameters, motion.peak_velocity, current)
-        return force_from_coefficients(coefficients, motion.velocity, motion.acceleration), ()
+        coefficients, acceleration, turning = self._turned(coefficients, motion, state)
+        return force_from_coefficients(coefficients, motion.velocity, acceleration), turning
+
+    @property
+    def continuous(self) -> Model:
+        """The law whose branch follows the velocity where the motion turns."""
+        from mr_damper_ros.models.sigmoid.continuous import CONTINUOUS  # it needs this module
+
+        return CONTINUOUS[self.name]
+
+    def _turned(
+        self, coefficients: Coefficients, motion: Motion, state: State | None
+    ) -> tuple[Coefficients, Array, State]:
+        """Coefficients, acceleration (n,) whose sign tells the branch, and the branch's state.
+
+        ``state`` begins with that of the branch.
+        """
+        return coefficients, motion.acceleration, ()
 
     def starts(self, reading: LoopReading) -> Array:
         """Some steepness, some hysteresis, no dependence on velocity or current."""
@@ -290,21 +308,24 @@ class ExtendedSigmoidModel(SigmoidModel):
         Where the coil lags, the supply's and its current too.
         """
         coil = parameters[..., -1]
+        own = None if state is None else state[self.turning :]
         remembered: State = ()
         if np.any(coil > 0.0):
-            before = None if state is None else coil_state(state[3:])
+            before = None if own is None else coil_state(own[3:])
             lagging = coil_current(current, coil, period, before)
             remembered = (np.full(coil.shape, current[-1]), lagging[..., -1])
             # The coefficients of a law come in pairs along the axis before the last.
             current = lagging if coil.ndim == 0 else lagging[..., np.newaxis, :]
         sixteen = parameters[..., :SIGMOID_COUNT]
         coefficients = operating_point_coefficients(sixteen, motion.peak_velocity, current)
-        plain, damping = force_and_damping(coefficients, motion.velocity, motion.acceleration)
+        coefficients, acceleration, turning = self._turned(coefficients, motion, state)
+        plain, damping = force_and_damping(coefficients, motion.velocity, acceleration)
         extension = Extension(*np.moveaxis(parameters[..., SIGMOID_COUNT:-1, np.newaxis], -2, 0))
         time_constant = extension.time_constant(damping)
-        late = lagged(plain, time_constant, period, state=None if state is None else state[:3])
+        late = lagged(plain, time_constant, period, state=None if own is None else own[:3])
         force = np.asarray(late + extension.stiffness * motion.displacement + extension.offset)
-        return force, (plain[..., -1], late[..., -1], time_constant[..., -1], *remembered)
+        own = (plain[..., -1], late[..., -1], time_constant[..., -1], *remembered)
+        return force, (*turning, *own)
 
     def starts(self, reading: LoopReading) -> Array:
         """Those of the sigmoid law with a small compliance."""

@@ -1,0 +1,48 @@
+"""The sigmoid laws for streams: without the jump where the motion turns, see :mod:`reversal`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.sigmoid.law import Coefficients
+from mr_damper_ros.models.sigmoid.reversal import REVERSAL_MEMORY, branch_along
+from mr_damper_ros.models.sigmoid.sigmoid_model import ExtendedSigmoidModel, SigmoidModel
+from mr_damper_ros.signals.arrays import Array
+
+
+class ContinuousSigmoidModel(SigmoidModel):
+    """The sixteen-parameter law without its jumps."""
+
+    turning = REVERSAL_MEMORY
+
+    def _turned(
+        self, coefficients: Coefficients, motion: Motion, state: State | None
+    ) -> tuple[Coefficients, Array, State]:
+        return _without_jump(coefficients, motion, state)
+
+
+class ContinuousExtendedModel(ExtendedSigmoidModel):
+    """The extended law without its jumps."""
+
+    turning = REVERSAL_MEMORY
+
+    def _turned(
+        self, coefficients: Coefficients, motion: Motion, state: State | None
+    ) -> tuple[Coefficients, Array, State]:
+        return _without_jump(coefficients, motion, state)
+
+
+CONTINUOUS = {model.name: model for model in (ContinuousSigmoidModel(), ContinuousExtendedModel())}
+"""By the name of the law."""
+
+
+def _without_jump(
+    coefficients: Coefficients, motion: Motion, state: State | None
+) -> tuple[Coefficients, Array, State]:
+    before = None if state is None else state[:REVERSAL_MEMORY]
+    branch, after = branch_along(motion.velocity, motion.acceleration, coefficients.v_h, before)
+    # The branch is in the shift: no sign of the acceleration is left to count.
+    shifted = coefficients._replace(v_h=coefficients.v_h * branch)
+    return shifted, np.ones(motion.velocity.size), after

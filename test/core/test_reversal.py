@@ -1,0 +1,93 @@
+"""The branch of the hysteresis where the motion turns."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
+from mr_damper_ros.models.sigmoid.reversal import branch_along
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
+
+PERIOD, CURRENT = 1e-3, 1.0
+
+ROUNDING = 1e-6
+
+
+def motion(amplitude: float = 5e-3, frequency: float = 1.0, cycles: float = 2.5) -> Motion:
+    time = np.arange(round(cycles / frequency / PERIOD)) * PERIOD
+    u, v, a = SineMotion(amplitude, frequency).at(time)
+    return Motion(u, v, a, np.full(u.size, 2.0 * np.pi * frequency * amplitude), None)
+
+
+def forces(model_name: str, sine: Motion) -> tuple[Array, Array]:
+    """Of the law, and of the law without its jumps."""
+    model = MODELS[model_name]
+    values = known.EXAMPLES[model_name]
+    return (
+        model.force(values, sine, CURRENT, PERIOD),
+        model.continuous.force(values, sine, CURRENT, PERIOD),
+    )
+
+
+def test_it_is_the_law_once_the_velocity_has_come_back() -> None:
+    sine = motion()
+    exact, gradual = forces("sigmoid", sine)
+    v_h = operating_point_coefficients(known.EXAMPLES["sigmoid"], sine.peak_velocity, CURRENT).v_h
+    turned = np.abs(np.abs(sine.velocity) - sine.peak_velocity) < 2.5 * np.abs(v_h)
+    assert 0.2 < np.mean(turned) < 0.8
+    np.testing.assert_allclose(gradual[~turned], exact[~turned], rtol=1e-9)
+
+
+@pytest.mark.parametrize("model_name", ["sigmoid", "sigmoid_lag"])
+def test_there_is_no_jump(model_name: str) -> None:
+    # A slow motion of a wide loop: the law jumps by much of its force.
+    sine = motion(frequency=0.25, cycles=1.5)
+    exact, gradual = forces(model_name, sine)
+    turns = np.diff(np.sign(sine.acceleration)) != 0.0
+    usual = float(np.abs(np.diff(exact))[~turns].max())
+    assert np.abs(np.diff(gradual)).max() < (1.0 + ROUNDING) * usual
+
+
+def test_noise_of_the_acceleration_does_not_matter() -> None:
+    sine = motion()
+    noise = np.random.default_rng(1).standard_normal(sine.velocity.size)
+    noisy = Motion(sine.displacement, sine.velocity, noise, sine.peak_velocity, None)
+    start = round(0.5 / PERIOD)
+    np.testing.assert_array_equal(
+        forces("sigmoid", noisy)[1][start:], forces("sigmoid", sine)[1][start:]
+    )
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    velocity=st.lists(st.floats(-0.1, 0.1), min_size=2, max_size=60),
+    half_width=st.floats(-0.05, 0.05),
+    cut=st.integers(1, 59),
+)
+def test_the_branch_is_that_sample_by_sample(
+    velocity: list[float], half_width: float, cut: int
+) -> None:
+    v = np.array(velocity)
+    width = np.full(v.size, half_width)
+    cut = min(cut, v.size - 1)
+    first, state = branch_along(v[:cut], np.ones(cut), width[:cut], None)
+    second, _ = branch_along(v[cut:], np.ones(v.size - cut), width[cut:], state)
+    branch, expected = 1.0, []
+    for before, now in zip([v[0], *v[:-1]], v, strict=True):
+        branch = float(np.clip(branch + (now - before) / max(abs(half_width), 1e-9), -1.0, 1.0))
+        expected.append(branch)
+    np.testing.assert_allclose(np.concatenate((first, second)), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("model_name", sorted(MODELS))
+def test_a_law_without_jumps_is_its_own(model_name: str) -> None:
+    model = MODELS[model_name]
+    assert model.continuous.name == model_name
+    assert model.continuous.continuous is model.continuous
