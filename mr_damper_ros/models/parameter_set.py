@@ -15,12 +15,28 @@ import yaml
 from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.stamps import fits_a_stamp
 
 DEFAULT_MODEL = "sigmoid"
 """The law that is meant where none is named."""
 
 
-class ParameterError(ValueError):
+_LONGEST_NAME = 200
+"""Characters of an id or a source; ours have at most some thirty."""
+
+
+class SpokenError(ValueError):
+    """An error whose message is a sentence that goes to people, also by way of a ROS message.
+
+    What cannot be encoded, such as half a surrogate pair in the name of a file, is written as an
+    escape sequence: it would end the node that sends it.
+    """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(sentence.encode("utf-8", "backslashreplace").decode("utf-8"))
+
+
+class ParameterError(SpokenError):
     """A parameter set that cannot be used; the message says what to change."""
 
 
@@ -44,7 +60,9 @@ class ParameterSet:
     ``largest_force`` [N] is the largest that the damper gave in these data, NaN where unknown.
 
     Raises ParameterError where the model is not known, shapes are wrong, a value is not finite
-    or out of its bounds, a range is reversed, or the largest force is no size.
+    or out of its bounds, a range is reversed, the largest force is no size, or a message could not
+    hold the set: its id and source must be printable and no longer than 200 characters, its stamp
+    that of a year up to 2038.
     """
 
     values: Array
@@ -105,6 +123,17 @@ class ParameterSet:
         if self.largest_force < 0.0 or math.isinf(self.largest_force):
             raise ParameterError(
                 f"largest_force is {self.largest_force}: give a size in newtons, or leave it out"
+            )
+        for what, text in (("id", self.set_id), ("source", self.source)):
+            if not text.isprintable() or len(text) > _LONGEST_NAME:
+                raise ParameterError(
+                    f"the {what} of the parameters is {text[:40]!a}: give at most "
+                    f"{_LONGEST_NAME} printable characters"
+                )
+        if not fits_a_stamp(self.stamp_ns):
+            raise ParameterError(
+                "the stamp_ns of the parameters is beyond what a stamp can hold (January 2038): "
+                "give nanoseconds since 1970, or 0"
             )
 
     @property
@@ -206,7 +235,12 @@ class ParameterSet:
         except Exception as error:
             # PyYAML raises what it likes for a date that does not exist, !!int '', many brackets.
             raise ParameterError("the parameter file has an entry that YAML cannot read") from error
-        return cls._from_document(document)
+        try:
+            return cls._from_document(document)
+        except ParameterError:
+            raise
+        except ValueError as error:  # Python does not write out a number of 5000 digits
+            raise ParameterError("the parameter file has an entry that cannot be used") from error
 
     @classmethod
     def _from_document(cls, document: Any) -> ParameterSet:

@@ -105,6 +105,8 @@ class IdentifierDiagnostics:
         state = self._identifier.state
         if state.fault:
             return Finding(ERROR, state.fault)
+        if state.set_aside:
+            return Finding(ERROR, f"{state.set_aside} (once you have read this: ~/acknowledge)")
         if state.path is None:
             return Finding(OK, "nothing is kept on disk: state_dir is not set")
         return Finding(OK, f"kept in {state.path}")

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import Diagnostics
 from mr_damper_ros.nodes.identifier_diagnostics import IdentifierDiagnostics
@@ -88,6 +89,7 @@ class IdentifierNode(Node):
         self.create_service(SaveParameters, "~/save_parameters", self._save)
         self.create_service(LoadParameters, "~/load_parameters", self._load)
         self.create_service(Trigger, "~/reset", self._reset)
+        self.create_service(Trigger, "~/acknowledge", self._acknowledge)
         self._goals = SearchGoals(
             self, self._identifier.pipeline, options.tracking.evolution, self._frame_id
         )
@@ -113,8 +115,8 @@ class IdentifierNode(Node):
             raise ConfigurationError(f"state_dir: {error}") from error
         if known:
             self.get_logger().info(f"going on with {known}")
-        if state.fault:
-            self.get_logger().error(state.fault)
+        if state.set_aside:
+            self.get_logger().error(state.set_aside)
 
     def _diagnose(self, maximum_nrmse: float) -> None:
         findings = IdentifierDiagnostics(
@@ -190,6 +192,16 @@ class IdentifierNode(Node):
     def _reset(self, request: Any, response: Any) -> Any:
         return self._switch(response, self._identifier.reset)
 
+    def _acknowledge(self, _: Any, response: Any) -> Any:
+        try:
+            taken = self._identifier.state.acknowledge()
+        except StateError as error:
+            response.message = str(error)
+            return response
+        response.success = True
+        response.message = taken or "there was nothing to acknowledge"
+        return response
+
     def _switch(self, response: Any, to_another_set: Callable[[], str]) -> Any:
         """Publish what still comes from the set in use, then put another one in use."""
         self._publish(self._identifier.flush())
@@ -221,7 +233,7 @@ def _initial_set(source: str, model: str) -> ParameterSet:
     if source == "literature":
         return start_set(model)
     try:
-        return read_parameter_file(source).of_model(model)
+        return check_plausible(read_parameter_file(source).of_model(model))
     except (StateError, ParameterError) as error:
         raise ConfigurationError(f"initial_parameters: {error}") from error
 

@@ -11,11 +11,9 @@ from std_msgs.msg import Header
 
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import BlockError, SampleBlock, check_live
+from mr_damper_ros.signals.stamps import fits_a_stamp
 
 _SECOND = 1_000_000_000
-
-_STAMP_LIMIT = 2**31 * _SECOND
-"""The seconds of a stamp are a signed 32-bit number."""
 
 
 def to_stamp(nanoseconds: int) -> Time:
@@ -27,7 +25,7 @@ def to_stamp(nanoseconds: int) -> Time:
 
 def set_stamp(stamp: Time, nanoseconds: int) -> None:
     """Set a stamp to nanoseconds since the epoch; ValueError as for :func:`to_stamp`."""
-    if not -_STAMP_LIMIT <= nanoseconds < _STAMP_LIMIT:
+    if not fits_a_stamp(nanoseconds):
         raise ValueError(f"{nanoseconds} ns is not a time that a stamp can hold")
     stamp.sec, stamp.nanosec = divmod(nanoseconds, _SECOND)
 
@@ -73,7 +71,7 @@ def sample_block(message: MtsSamples) -> SampleBlock:
         force=from_field(message.force),
     )
     check_live(block)
-    if block.end_ns >= _STAMP_LIMIT:
+    if not fits_a_stamp(block.end_ns):
         raise BlockError(
             "the block ends after the last time that a stamp can hold, in January 2038: is the "
             "clock of its source right?"

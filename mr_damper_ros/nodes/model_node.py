@@ -11,6 +11,7 @@ from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 from rclpy.node import Node
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
@@ -129,7 +130,7 @@ class ModelNode(Node):
 
     def _take_parameters(self, message: DamperParameters) -> None:
         try:
-            parameters = parameter_set(message)
+            parameters = check_plausible(parameter_set(message))
         except ParameterError as error:
             self._refused_parameters = str(error)
             self.get_logger().warning(f"parameters {message.id} are not used: {error}")
@@ -246,8 +247,8 @@ class ModelNode(Node):
 
 def _read(path: str) -> ParameterSet:
     try:
-        return read_parameter_file(path)
-    except StateError as error:
+        return check_plausible(read_parameter_file(path))
+    except (StateError, ParameterError) as error:
         raise ConfigurationError(f"parameter_file: {error}") from error
 
 

@@ -10,7 +10,9 @@ import stat
 import tempfile
 from pathlib import Path
 
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, SpokenError
+from mr_damper_ros.models.plausibility import check_plausible
+from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
 
 _PLAIN, _WITH_MEMORY = 1, 2
 """Versions of the files: a set alone, and one with the memory of what identified it."""
@@ -27,7 +29,11 @@ _FILE_LIMIT = 1 << 26
 """No parameter set, and no file with its memory, comes near so many bytes."""
 
 
-class StateError(ValueError):
+_ASIDE, _READ = "aside", "aside-read"
+"""Ends of the names of files that could not be used, before and after somebody took notice."""
+
+
+class StateError(SpokenError):
     """State that cannot be kept or read; the message says what to change."""
 
 
@@ -67,9 +73,13 @@ class StateDirectory:
         """Keep a set under a name, in place of what was there, and return its file.
 
         Whatever happens meanwhile, the file holds either all of the old or all of the new. Raises
-        StateError where the name or the folder cannot be used.
+        StateError where the name or the folder cannot be used, or the set is not plausible.
         """
         path = self.file(name)
+        try:
+            check_plausible(parameters)
+        except ParameterError as error:
+            raise StateError(f"{parameters.set_id} is not kept: {error}") from error
         version, body = _PLAIN, parameters.to_yaml()
         if memory:
             version, body = _WITH_MEMORY, f"{body.rstrip()}{_MEMORY_LINE}{memory}\n"
@@ -106,7 +116,41 @@ class StateDirectory:
             raise StateError(
                 f"there is no {path}: the names kept are {', '.join(self.names()) or '(none)'}"
             )
-        return _read(path)
+        parameters, memory = _read(path)
+        try:
+            return check_plausible(parameters), memory
+        except ParameterError as error:
+            raise StateError(f"{path}: {error}") from error
+
+    def lock(self, name: str) -> FolderLock:
+        """Make the name that of this process, until the lock is released.
+
+        Raises StateError where another process has it, or where the folder cannot be written.
+        """
+        path = self.file(name)
+        try:
+            return FolderLock(_lock_of(path))
+        except LockHeldError as error:
+            raise StateError(
+                f"{path} is in use by another node"
+                + (f" (process {error.holder})" if error.holder else "")
+                + ": give this one another name, namespace or state_dir"
+            ) from error
+        except OSError as error:
+            raise StateError(
+                f"cannot write {path}: {error.strerror}; "
+                "set state_dir to a folder that can be written"
+            ) from error
+
+    def is_of_a_node(self, name: str) -> bool:
+        """Whether a name is that under which a node keeps, or has kept, its own state."""
+        path = self.file(name)
+        if os.path.lexists(_lock_of(path)):
+            return True
+        try:
+            return _read(path)[1] != ""
+        except StateError:
+            return False
 
     def names(self) -> list[str]:
         """Names under which sets are kept, sorted."""
@@ -117,14 +161,23 @@ class StateDirectory:
     def set_aside(self, name: str) -> Path:
         """Rename a file that cannot be used, so that it is neither read again nor overwritten."""
         path = self.file(name)
-        number = 0
-        while os.path.lexists(aside := path.with_suffix(f".aside{number or ''}")):
-            number += 1
-        try:
-            path.rename(aside)
-        except OSError as error:
-            raise StateError(f"cannot rename {path}: {error.strerror}") from error
-        return aside
+        return _renamed(path, path.with_suffix(""), _ASIDE)
+
+    def unread_asides(self, name: str) -> list[Path]:
+        """Files of this name that were set aside, and that nobody has taken notice of."""
+        path = self.file(name)
+        pattern = re.compile(rf"{re.escape(path.stem)}\.{_ASIDE}\d*")
+        if not path.parent.is_dir():
+            return []
+        return sorted(path.parent / n for n in os.listdir(path.parent) if pattern.fullmatch(n))
+
+    def mark_asides_read(self, name: str) -> list[Path]:
+        """Rename what was set aside, so that it is not spoken of any more; returns the new names.
+
+        Raises StateError where the folder cannot be written.
+        """
+        without_ending = self.file(name).with_suffix("")
+        return [_renamed(aside, without_ending, _READ) for aside in self.unread_asides(name)]
 
     def remove_unfinished(self, name: str) -> None:
         """Remove what a process left behind that was killed while it saved this set."""
@@ -199,6 +252,24 @@ def _checked(text: str, path: Path) -> str:
             "(if it was edited on purpose, delete its first line)"
         )
     return body
+
+
+def _lock_of(path: Path) -> Path:
+    return path.with_name(f".{path.stem}.lock")
+
+
+def _renamed(path: Path, without_ending: Path, ending: str) -> Path:
+    """Give a file a name with this ending, and a number where there is one already."""
+    number = 0
+    while os.path.lexists(
+        free := without_ending.with_name(f"{without_ending.name}.{ending}{number or ''}")
+    ):
+        number += 1
+    try:
+        path.rename(free)
+    except OSError as error:
+        raise StateError(f"cannot rename {path}: {error.strerror}") from error
+    return free
 
 
 def _unfinished_prefix(path: Path) -> str:

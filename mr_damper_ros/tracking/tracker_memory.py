@@ -87,10 +87,11 @@ def from_text(text: str, model: Model) -> TrackerMemory:
             dataclasses.replace(fit, parameters=model.completed(fit.parameters))
             for fit in memory.baselines
         )
-        memory = dataclasses.replace(memory, baselines=baselines)
-        _check(memory, len(model.parameters))
+        memory = check(dataclasses.replace(memory, baselines=baselines), model)
     except RecursionError as error:
         raise StateError("the memory of the tracker is nested too deeply") from error
+    except StateError:
+        raise
     except (ValueError, OverflowError) as error:
         raise StateError(f"the memory of the tracker cannot be used: {error}") from error
     return memory
@@ -169,11 +170,12 @@ def _dataclass(kind: Any, data: Any, where: str) -> Any:
     return kind(**{name: _read(hints[name], data[name], f"{where}.{name}") for name in data})
 
 
-def _check(memory: TrackerMemory, parameter_count: int) -> None:
-    """Raise ValueError for what is of the right types, yet of no tracker."""
-    for sound, what in _soundness(memory, parameter_count):
+def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
+    """The memory itself; StateError for what is of the right types, yet of no tracker."""
+    for sound, what in _soundness(memory, len(model.parameters)):
         if not sound:
-            raise ValueError(f"{what} cannot be")
+            raise StateError(f"the memory of the tracker cannot be used: {what} cannot be")
+    return memory
 
 
 def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bool, str]]:

@@ -18,9 +18,11 @@ from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.signals.stamps import STAMP_LIMIT
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NUMBER = st.floats(allow_nan=False)
+PRINTABLE = st.text(st.characters().filter(str.isprintable), max_size=200)
 
 
 def ordered_pair() -> st.SearchStrategy[tuple[float, float]]:
@@ -40,13 +42,17 @@ def parameter_sets(draw: st.DrawFn) -> ParameterSet:
         values=np.clip(one_for_each(FINITE), *model.bounds),
         standard_errors=one_for_each(st.floats(0.0)),
         observable=one_for_each(st.booleans()),
-        set_id=draw(st.text()),
-        source=draw(st.text()),
+        set_id=draw(PRINTABLE),
+        source=draw(PRINTABLE),
         peak_velocity_range=draw(ordered_pair()),
         current_range=draw(ordered_pair()),
         nrmse=draw(st.one_of(st.floats(0.0), st.just(math.nan))),
+<<<<<<< HEAD
         stamp_ns=draw(st.integers(-(2**63), 2**63 - 1)),
         largest_force=draw(st.one_of(FINITE.map(abs), st.just(math.nan))),
+=======
+        stamp_ns=draw(st.integers(-STAMP_LIMIT, STAMP_LIMIT - 1)),
+>>>>>>> 3606b0f (Judge parameter sets alike wherever they come from, and keep a state for one identifier alone)
     )
 
 
@@ -175,6 +181,16 @@ def test_a_fault_in_the_file_is_one_sentence(text: str, sentence: str) -> None:
 
 
 UNCAUGHT = {
+    "half a surrogate pair": (by_hand() + 'id: "\\ud800"\n', r"the id .* is '\\ud800': give"),
+    "a surrogate as a key": (by_hand() + '"\\ud800": 1\n', r"unknown entries \\ud800: remove"),
+    "an id of two lines": (by_hand(id="a\nb"), "the id of .* printable characters"),
+    "an endless source": (by_hand(source="a" * 201), "give at most 200 printable characters"),
+    "a stamp after 2038": (by_hand(stamp_ns=STAMP_LIMIT), "beyond what a stamp can hold"),
+    "a number of 5000 digits": (f"stamp_ns: 0x{'f' * 5000}\n{by_hand()}", "beyond what a stamp"),
+    "a flag of 5000 digits": (
+        by_hand().replace("k6: 15", f"k6: {{value: 1.0, observable: 0x{'f' * 5000}}}"),
+        "an entry that cannot be used",
+    ),
     "an integer beyond floating point": (with_parameter("k6", 10**400), "k6"),
     "observable as text": (with_parameter("k6", {"value": 1.0, "observable": "no way"}), "k6"),
     "a negative standard error": (with_parameter("k6", {"value": 1.0, "standard_error": -2}), "k6"),

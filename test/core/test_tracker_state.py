@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import known
@@ -9,8 +12,10 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_memory import TrackerMemory
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.tracker_state import TrackerState
 
@@ -43,7 +48,7 @@ def test_a_tracker_goes_on_where_another_ended(tmp_path: Path) -> None:
     state.close()
     after, again = state_in(tmp_path)
     assert again.resume() == "parameters window-1 and 1 baselines, 1 windows"
-    assert again.fault == ""
+    assert again.fault == again.set_aside == ""
     assert after.parameters.set_id == "window-1"
     np.testing.assert_array_equal(after.parameters.values, before.parameters.values)
     assert after.accepted_windows == 1
@@ -76,14 +81,95 @@ def test_a_damaged_file_is_set_aside_and_named(tmp_path: Path) -> None:
     path.write_text(path.read_text(encoding="utf-8").replace("f0", "g0"), encoding="utf-8")
     tracker, again = state_in(tmp_path)
     assert again.resume() == ""
-    assert "is damaged" in again.fault
-    assert "set aside as" in again.fault
+    assert "is damaged" in again.set_aside
+    assert "set aside as" in again.set_aside
     assert (tmp_path / "identifier.aside").exists()
     assert tracker.parameters is START
-    # The next state that is kept takes its place, and all is well again.
-    again.keep_now()
-    assert again.fault == ""
+    # The next state takes its place, but what was set aside is not forgotten with that.
+    assert again.keep_now() == ""
+    assert "is damaged" in again.set_aside
     again.close()
+
+
+def test_what_was_set_aside_is_told_at_every_start_until_it_is_acknowledged(tmp_path: Path) -> None:
+    (tmp_path / "identifier.yaml").write_text("half a fi")
+    for part in ("mapping 'parameters'", "set aside as"):
+        _, state = state_in(tmp_path)
+        state.resume()
+        assert part in state.set_aside
+        state.close()
+    _, state = state_in(tmp_path)
+    state.resume()
+    assert str(tmp_path / "identifier.aside") in state.acknowledge()
+    assert state.set_aside == ""
+    state.close()
+    _, later = state_in(tmp_path)
+    later.resume()
+    assert later.set_aside == ""
+    assert (tmp_path / "identifier.aside-read").read_text() == "half a fi"
+    later.close()
+
+
+def test_a_folder_and_a_name_are_of_one_tracker_at_a_time(tmp_path: Path) -> None:
+    _, state = taught(tmp_path)
+    _, second = state_in(tmp_path)
+    with pytest.raises(StateError, match=rf"in use by another node \(process {os.getpid()}\)"):
+        second.resume()
+    state_of_another_name = state_in(tmp_path, "left.identifier")[1]
+    state_of_another_name.resume()
+    state_of_another_name.close()
+    state.close()
+    assert second.resume() != ""
+    second.close()
+
+
+def test_a_killed_process_leaves_no_lock(tmp_path: Path) -> None:
+    hold = (
+        "import sys; from pathlib import Path; "
+        "from mr_damper_ros.processes.folder_lock import FolderLock; "
+        "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
+    )
+    path = tmp_path / ".identifier.lock"
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        with pytest.raises(LockHeldError) as caught:
+            FolderLock(path)
+        assert caught.value.holder == holder.pid
+        holder.kill()
+    FolderLock(path).release()
+
+
+def test_the_state_of_another_tracker_is_not_replaced(tmp_path: Path) -> None:
+    _, left = state_in(tmp_path, "left.identifier")
+    left.resume()
+    _, right = taught(tmp_path)
+    before = (tmp_path / "left.identifier.yaml").read_bytes()
+    with pytest.raises(StateError, match="is the state of another node"):
+        right.save("left.identifier")
+    left.close()
+    with pytest.raises(StateError, match="is the state of another node"):
+        right.save("left.identifier.yaml")
+    assert (tmp_path / "left.identifier.yaml").read_bytes() == before
+    right.close()
+
+
+def test_a_set_that_the_next_start_would_refuse_is_not_kept(tmp_path: Path) -> None:
+    tracker, state = taught(tmp_path)
+    good = (tmp_path / "identifier.yaml").read_bytes()
+    tracker.parameters = ParameterSet(-WEAK, set_id="driving", nrmse=5.0)
+    assert "driving is not kept: the parameters state an nrmse of 5" in state.keep_now()
+    assert (tmp_path / "identifier.yaml").read_bytes() == good
+    state.close()
+
+
+def test_a_memory_that_the_next_start_would_refuse_is_not_kept(tmp_path: Path) -> None:
+    tracker, state = taught(tmp_path)
+    tracker.resume(tracker.parameters, TrackerMemory(windows=-1))
+    assert "a negative count cannot be" in state.keep_now()
+    state.close()
 
 
 def test_sets_are_kept_under_names_beside_the_own_one(tmp_path: Path) -> None:
@@ -120,7 +206,7 @@ def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
     tracker = WindowTracker(TrackerSettings(), START)
     state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
     assert state.resume() == "parameters window-3 and 3 baselines, 3 windows"
-    assert state.fault == ""
+    assert state.fault == state.set_aside == ""
     assert [window.whole is not None for window in tracker.reservoir.windows] == [False] * 2 + [
         True
     ]
@@ -144,6 +230,6 @@ def test_a_state_from_before_a_model_had_more_parameters_is_gone_on_with(tmp_pat
     tracker = WindowTracker(settings, start)
     state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
     assert state.resume() == "parameters window-1 and 1 baselines, 1 windows"
-    assert state.fault == ""
+    assert state.fault == state.set_aside == ""
     assert tracker.parameters.values.size == len(tracker.parameters.law.parameter_names)
     state.close()

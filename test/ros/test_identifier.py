@@ -28,6 +28,7 @@ from support import Listener, assert_one_sentence
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.identifier_node import IdentifierParameters
 from mr_damper_ros.nodes.results import parameter_set
@@ -352,6 +353,10 @@ def test_sets_are_saved_loaded_reset_and_survive_a_restart(
     assert results.sets[-1].id == "literature"
     listener.wait_for_finding("identifier: state", "set aside as")
     assert (tmp_path / "identifier.aside").exists()
+    acknowledged = call(Trigger, "acknowledge")
+    assert acknowledged.success
+    assert "set aside as" in acknowledged.message
+    listener.wait_for_finding("identifier: state", "kept in")
 
 
 @pytest.mark.parametrize(
@@ -385,6 +390,46 @@ def test_a_memory_that_cannot_be_used_leaves_the_set(
     assert results.sets[-1].id == "identified"
     listener.wait_for_finding("identifier: state", "going on with identified alone; set aside as")
     assert StateDirectory(tmp_path).load("identifier").set_id == "identified"
+
+
+def test_a_folder_and_a_name_are_of_one_identifier(
+    start: Any, listener: Listener, results: Results, tmp_path: Path
+) -> None:
+    first = start("identifier", state_dir=tmp_path)
+    results.wait_for_the_start()
+    second = start("identifier", state_dir=tmp_path)
+    assert second.wait() == 2
+    assert_one_sentence(second.errors)
+    assert f"in use by another node (process {first.pid})" in second.errors
+    # The others may share the folder, but not the name.
+    start("identifier", "--ros-args", "-r", "__ns:=/right", state_dir=tmp_path)
+    for name, service in (("identifier", "/right/identifier"), ("right.identifier", "identifier")):
+        refused = listener.call(
+            SaveParameters, f"{service}/save_parameters", SaveParameters.Request(name=name)
+        )
+        assert not refused.success
+        assert "is the state of another node" in refused.message
+
+
+def test_a_state_that_cannot_be_a_dampers_is_set_aside(
+    start: Any, listener: Listener, results: Results, tmp_path: Path
+) -> None:
+    values = LITERATURE.copy()
+    values[PARAMETER_NAMES.index("f0")] = 1e9
+    content = ParameterSet(values).to_yaml()
+    (tmp_path / "identifier.yaml").write_text(content)
+    start("identifier", state_dir=tmp_path)
+    results.wait_for_the_start()
+    assert results.sets[-1].id == "literature"
+    listener.wait_for_finding("identifier: state", "beyond the 1e+06 N that are possible")
+    (tmp_path / "late.yaml").write_text(
+        ParameterSet(LITERATURE).to_yaml().replace("unnamed", r'"\ud800"')
+    )
+    refused = listener.call(
+        LoadParameters, "identifier/load_parameters", LoadParameters.Request(name="late")
+    )
+    assert not refused.success
+    assert refused.message
 
 
 @pytest.fixture

@@ -242,6 +242,14 @@ def test_parameters_that_cannot_be_used_are_refused(
         ("values", [float("nan")] * 16, "give a finite number"),
         ("values", [1.0], "must hold 16 numbers"),
         ("current_min", 9.0, "lower bound first"),
+        ("nrmse", 5.0, "state an nrmse of 5, where it must lie in 0 to 1"),
+        ("values", [-1e9, *TRUE_SET.values[1:]], "beyond the 1e+06 N that are possible"),
+        (
+            "values",
+            [-TRUE_SET.values[0], *TRUE_SET.values[1:]],
+            "a force that drives the motion instead of damping it",
+        ),
+        ("id", "two\nlines", "printable characters"),
     ):
         bad = parameters_message(TRUE_SET, "damper", "/test")
         bad.id = "bad"
@@ -351,8 +359,13 @@ def test_identifier_and_model_follow_a_damper_of_another_model(
     rig = Rig(start, listener, listeners=2)
     listener.until(lambda: sets, "the initial set")
     rig.run(made)
-    listener.until(lambda: any(r.accepted for r in reports), "an accepted window")
-    listener.wait_for_finding("model: parameters", "predicting with window-")
+    # The first window of a hysteresis says little of it: all must have been fitted.
+    end = made.stamp_ns(made.sample_count - BLOCK)
+    listener.until(
+        lambda: any(to_nanoseconds(r.header.stamp) >= end for r in reports), "the last window"
+    )
+    assert any(r.accepted for r in reports)
+    listener.wait_for_finding("model: parameters", f"predicting with {sets[-1].id}")
     newest = sets[-1]
     assert (newest.model, newest.names) == (model, list(MODELS[model].parameter_names))
     assert reports[0].coefficient_names == list(MODELS[model].coefficient_names)

@@ -1,0 +1,139 @@
+"""A parameter set is judged alike wherever it comes from; sets that were published pass."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.plausibility import LARGEST_FORCE, LARGEST_NRMSE, check_plausible
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
+from mr_damper_ros.models.published_conditions import (
+    CONDITIONS,
+    PUBLISHED_METHODS,
+    ROW_ERRATA,
+    parameters,
+)
+
+GOOD = ParameterSet(
+    THESIS_28_CELSIUS, peak_velocity_range=(0.03, 0.1), current_range=(0.0, 1.5), nrmse=0.1
+)
+DRIVES = "a force that drives the motion instead of damping it"
+TOO_LARGE = "beyond the 1e\\+06 N that are possible"
+
+
+def with_value(name: str, factor: float) -> np.ndarray:
+    values = THESIS_28_CELSIUS.copy()
+    values[known.index(name)] *= factor
+    return values
+
+
+def test_a_good_set_comes_back_itself() -> None:
+    assert check_plausible(GOOD) is GOOD
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_set_that_a_model_starts_from_passes(model: str) -> None:
+    check_plausible(start_set(model))
+
+
+@pytest.mark.parametrize("model", known.EXAMPLES)
+def test_a_damper_of_every_law_passes(model: str) -> None:
+    check_plausible(ParameterSet(known.EXAMPLES[model], model=model, current_range=(0.0, 2.0)))
+
+
+def test_sets_without_a_range_pass() -> None:
+    for values in (LITERATURE, THESIS_28_CELSIUS):
+        check_plausible(ParameterSet(values))
+
+
+def test_the_published_sets_pass_but_those_whose_rows_are_wrong() -> None:
+    refused = set()
+    for condition in CONDITIONS:
+        for method in PUBLISHED_METHODS:
+            speed = 2.0 * math.pi * condition.frequency * condition.amplitude
+            published = ParameterSet(
+                parameters(condition, method),
+                peak_velocity_range=(speed, speed),
+                current_range=(condition.current, condition.current),
+            )
+            try:
+                check_plausible(published)
+            except ParameterError:
+                refused.add((condition, method))
+    assert refused
+    assert refused <= ROW_ERRATA.keys()
+
+
+@pytest.mark.parametrize("frequency_free", [True, False])
+def test_a_reversed_sign_is_refused(frequency_free: bool) -> None:
+    reversed_set = replace(GOOD, values=with_value("f0", -1.0))
+    if frequency_free:
+        reversed_set = replace(
+            reversed_set,
+            peak_velocity_range=(0.0, math.inf),
+            current_range=(-math.inf, math.inf),
+        )
+    with pytest.raises(ParameterError, match=DRIVES):
+        check_plausible(reversed_set)
+
+
+@pytest.mark.parametrize("name", ["bingham", "bouc_wen", "modified_bouc_wen"])
+def test_a_reversed_sign_of_another_law_is_refused(name: str) -> None:
+    class Reversed(type(MODELS[name])):  # type: ignore[misc]
+        def follow(self, *arguments: object) -> object:
+            force, state = super().follow(*arguments)
+            return -force, state
+
+    good = ParameterSet(known.EXAMPLES[name], model=name, current_range=(0.0, 1.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(MODELS, name, Reversed())
+        with pytest.raises(ParameterError, match=DRIVES):
+            check_plausible(good)
+
+
+def test_a_force_that_no_damper_gives_is_refused() -> None:
+    peak = 1e3
+    too_large = replace(GOOD, values=with_value("f0", 10.0 * LARGEST_FORCE / peak))
+    with pytest.raises(ParameterError, match=TOO_LARGE):
+        check_plausible(too_large)
+
+
+def test_a_force_far_beyond_the_largest_measured_one_is_refused() -> None:
+    for largest, plausible in ((1000.0, True), (100.0, False), (math.nan, True)):
+        stated = replace(GOOD, largest_force=largest)
+        if plausible:
+            check_plausible(stated)
+        else:
+            with pytest.raises(ParameterError, match="beyond the 300 N that are possible"):
+                check_plausible(stated)
+
+
+def test_a_force_that_overflows_is_refused() -> None:
+    with pytest.raises(ParameterError, match=TOO_LARGE):
+        check_plausible(replace(GOOD, values=with_value("a1", -1e8)))
+
+
+@pytest.mark.parametrize("nrmse", [5.0, -0.1, math.inf, np.nextafter(LARGEST_NRMSE, 2.0)])
+def test_a_set_that_owns_up_to_explaining_nothing_is_refused(nrmse: float) -> None:
+    with pytest.raises(ParameterError, match=r"state an nrmse of .*, where it must lie in 0 to 1"):
+        check_plausible(replace(GOOD, nrmse=nrmse))
+
+
+def test_a_law_is_judged_where_it_says_that_it_holds() -> None:
+    # Twice as fast as the data that this set is from, its law gives 1e8 N.
+    condition = next(c for c in CONDITIONS if c.name == "7.5mm_1Hz_0.5A")
+    values = parameters(condition)
+    check_plausible(
+        ParameterSet(values, peak_velocity_range=(0.04, 0.047), current_range=(0.5, 0.5))
+    )
+    with pytest.raises(ParameterError, match=TOO_LARGE):
+        check_plausible(
+            ParameterSet(values, peak_velocity_range=(0.04, 0.3), current_range=(0.5, 0.5))
+        )
