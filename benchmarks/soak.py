@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks import endurance, fuzz, interrupts, kills
+from benchmarks import endurance, fuzz, interrupts, kills, poisoned_starts
 from benchmarks.figure import Figure, table, write
 
 OUTPUT = Path("build/soak.json")
@@ -23,6 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parts: dict[str, Callable[[], list[Figure]]] = {
         "fuzz": lambda: fuzz.figures(options.cases, options.seed),
         "kills": lambda: kills.figures(options.kills, options.kills, options.seed),
+        "starts": lambda: poisoned_starts.figures(options.starts, seed=options.seed),
         "interrupts": lambda: interrupts.figures(options.interrupts, options.seed),
         "soak": lambda: endurance.figures(options.hours, min(1.0, 0.25 * options.hours)),
     }
@@ -45,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only",
         nargs="+",
-        choices=("fuzz", "kills", "interrupts", "soak"),
+        choices=("fuzz", "kills", "starts", "interrupts", "soak"),
         help="these parts alone",
     )
     parser.add_argument(
@@ -62,6 +63,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--cases", type=int, default=100_000, help="of hostile input (default %(default)s)"
+    )
+    parser.add_argument(
+        "--starts",
+        type=int,
+        default=10_000,
+        help="from mutated state and parameter files (default %(default)s)",
     )
     parser.add_argument("--seed", type=int, default=0, help="of what is random (default 0)")
     parser.add_argument("--output", type=Path, default=OUTPUT, help="file (default %(default)s)")

@@ -40,6 +40,14 @@ def lossless() -> QoSProfile:
     return QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
 
 
+def bursts() -> QoSProfile:
+    """For a service that answers every request, however many come at once.
+
+    By default ten wait; those beyond are dropped, and whoever asked is never answered.
+    """
+    return QoSProfile(reliability=ReliabilityPolicy.RELIABLE, history=HistoryPolicy.KEEP_ALL)
+
+
 def latched() -> QoSProfile:
     """A value of which late subscribers get the last one."""
     return QoSProfile(

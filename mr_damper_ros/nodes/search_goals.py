@@ -6,16 +6,20 @@ import dataclasses
 import math
 
 from mr_damper_msgs.action import IdentifyGlobal
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.results import parameters_message
 from mr_damper_ros.tracking.pipeline import Pipeline, Search, SearchEnded, SearchProgress
 
 _REFUSED = "global-refused"
 """Id of a set that was found but is not in use."""
+
+_MOST_GOALS = 20
+"""Goals that may wait; a search takes up to minutes, so nobody waits for more of them."""
 
 
 class SearchGoals:
@@ -32,6 +36,7 @@ class SearchGoals:
         self._pipeline = pipeline
         self._configured = configured
         self._frame_id = frame_id
+        self._logger = node.get_logger()
         self._node = node.get_fully_qualified_name()
         self._goals: dict[Search, ServerGoalHandle] = {}
         self._results: dict[bytes, IdentifyGlobal.Result] = {}
@@ -41,7 +46,11 @@ class SearchGoals:
             "~/identify_global",
             self._hand_over,
             handle_accepted_callback=self._begin,
+            goal_callback=self._judge,
             cancel_callback=self._cancel,
+            goal_service_qos_profile=quality.bursts(),
+            result_service_qos_profile=quality.bursts(),
+            cancel_service_qos_profile=quality.bursts(),
         )
 
     def tell(self, event: SearchProgress) -> None:
@@ -62,6 +71,15 @@ class SearchGoals:
         """Give whoever asked for a search its result."""
         if event.search in self._goals:
             self._finish(self._goals.pop(event.search), self._result(event))
+
+    def _judge(self, _: IdentifyGlobal.Goal) -> GoalResponse:
+        if len(self._goals) < _MOST_GOALS:
+            return GoalResponse.ACCEPT
+        self._logger.warning(
+            f"a goal is refused: {_MOST_GOALS} wait already; cancel some, or send it later",
+            throttle_duration_sec=1.0,
+        )
+        return GoalResponse.REJECT
 
     def _begin(self, goal: ServerGoalHandle) -> None:
         try:

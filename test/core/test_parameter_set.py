@@ -47,12 +47,8 @@ def parameter_sets(draw: st.DrawFn) -> ParameterSet:
         peak_velocity_range=draw(ordered_pair()),
         current_range=draw(ordered_pair()),
         nrmse=draw(st.one_of(st.floats(0.0), st.just(math.nan))),
-<<<<<<< HEAD
-        stamp_ns=draw(st.integers(-(2**63), 2**63 - 1)),
-        largest_force=draw(st.one_of(FINITE.map(abs), st.just(math.nan))),
-=======
         stamp_ns=draw(st.integers(-STAMP_LIMIT, STAMP_LIMIT - 1)),
->>>>>>> 3606b0f (Judge parameter sets alike wherever they come from, and keep a state for one identifier alone)
+        largest_force=draw(st.one_of(FINITE.map(abs), st.just(math.nan))),
     )
 
 

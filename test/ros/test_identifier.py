@@ -444,6 +444,24 @@ def finished(listener: Listener, future: Any, what: str) -> Any:
     return future.result()
 
 
+def test_every_goal_of_a_burst_is_answered(
+    start: Any, listener: Listener, results: Results
+) -> None:
+    start("identifier")
+    results.wait_for_the_start()
+    # A client keeps ten answers by default; it is the server that is tried here.
+    deep = {f"{name}_service_qos_profile": quality.bursts() for name in ("goal", "result")}
+    client = ActionClient(listener.node, IdentifyGlobal, "identifier/identify_global", **deep)
+    listener.until(client.server_is_ready, "the action server")
+    answers = [client.send_goal_async(IdentifyGlobal.Goal()) for _ in range(100)]
+    listener.until(lambda: all(answer.done() for answer in answers), "an answer to every goal")
+    accepted = [answer.result() for answer in answers if answer.result().accepted]
+    assert 0 < len(accepted) < len(answers)
+    ended = [goal.get_result_async() for goal in accepted]
+    listener.until(lambda: all(result.done() for result in ended), "the end of those accepted")
+    client.destroy()
+
+
 def test_a_global_identification_on_demand(
     start: Any, listener: Listener, results: Results, client: ActionClient
 ) -> None:

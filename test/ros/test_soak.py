@@ -1,4 +1,4 @@
-"""Short variants of ``make soak``: kills, Ctrl-C, half a minute of streaming at twenty times."""
+"""Short variants of ``make soak``: kills, starts, Ctrl-C, half a minute of data at twenty times."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="these tests need ROS")
 
-from benchmarks import endurance, interrupts, kills
+from benchmarks import endurance, interrupts, kills, poisoned_starts
+from mr_damper_ros.tracking import tracker_memory
 
 GROWTH = 5.0
 """MB that a node may grow by in the second half of a minute; a leak of the blocks would be 8."""
@@ -18,6 +19,19 @@ def test_whatever_is_killed_the_state_stays() -> None:
         *("bridge", "identifier", "model", "worker")
     ]
     assert [kill.fault for kill in carried_out if kill.fault] == []
+
+
+def test_no_start_fails_because_of_its_files() -> None:
+    assert poisoned_starts.campaign(100, seed=1) == []
+
+
+def test_no_node_fails_to_start_because_of_its_files() -> None:
+    assert poisoned_starts.campaign_of_nodes(3, seed=1) == []
+
+
+def test_a_start_that_fails_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracker_memory, "_soundness", lambda memory, count: iter(()))
+    assert poisoned_starts.campaign(200, seed=1)
 
 
 def test_a_node_ends_cleanly_whenever_it_is_interrupted() -> None:

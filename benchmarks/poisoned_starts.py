@@ -1,0 +1,297 @@
+"""Starts from spoilt state and parameter files: each must start, or say in a sentence why not.
+
+A file is spoilt as a disk spoils it, or as a person or another program does who gives it a sound
+checksum: entries of the set and of the memory are replaced by what no tracker writes. A start is
+all that the nodes do with the file before the first sample: read, judge, resume, build the
+messages, keep. The same seed gives the same cases.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import random
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from mr_damper_msgs.msg import DamperParameters
+from rclpy.serialization import serialize_message
+
+from benchmarks.figure import Figure
+from benchmarks.hostile_input import CURRENT, NUMBERS, PERIOD, T0, motion, spoilt
+from benchmarks.processes import ProfiledDomain, start_node
+from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.plausibility import check_plausible
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.observer import Observer
+from mr_damper_ros.nodes.results import parameter_set, parameters_message, report_message
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker_state import TrackerState
+from mr_damper_ros.tracking.window_assembler import RawWindow
+
+_NAME = "identifier"
+
+_FOLLOWED = 0.05
+"""Part of the starts that go on with a good window."""
+
+_SAMPLES, _NOISE = 1000, 5.0
+"""Of a window; newtons."""
+
+_WORDS = ("", "x", "\ud800", "a\nb", "ä", "\0", "x" * 5000, "../x", "nan", "1e999", "bingham")
+_COUNTS = (-1, 0, 1, 2**31, 2**31 * 10**9, 2**63, -(2**63), 10**40)
+_SETTINGS = {
+    "window": TrackerSettings(method="least_squares"),
+    "unscented": TrackerSettings(method="least_squares", tracker="unscented"),
+    "bingham": TrackerSettings(method="least_squares", model="bingham"),
+}
+
+
+def figures(cases: int = 10_000, nodes: int = 40, seed: int = 0) -> list[Figure]:
+    """Start so many times in this process, and so many real nodes."""
+    faults = campaign(cases, seed) + campaign_of_nodes(nodes, seed)
+    return [
+        Figure(
+            "poisoned_starts",
+            len(faults),
+            f"of {cases} starts in one process and {nodes} of real nodes from mutated state and "
+            "parameter files, those that fail: by any but the documented errors, by a set or "
+            "report that cannot be published or kept, or by a good window that cannot be fitted "
+            "then",
+            (0.0, 0.0),
+            "; ".join(faults[:5]),
+        )
+    ]
+
+
+def campaign(cases: int, seed: int) -> list[str]:
+    """What went wrong in so many starts in this process."""
+    chance = random.Random(seed)
+    faults = []
+    with tempfile.TemporaryDirectory(prefix="starts-") as folder:
+        files = _good_files(Path(folder) / "good")
+        for number in range(cases):
+            kind = chance.choice(list(_SETTINGS))
+            data = _poisoned(chance, files[kind])
+            try:
+                fault = _start(kind, data, Path(folder) / "state", chance.random() < _FOLLOWED)
+            except Exception as error:
+                fault = f"{type(error).__name__}: {str(error)[:200]!a}"
+            if fault:
+                faults.append(f"start {number}, {kind}: {fault}")
+    return faults
+
+
+def _good_files(folder: Path) -> dict[str, bytes]:
+    """The state of each tracker after a few windows, one of them with a temperature."""
+    files = {}
+    for kind in _SETTINGS:
+        tracker, state = _tracker(kind, folder / kind)
+        state.resume()
+        for number in range(3):
+            tracker.follow(_window(number, temperature=30.0 + number))
+        assert tracker.accepted_windows
+        assert state.keep_now() == ""
+        state.close()
+        files[kind] = (folder / kind / f"{_NAME}.yaml").read_bytes()
+    return files
+
+
+def _window(number: int, temperature: float = math.nan) -> RawWindow:
+    """A second of a good stream."""
+    u, v, a = motion(np.arange(_SAMPLES) * PERIOD)
+    noise = np.random.default_rng(number).normal(0.0, _NOISE, _SAMPLES)
+    current = np.full(_SAMPLES, CURRENT)
+    return RawWindow(
+        start_ns=T0 + number * round(_SAMPLES * PERIOD * NANOSECONDS),
+        period=PERIOD,
+        displacement=u,
+        force=force(THESIS_28_CELSIUS, u, v, a, current) + noise,
+        current=current,
+        temperature=temperature,
+    )
+
+
+def _tracker(kind: str, folder: Path) -> tuple[WindowTracker, TrackerState]:
+    settings = _SETTINGS[kind]
+    start = start_set(settings.model)
+    if settings.model == "sigmoid":
+        start = ParameterSet(0.9 * THESIS_28_CELSIUS, set_id="start")
+    tracker = WindowTracker(settings, start)
+    return tracker, TrackerState(tracker, StateDirectory(folder), _NAME)
+
+
+def _start(kind: str, data: bytes, folder: Path, follow: bool) -> str:
+    """Start an identifier from a state and a model from a parameter file; what is wrong, if any."""
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{_NAME}.yaml"
+    path.write_bytes(data)
+    try:
+        _publishable(check_plausible(read_parameter_file(path)))
+    except (StateError, ParameterError) as error:
+        str(error).encode()
+    tracker, state = _tracker(kind, folder)
+    try:
+        state.resume().encode()
+        state.set_aside.encode()
+        _publishable(check_plausible(tracker.parameters))
+        fault = state.keep_now()
+        if not fault and follow:
+            fault = _go_on(tracker) or state.keep_now()
+        state.acknowledge()
+    finally:
+        state.close()
+        for left in folder.glob(f"{_NAME}.*"):
+            left.unlink()
+    return fault
+
+
+def _publishable(parameters: ParameterSet) -> None:
+    message = parameters_message(parameters, "damper", "/identifier")
+    serialize_message(message)
+    parameter_set(message)
+
+
+def _go_on(tracker: WindowTracker) -> str:
+    report = tracker.follow(_window(9))
+    assert report is not None
+    serialize_message(report_message(report, 0.0, "damper"))
+    _publishable(tracker.parameters)
+    return f"a good window: {report.reason}" if report.verdict is Verdict.FAILED else ""
+
+
+def _poisoned(chance: random.Random, good: bytes) -> bytes:
+    """A state file that is damaged, or whose entries are wrong beneath a sound checksum."""
+    how = chance.randrange(4)
+    if how == 0:
+        return spoilt(chance, good)
+    body = good.partition(b"\n")[2]
+    if how == 1:
+        body = spoilt(chance, body)
+    else:
+        text, mark, memory = body.decode().partition("\n# memory ")
+        if how == 2:
+            document = yaml.safe_load(text)
+            _spoil_entry(chance, document)
+            # As JSON, which is YAML: that can write what no dumper of YAML would.
+            text = json.dumps(document, allow_nan=True).replace("NaN", ".nan")
+            text = text.replace("-Infinity", "-.inf").replace("Infinity", ".inf")
+        else:
+            document = json.loads(memory)
+            for _ in range(chance.choice((1, 1, 3))):
+                _spoil_entry(chance, document)
+            memory = json.dumps(document) + "\n"
+        body = f"{text}{mark}{memory}".encode()
+    version = 2 if b"\n# memory " in body else 1
+    digest = hashlib.sha256(body).hexdigest()
+    return f"# mr_damper_ros parameters, version {version}, sha256 {digest}\n".encode() + body
+
+
+def _spoil_entry(chance: random.Random, document: Any) -> None:
+    """Replace an entry somewhere in nested lists and mappings."""
+    places: list[tuple[Any, Any]] = []
+    waiting = [document]
+    while waiting:
+        inner = waiting.pop()
+        keys = list(inner) if isinstance(inner, dict) else list(range(len(inner)))
+        places += [(inner, key) for key in keys]
+        waiting += [inner[key] for key in keys if isinstance(inner[key], (dict, list))]
+    inner, key = chance.choice(places)
+    before = inner[key]
+    change: Callable[[], Any] = chance.choice(
+        (
+            lambda: chance.choice(NUMBERS),
+            lambda: chance.choice(_WORDS),
+            lambda: chance.choice(_COUNTS),
+            lambda: chance.choice((None, True, [], {}, [[]], [before], [before, before])),
+            lambda: _scaled(before, chance.choice((-1.0, 1e-9, 1e9, 1e300, 0.0))),
+            lambda: _scaled(before, chance.choice((-1.0, 0.5, 2.0, 10.0))),
+        )
+    )
+    if isinstance(before, dict) and "float64" in before and chance.random() < 0.7:
+        _spoil_array(chance, before)
+    elif isinstance(before, list) and before and chance.random() < 0.5:
+        chance.shuffle(before)
+        del before[chance.randrange(len(before) + 1) :]
+    else:
+        inner[key] = change()
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value):
+        return factor
+    scaled = value * factor
+    return int(scaled) if isinstance(value, int) and math.isfinite(scaled) else scaled
+
+
+def _spoil_array(chance: random.Random, stored: dict[str, Any]) -> None:
+    """Change some of the numbers of an array, or its shape."""
+    try:
+        values = np.frombuffer(base64.b64decode(stored["float64"]), "<f8").copy()
+    except (TypeError, ValueError):
+        return  # spoilt before
+    what = chance.randrange(4)
+    if what == 0 and values.size:
+        values[chance.randrange(values.size)] = chance.choice(NUMBERS)
+    elif what == 1:
+        values[:] = chance.choice(NUMBERS)
+    elif what == 2:
+        values *= chance.choice((-1.0, 1e-12, 1e3, 1e200))
+    else:
+        stored["shape"] = chance.choice(([], [0], [values.size, 1], [1, values.size], [-1]))
+    stored["float64"] = base64.b64encode(values.tobytes()).decode()
+
+
+def campaign_of_nodes(count: int, seed: int) -> list[str]:
+    """What went wrong in so many starts of real nodes, in turn with a state, a file, a model."""
+    if count == 0:
+        return []
+    chance = random.Random(seed)
+    domain = ProfiledDomain()
+    faults = []
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="starts-") as folder,
+            Observer(environment=domain.environment) as observer,
+        ):
+            good = _good_files(Path(folder) / "good")["window"]
+            for number in range(count):
+                state = Path(folder) / str(number)
+                state.mkdir()
+                (state / f"{_NAME}.yaml").write_bytes(_poisoned(chance, good))
+                fault = _start_node(observer, domain, state, by_file=number % 3 == 2)
+                if fault:
+                    faults.append(f"node {number}: {fault}")
+    finally:
+        domain.close()
+    return faults
+
+
+def _start_node(observer: Observer, domain: ProfiledDomain, state: Path, by_file: bool) -> str:
+    """An identifier from a state must start; from a file it may also refuse it in a sentence."""
+    heard = observer.listen(DamperParameters, "damper/parameters", quality.latched())
+    options = {"initial_parameters": state / f"{_NAME}.yaml"} if by_file else {"state_dir": state}
+    node = start_node(_NAME, domain, **options)
+    try:
+        observer.until(lambda: heard or not node.running, "a set, or the end of the node")
+        refused = by_file and node.wait() == 2 if not node.running else False
+        if "Traceback" in node.log or not (heard or refused):
+            return f"{node.log[-300:]!r}"
+        return ""
+    except TimeoutError as error:
+        return str(error)
+    finally:
+        node.close()
