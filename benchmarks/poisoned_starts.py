@@ -44,7 +44,7 @@ from mr_damper_ros.tracking.window_assembler import RawWindow
 
 _NAME = "identifier"
 
-_FOLLOWED = 0.05
+_FOLLOWED = 0.1
 """Part of the starts that go on with a good window."""
 
 _SAMPLES, _NOISE = 1000, 5.0
