@@ -329,7 +329,7 @@ def test_it_predicts_with_what_the_identifier_finds(
     assert second[-1].parameter_set.startswith("window-")
 
 
-EXTENDED = np.array([*parameters(CONDITION), 3e-8, 4000.0, 60.0])
+EXTENDED = MODELS["sigmoid_lag"].completed(np.array([*parameters(CONDITION), 3e-8, 4000.0, 60.0]))
 HYSTERETIC = MODELS["bouc_wen"].completed(np.array([4000.0, 3000.0, -20.0, 900.0, 3e-4, 0.4, 1.5]))
 
 
