@@ -23,10 +23,10 @@ _FAR_BETTER = 1.5
 """Where a set holds and the residual stays large, another force is taken for that of a sensor,
 unless it is so near the known one, or the new set leaves so many times less."""
 
-BEYOND_CHANCE = 2.0
+BEYOND_CHANCE = 2.5
 """A set is exchanged for a lead of so many standard errors.
 
-A lead that is nothing but chance exceeds it once in 44 windows, and more rarely here: a new fit
+A lead that is nothing but chance exceeds it once in 160 windows, and more rarely here: a new fit
 errs by its own noise, for which it falls behind on samples that it has not seen.
 """
 
