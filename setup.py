@@ -86,7 +86,10 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
+    extras_require={
+        "test": ["pytest"],
+        "files": ["openpyxl==3.1.5", "npTDMS==1.13.0"],
+    },
     zip_safe=False,
     cmdclass={"develop": Develop, "install_scripts": InstallScripts},
     entry_points={

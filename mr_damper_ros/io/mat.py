@@ -1,33 +1,19 @@
-"""Reads the matrices of a MAT file, in a process of its own.
-
-SciPy's reader believes what a file says of itself: a malformed one can end the process that reads
-it (a segmentation fault), keep it for ever, or unpack a few bytes to more than the memory. So a
-child process reads, with limited time and memory, and hands over arrays without objects.
-"""
+"""Reads the matrices of a MAT file, in a process of its own; hands over arrays without objects."""
 
 from __future__ import annotations
 
-import contextlib
-import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mr_damper_ros.io.confined_reading import limit_memory, limit_time, memory_for, run_confined
 from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
-from mr_damper_ros.processes import child_process
 
 TIME_LIMIT = 60.0
 """Seconds that reading may take."""
-
-_BYTES_PER_SAMPLE = 100
-"""Memory [B] that may be used: four columns of eight bytes, compressed, unpacked and turned."""
-
-_LEAST_MEMORY = 100_000_000
-"""Bytes that any file may use."""
 
 _VERSION_73, _NO_SCIPY, _DAMAGED, _TOO_LARGE = 3, 4, 5, 6
 """Exit codes of the child."""
@@ -47,21 +33,10 @@ def read_matrices(path: Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Matrice
     :data:`TIME_LIMIT` or more memory than so many samples of a record need, and OSError where
     there is no such file.
     """
-    memory = max(_BYTES_PER_SAMPLE * maximum_samples, _LEAST_MEMORY)
-    result = os.memfd_create("matrices")
-    with path.open("rb") as file, open(result, "rb") as stream:
-        code = subprocess.run(
-            child_process.command(serve, str(TIME_LIMIT), str(memory), str(result)),
-            stdin=file,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=[result],
-            env={**os.environ, **child_process.SINGLE_THREADED},
-            start_new_session=True,
-            check=False,
-        ).returncode
+    memory = memory_for(maximum_samples)
+    code, stream = run_confined(serve, path, str(TIME_LIMIT), str(memory))
+    with stream:
         if code == 0:
-            stream.seek(0)
             names = np.load(stream, allow_pickle=False).tolist()
             return {name: np.load(stream, allow_pickle=False) for name in names}
     raise MatError(_reason(code, memory))
@@ -87,14 +62,13 @@ def serve(time_limit: str, memory_limit: str, result: str) -> None:
 
     What it has loaded itself is not counted.
     """
-    # Without a handler the signal ends a process also while it is in a call into C.
-    signal.setitimer(signal.ITIMER_REAL, float(time_limit))
+    limit_time(float(time_limit))
     try:
         from scipy.io import loadmat  # here: see mr_damper_ros.entry_points
     except ImportError:
         raise SystemExit(_NO_SCIPY) from None
     try:
-        _limit_memory(int(memory_limit))
+        limit_memory(int(memory_limit))
         content = loadmat(sys.stdin.buffer)
         matrices = {
             name: value
@@ -111,15 +85,3 @@ def serve(time_limit: str, memory_limit: str, result: str) -> None:
     except Exception:
         # Damaged bytes surface in the library as exceptions of many kinds.
         raise SystemExit(_DAMAGED) from None
-
-
-def _limit_memory(size: int) -> None:
-    """Let this process take so many bytes more than it has now. Elsewhere than on Linux: not."""
-    if sys.platform != "linux":
-        return
-    import resource
-
-    pages = int(Path("/proc/self/statm").read_text().split()[5])  # data and stack
-    used = pages * os.sysconf("SC_PAGE_SIZE")
-    with contextlib.suppress(ValueError):  # a lower limit is set already
-        resource.setrlimit(resource.RLIMIT_DATA, (used + size, used + size))

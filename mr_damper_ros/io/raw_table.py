@@ -17,10 +17,14 @@ class RecordError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """Raw values by quantity, shape (n,); ``place`` says in words where a row is, for messages."""
+    """Raw values by quantity, shape (n,); ``place`` says in words where a row is, for messages.
+
+    ``period`` [s] is the time between rows where the file tells it by itself.
+    """
 
     values: dict[str, Array]
     place: Callable[[int], str]
+    period: float | None = None
 
     @property
     def row_count(self) -> int:

@@ -12,11 +12,21 @@ from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES, RecordError
 from mr_damper_ros.io.regular_files import irregularity
 from mr_damper_ros.io.run_cuts import find_runs, run_summary
 from mr_damper_ros.io.sampled_record import SampledRecord
+from mr_damper_ros.io.spreadsheet import read_spreadsheet
+from mr_damper_ros.io.tdms import read_tdms
 from mr_damper_ros.io.text_table import read_text_table
 from mr_damper_ros.signals.recording import Recording
 
-FORMATS = {".mat": read_mat_table}
+FORMATS = {
+    ".mat": read_mat_table,
+    ".tdms": read_tdms,
+    ".xlsm": read_spreadsheet,
+    ".xlsx": read_spreadsheet,
+}
 """What reads a file with this ending; all others are text."""
+
+_TELL_PERIOD = (read_tdms,)
+"""Those whose files may tell the time between samples."""
 
 
 def read_record(
@@ -36,7 +46,8 @@ def read_record(
     :func:`mr_damper_ros.io.columns.parse_columns`. Text files may be separated by spaces, tabs,
     semicolons or commas, have decimal commas (unless separated by commas), and any number of
     lines before the first row of numbers; of a MAT file, ``variable`` chooses the matrix, or the
-    columns name one variable each.
+    columns name one variable each; of a spreadsheet (XLSX) it chooses the sheet, of a TDMS file the
+    group of channels.
 
     ``current`` [A] is that of the whole record where no column holds it; ``period`` [s] the time
     between samples where no column holds the time; ``start`` and ``stop`` [s], from the first
@@ -138,19 +149,28 @@ def read_samples(
         raise RecordError("the time is given twice: by a column and by the period")
     if period is not None and not (math.isfinite(period) and period > 0.0):
         raise RecordError(f"the period is {period} s: it must be positive")
-    if "time" not in wanted.quantities and period is None:
-        raise RecordError(
-            "the time between samples is not known: name the column of the time (time:s) "
-            "or give the period"
-        )
     kind = irregularity(path)
     if kind:
-        raise RecordError(f"{path} is {kind}: give a text, CSV or MAT file")
+        raise RecordError(f"{path} is {kind}: give a text, CSV, MAT, XLSX or TDMS file")
     if path.stat().st_size == 0:
         raise RecordError(f"{path.name} is empty: give a file with at least two rows of numbers")
     read = FORMATS.get(path.suffix.lower(), read_text_table)
+    knows_time = "time" in wanted.quantities or period is not None
+    if read not in _TELL_PERIOD and not knows_time:
+        raise _no_time()
     table = read(path, wanted, variable, maximum_samples)
+    if not knows_time:
+        period = table.period
+        if period is None:
+            raise _no_time()
     return SampledRecord.of(path, table, wanted, period)
+
+
+def _no_time() -> RecordError:
+    return RecordError(
+        "the time between samples is not known: name the column of the time (time:s) "
+        "or give the period"
+    )
 
 
 def _check_current(wanted: Columns, current: float | None) -> None:

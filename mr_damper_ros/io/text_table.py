@@ -51,10 +51,10 @@ def read_text_table(
 class TextFile:
     """A file with its encoding, what separates its fields, and its number of filled lines.
 
-    ``name`` is what messages call it.
+    ``name`` is what messages call it; ``separator`` is found out where it is not given.
     """
 
-    def __init__(self, path: Path, name: str, encoding: str) -> None:
+    def __init__(self, path: Path, name: str, encoding: str, separator: str | None = None) -> None:
         self._path = path
         self._name = name
         self._encoding = encoding
@@ -65,7 +65,7 @@ class TextFile:
             last.append(line)
         # The last lines hold numbers, whatever the header looks like.
         self._last = list(last)[-(self._row_count - self._row_count // 2) :]
-        self._separator = _separator(self._last)
+        self._separator = _separator(self._last) if separator is None else separator
 
     def table(self, columns: Columns, maximum_samples: int) -> RawTable:
         """The numbers in these columns."""
@@ -209,7 +209,10 @@ def _encoding(path: Path) -> str:
         if start.startswith((b"\xff\xfe", b"\xfe\xff")):
             return "utf-16"
         if start.startswith(b"PK"):
-            raise RecordError(f"{path.name} is a spreadsheet or an archive: save it as CSV first")
+            raise RecordError(
+                f"{path.name} is an archive, or a spreadsheet of another ending: save it as XLSX "
+                "or CSV first"
+            )
         if b"\0" in start:
             raise RecordError(f"{path.name} is not a text file: export it as text, CSV or MAT")
         decoder = codecs.getincrementaldecoder("utf-8")()

@@ -1,4 +1,4 @@
-"""``import_record``: a laboratory's text, CSV or MAT file becomes a bag."""
+"""``import_record``: a laboratory's file becomes a bag, or a bag for each of its runs."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="import_record",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Turn a text, CSV or MAT file into a bag.",
+        description="Turn a text, CSV, MAT, XLSX or TDMS file into a bag.",
         epilog=_EPILOG,
     )
-    parser.add_argument("file", type=Path, metavar="FILE", help="text, CSV or MAT file")
+    parser.add_argument("file", type=Path, metavar="FILE", help="text, CSV, MAT, XLSX or TDMS file")
     parser.add_argument(
         "--columns", required=True, help="what the columns hold, and their units (see below)"
     )
@@ -90,7 +90,9 @@ def _parser() -> argparse.ArgumentParser:
         "--to", dest="stop", type=float, metavar="S", help="end here [s from the first sample]"
     )
     parser.add_argument(
-        "--variable", metavar="NAME", help="matrix in a MAT file, if it has several"
+        "--variable",
+        metavar="NAME",
+        help="matrix in a MAT file, sheet of a spreadsheet, or group of a TDMS file, if several",
     )
     parser.add_argument(
         "--maximum-samples",

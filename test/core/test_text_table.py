@@ -90,5 +90,5 @@ def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str, suffix: str) 
         path.symlink_to("/dev/zero")
     else:
         path.mkdir()
-    with pytest.raises(RecordError, match=f"run{suffix} is {kind}: give a text, CSV or MAT file"):
+    with pytest.raises(RecordError, match=f"run{suffix} is {kind}: give a text, CSV, MAT"):
         read_record(path, COLUMNS, current=0.5)

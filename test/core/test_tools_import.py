@@ -431,7 +431,7 @@ def test_an_uneven_pace_is_refused(write: Any) -> None:
     ("content", "sentence"),
     [
         (b"", "is empty"),
-        (b"PK\x03\x04 and so on", "save it as CSV first"),
+        (b"PK\x03\x04 and so on", "save it as XLSX or CSV first"),
         (b"\x7fELF\0\0\0", "is not a text file"),
     ],
 )
