@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES, EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
-from mr_damper_ros.interface.findings import searches
+from mr_damper_ros.interface.findings import Findings, searches
 from mr_damper_ros.interface.fit_result import MOST_LEFT
 from mr_damper_ros.interface.identification import identify
 from mr_damper_ros.models import MODELS
@@ -145,13 +145,17 @@ def _identify(options: argparse.Namespace) -> int:
             resume=options.resume,
             report=progress,
         )
-        more = result.determination(
-            top_velocity=options.top_velocity, top_current=options.top_current
-        )
+        more = Findings([], {})
+        # Who has pressed Ctrl-C wants the result, and not what may take as long again.
+        if not progress.stopped:
+            more += result.determination(
+                top_velocity=options.top_velocity, top_current=options.top_current
+            )
         more += searches(result.searches)
-        if options.profile:
+        if options.profile and not progress.stopped:
             more += result.profile(*options.profile, workers=options.workers, report=progress)
-    more += result.temperature_maps()
+    if not progress.stopped:
+        more += result.temperature_maps()
     print(result)
     print(more)
     if options.output is not None:
