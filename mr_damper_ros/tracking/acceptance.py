@@ -15,6 +15,12 @@ from mr_damper_ros.tracking.known_forces import KnownForce, KnownForces
 _NO_NOISE = 1e-4
 """An NRMSE below this is better than any load cell: smaller ones are not told apart."""
 
+_OTHER_SHAPE = 0.3
+"""Temperature and wear move the loop of a steady motion by less than this part of the force from
+one window to the next: a delay between the sensors does more."""
+
+_LEAST_WEIGHT = 0.1
+
 _WORSE = 0.05
 """A set for all windows may leave so much more of the newest one's force than the running set."""
 
@@ -135,6 +141,23 @@ class Evidence:
         """Whether the new set predicts better than the running one, beyond chance."""
         return self.nrmse_after < self.nrmse_before and self.lead > BEYOND_CHANCE
 
+    @property
+    def shape_change(self) -> float:
+        """Part of the new set's force [1] that is no multiple of the running set's.
+
+        It follows from the other figures where the new set explains the force and the mean of the
+        force is small; NaN where it does not.
+        """
+        new = 1.0 - self.nrmse_after**2
+        difference = self.nrmse_before**2 - self.nrmse_after**2
+        factor = 1.0 + self.force_change
+        weight = 2.0 * factor - 1.0
+        # Near half the force the two differences cancel.
+        if not (new > 0.0 and abs(weight) > _LEAST_WEIGHT):
+            return math.nan
+        known = (new - difference) / (weight * new)
+        return math.sqrt(max(1.0 - factor**2 * known, 0.0)) if known > 0.0 else math.nan
+
 
 @dataclass(frozen=True)
 class AcceptanceHistory:
@@ -157,7 +180,9 @@ class Gatekeeper:
 
     _MEMORY = 15
     _PATIENCE = 4
-    """After this many refusals in a row for the residual, the larger residual is the usual one."""
+    """After so many refusals in a row for the residual the larger residual is the usual one, ..."""
+    _PATIENCE_WHERE_KNOWN = 12
+    """... and after so many, where the running set holds: a sensor is repaired sooner than that."""
 
     def __init__(
         self, settings: AcceptanceSettings, history: AcceptanceHistory | None = None
@@ -182,14 +207,20 @@ class Gatekeeper:
         )
 
     def judge(
-        self, evidence: Evidence, force: KnownForce | None = None, *, holds: bool = False
+        self,
+        evidence: Evidence,
+        force: KnownForce | None = None,
+        *,
+        holds: bool = False,
+        same_motion: bool = False,
     ) -> Judgement:
         """Whether the new set is accepted, and why not.
 
         ``force``: size and operating point of the window's force, where they are to be judged.
-        ``holds``: whether the running set has been identified where the window is.
+        ``holds``: whether the running set has been identified where the window is;
+        ``same_motion``: whether it has been confirmed in several windows of this very motion.
         """
-        judgement = self._judge(evidence, force, holds)
+        judgement = self._judge(evidence, force, holds, same_motion)
         if judgement.verdict.confirms:
             self._residuals.append((evidence.rmse_after, evidence.nrmse_after))
         if force is not None and judgement.verdict.confirms:
@@ -268,7 +299,9 @@ class Gatekeeper:
             )
         )
 
-    def _judge(self, evidence: Evidence, force: KnownForce | None, holds: bool) -> Judgement:
+    def _judge(
+        self, evidence: Evidence, force: KnownForce | None, holds: bool, same_motion: bool
+    ) -> Judgement:
         settings = self._settings
         pending, self._pending_change = self._pending_change, None
         if not np.isfinite(evidence.nrmse_after):
@@ -280,11 +313,15 @@ class Gatekeeper:
                 f"maximum_nrmse ({settings.maximum_nrmse:.0%})",
             )
         beyond = self._beyond(evidence, force, holds) if force is not None else ""
+        if same_motion and evidence.shape_change > _OTHER_SHAPE:
+            beyond = (
+                f"{evidence.shape_change:.0%} of the force have another shape in the same motion"
+            )
         if beyond:
             return Judgement(
                 Verdict.BEYOND_LIMITS,
-                f"{beyond}, more than change_limit ({settings.change_limit:g}) allows: "
-                "check the sensors; where the damper is another one now, call reset",
+                f"{beyond}: check the sensors and their clocks; where the damper is another one "
+                "now, call reset",
             )
         known = bool(self._residuals)
         if known:
@@ -297,7 +334,8 @@ class Gatekeeper:
                     and abs(evidence.force_change) > _SAME_FORCE
                     and evidence.nrmse_before < _FAR_BETTER * evidence.nrmse_after
                 )
-                if self._refused_for_residual <= self._PATIENCE or doubtful:
+                patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
+                if self._refused_for_residual <= patience or doubtful:
                     return Judgement(
                         Verdict.DISTURBED,
                         f"the residual is {excess:.1f} times the usual one: "
@@ -327,5 +365,7 @@ class Gatekeeper:
 
         Where the running set holds, it tells what the force was at first at a new operating point.
         """
+        limit = self._settings.change_limit
         expected = self._forces.level * (1.0 + evidence.force_change) if holds else math.nan
-        return self._forces.objection(force, self._settings.change_limit, expected)
+        objection = self._forces.objection(force, limit, expected)
+        return f"{objection}, more than change_limit ({limit:g}) allows" if objection else ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,39 @@ _AGREES = 0.1
 
 _SAME_SPEED = 1.1
 _SAME_CURRENT = 0.05
+_SAME_FREQUENCY = 0.05
+_SAME_AMPLITUDE = 0.3
+"""A sensor that is late may also show less of the motion; the loop keeps its shape that far."""
+
+
+@dataclass(frozen=True)
+class SteadyMotion:
+    """The sine of the newest good windows, and in how many of them in a row it was the same.
+
+    ``amplitude`` [m], ``frequency`` [Hz], ``current`` [A].
+    """
+
+    windows: int = 0
+    amplitude: float = math.nan
+    frequency: float = math.nan
+    current: float = math.nan
+
+    def windows_of(self, summary: WindowSummary) -> int:
+        """How many windows in a row had the motion of this one; 0 for no sine."""
+        low, high = summary.current_range
+        same = (
+            math.isclose(summary.amplitude, self.amplitude, rel_tol=_SAME_AMPLITUDE)
+            and math.isclose(summary.frequency, self.frequency, rel_tol=_SAME_FREQUENCY)
+            and max(abs(low - self.current), abs(high - self.current)) <= _SAME_CURRENT
+        )
+        return self.windows if same else 0
+
+    def followed_by(self, summary: WindowSummary) -> SteadyMotion:
+        """The motion after a good window."""
+        current = 0.5 * sum(summary.current_range)
+        return SteadyMotion(
+            self.windows_of(summary) + 1, summary.amplitude, summary.frequency, current
+        )
 
 
 def holds_at(running: ParameterSet, point: OperatingPoint) -> bool:

@@ -31,6 +31,11 @@ comes back by 5 % of its span, is no damper's."""
 _STILL = 12.0
 """A displacement that spans fewer standard deviations of its noise does not move at all."""
 
+_STUCK = "the force follows a motion that the displacement does not show: is it stuck?"
+
+_MOVING_AT_REST = 0.5
+"""A force that spreads at rest by this part of what it does in the whole window is no rest's."""
+
 _MOVING_FORCE = 0.3
 """Part of the largest known force that a force spans at least, to be that of a motion."""
 
@@ -107,7 +112,7 @@ def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> st
     still = float(np.ptp(displacement)) <= _STILL * displacement_noise(displacement)
     low, high = np.quantile(force, (0.01, 0.99))
     if still and high - low > _MOVING_FORCE * largest_force and holds_cycle(force):
-        return "the force follows a motion that the displacement does not show: is it stuck?"
+        return _STUCK
     return ""
 
 
@@ -140,12 +145,29 @@ def lack_of_cycle(displacement: Array, velocity: Array) -> str:
 
 def part_at_rest(velocity: Array) -> float:
     """Part of the samples (n,) [m/s] in a row in which the machine stands still at most."""
-    speed = np.abs(velocity)
-    if not speed.size:
+    if not velocity.size:
         return 1.0
+    rest = _longest_rest(velocity)
+    return (rest.stop - rest.start) / velocity.size
+
+
+def fault_of_rest(velocity: Array, force: Array) -> str:
+    """Why a machine cannot have stopped within a window (n,) [m/s, N]; empty where it can."""
+    rest = _longest_rest(velocity)
+    long = rests_too_long((rest.stop - rest.start) / velocity.size)
+    if long and float(np.std(force[rest])) > _MOVING_AT_REST * float(np.std(force)):
+        return _STUCK
+    return ""
+
+
+def _longest_rest(velocity: Array) -> slice:
+    speed = np.abs(velocity)
     resting = np.concatenate(([0], (speed < _RESTING * speed.max()).view(np.int8), [0]))
     edges = np.flatnonzero(np.diff(resting))
-    return float(np.max(edges[1::2] - edges[::2], initial=0)) / speed.size
+    if not edges.size:
+        return slice(0, 0)
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    return slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
 
 
 def rests_too_long(part: float) -> bool:

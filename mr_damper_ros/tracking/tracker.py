@@ -28,6 +28,7 @@ from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.reports import Report, report_of_global, report_of_window
 from mr_damper_ros.tracking.reservoir import Reservoir
 from mr_damper_ros.tracking.running_set import (
+    SteadyMotion,
     holds_at,
     known_force,
     set_of_change,
@@ -43,6 +44,10 @@ from mr_damper_ros.tracking.window_task import run_fit
 _GROWTH = 1.5
 """Another global identification is worth while where so many times the operating points are known.
 """
+
+
+_ESTABLISHED = 3
+"""So many windows of one motion establish the shape of its force."""
 
 
 class WindowTracker:
@@ -90,6 +95,7 @@ class WindowTracker:
         self._searched_points = memory.searched_points
         self._seen_ns = 0
         self._other_damper = False
+        self._motion = SteadyMotion()
         # Whether the law over the current does not explain the newest window.
         self._unexplained = False
         self._kept_ns = 0
@@ -196,11 +202,13 @@ class WindowTracker:
             self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
         force = known_force(fit, summary)
         holds = not self._other_damper and holds_at(self.parameters, fit.operating_point)
-        judgement = self._gatekeeper.judge(evidence, force, holds=holds)
+        known_motion = self._motion.windows_of(summary) >= _ESTABLISHED
+        judgement = self._gatekeeper.judge(evidence, force, holds=holds, same_motion=known_motion)
         if judgement.verdict.confirms:
             # All but the running set learns from every good window; that from those that help.
             self._state = result.state
             self._watch = self._watch or result.watch
+            self._motion = self._motion.followed_by(summary)
             self._accepted_since_global += 1
             self._baselines.add(fit)
         if judgement.verdict.accepted:

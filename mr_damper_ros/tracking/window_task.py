@@ -19,6 +19,7 @@ from mr_damper_ros.tracking.look_task import run_look
 from mr_damper_ros.tracking.reservoir import thinned_to_keep
 from mr_damper_ros.tracking.screening import (
     fault_at_rest,
+    fault_of_rest,
     fault_of_samples,
     fault_of_sign,
     lack_of_cycle,
@@ -46,6 +47,9 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         window = Window.from_samples(
             raw.displacement, raw.force, raw.current, raw.period, raw.peak_velocity
         )
+        fault = fault_of_rest(window.motion.velocity, window.force)
+        if fault:
+            return FitResult(fault_of_data(fault))
         lack = lack_of_cycle(raw.displacement, window.motion.velocity)
         if lack:
             return FitResult(too_little_motion(lack))

@@ -242,11 +242,35 @@ def test_the_limit_can_be_moved_and_is_kept() -> None:
     assert other.judge(evidence(10.0, 5.0), force(10.0)).verdict is Verdict.BEYOND_LIMITS
 
 
+def test_a_rig_that_became_noisier_is_believed_later_where_the_set_holds() -> None:
+    gatekeeper = experienced(5.0)
+    noisy = evidence(20.1, 20.0, change=0.01)
+    verdicts = [gatekeeper.judge(noisy, force(), holds=True).verdict for _ in range(14)]
+    assert verdicts == [Verdict.DISTURBED] * 12 + [Verdict.ACCEPTED] * 2
+
+
 def test_a_sensor_that_stays_disturbed_changes_no_known_force() -> None:
     gatekeeper = experienced(5.0)
     disturbed = evidence(25.0, 20.0, change=-0.2)
     for _ in range(20):
         assert gatekeeper.judge(disturbed, force(), holds=True).verdict is Verdict.DISTURBED
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.2, 0.7, 1.2])
+def test_the_change_of_shape_is_what_no_factor_explains(angle: float) -> None:
+    # One sine that comes late against another: the sine of the angle is across.
+    before = math.hypot(1.0 - math.cos(angle), math.sin(angle))
+    found = Evidence(before, 0.0, 0.0, math.cos(angle) - 1.0).shape_change
+    assert found == pytest.approx(abs(math.sin(angle)), abs=1e-6)
+
+
+def test_a_loop_that_is_another_at_once_is_not_taken_by_repetition() -> None:
+    gatekeeper = used_to()
+    late = Evidence(0.63, 0.01, 5.0, -0.2)
+    for _ in range(20):
+        found = gatekeeper.judge(late, force(), holds=True, same_motion=True)
+        assert found.verdict is Verdict.BEYOND_LIMITS
+    assert gatekeeper.judge(late, force(), holds=True, same_motion=False) == ACCEPTED
 
 
 def test_one_set_for_all_that_is_worse_where_the_damper_is_now_is_refused() -> None:

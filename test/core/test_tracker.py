@@ -352,6 +352,17 @@ def test_a_known_set_limits_the_first_force_too_until_a_reset() -> None:
     assert fed(tracked, window(1, strength=5.0))[0].accepted
 
 
+def test_a_force_that_comes_late_is_not_taken_by_repetition() -> None:
+    tracked = tracker()
+    fed(tracked, *(window(number, samples=2000) for number in range(6)))
+    good = tracked.parameters
+    late = [window(number, samples=2000) for number in range(6, 16)]
+    late = [dataclasses.replace(w, force=np.roll(w.force, 100)) for w in late]
+    assert not any(report.accepted for report in fed(tracked, *late))
+    assert tracked.parameters is good
+    assert fed(tracked, window(16, samples=2000))[0].confirms
+
+
 def test_a_single_wrong_window_is_never_confirmed() -> None:
     tracked = experienced()
     good = error_of(tracked.parameters)
