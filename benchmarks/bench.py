@@ -15,8 +15,10 @@ from benchmarks import (
     drift,
     earthquake_online,
     earthquake_static,
+    faults,
     force_step,
     honest_errors,
+    healthy,
     kinematics,
     noise_limit,
     repeated_evolution,
@@ -27,6 +29,7 @@ from benchmarks import (
     whole_damper,
     window_refit,
 )
+from benchmarks.fault_scenarios import SCENARIOS
 from benchmarks.figure import Figure, table, write
 
 OUTPUT = Path("build/bench.json")
@@ -67,6 +70,8 @@ FULL: dict[str, Measure] = {
     "earthquake_online": earthquake_online.figures,
     "earthquake_static": earthquake_static.figures,
     "kinematics": kinematics.figures,
+    "faults": faults.figures,
+    "healthy": healthy.figures,
     "streaming_load": _of_nodes("streaming_load"),
     "lossy_link": _of_nodes("lossy_link"),
     "hostile_messages": _of_nodes("hostile_messages"),
@@ -80,6 +85,8 @@ QUICK: dict[str, Measure] = {
     "honest_errors": lambda: honest_errors.figures(windows=60),
     "drift": lambda: drift.figures(duration=120.0),
     "force_step": lambda: force_step.figures(offsets=(0.0, 0.5)),
+    "faults": lambda: faults.figures(SCENARIOS[::8], ("viscous_tanh",)),
+    "healthy": lambda: healthy.figures(healthy.PROGRAMMES[2:5], ("viscous_tanh",)),
     "streaming_load": _of_nodes("streaming_load", duration=30.0, latency_duration=30.0),
     "lossy_link": _of_nodes("lossy_link", duration=20.0),
 }

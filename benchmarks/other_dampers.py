@@ -7,13 +7,20 @@ coil of each lags.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.excitation import SampledMotion
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.rig.excitation import (
+    EnvelopedMotion,
+    Excitation,
+    SampledMotion,
+    SineMotion,
+    WarpedMotion,
+)
 
 _GRID = 5e-3
 """Period [s] of the samples of a motion of up to some 20 Hz; a spline goes through them."""
@@ -90,14 +97,32 @@ def random_motion(rms: float, low: float, high: float, duration: float, seed: in
 
 
 def chirp(top_speed: float, most: float, low: float, high: float, duration: float) -> SampledMotion:
-    """A sine from ``low`` to ``high`` [Hz], evenly on a logarithmic scale.
+    """A sine from ``low`` to ``high`` [Hz] and back, again and again, evenly in their logarithm.
 
-    Its amplitude keeps the ``top_speed`` [m/s], but is ``most`` [m] at most.
+    One way takes a quarter of the ``duration`` [s]. The amplitude keeps the ``top_speed`` [m/s],
+    but is ``most`` [m] at most.
     """
-    grid = 0.2 * _GRID
+    grid = 1e-3
     time = np.arange(round(duration / grid) + 1) * grid
-    growth = math.log(high / low) / duration
-    frequency = low * np.exp(growth * time)
-    phase = 2.0 * np.pi * (frequency - low) / growth
-    amplitude: Array = np.minimum(top_speed / (2.0 * np.pi * frequency), most)
+    way = 4.0 * time / duration
+    height = 1.0 - np.abs(way % 2.0 - 1.0)
+    frequency = low * (high / low) ** height
+    phase = 2.0 * np.pi * np.cumsum(frequency) * grid
+    amplitude = np.minimum(top_speed / (2.0 * np.pi * frequency), most)
     return SampledMotion(amplitude * np.sin(phase), grid)
+
+
+def stairs(amplitude: float, frequency: float, factors: Sequence[float], each: float) -> Excitation:
+    """A sine whose amplitude is so many times ``amplitude`` [m] for ``each`` [s] in turn."""
+    motion: Excitation = SineMotion(amplitude * factors[0], frequency)
+    for place, (before, after) in enumerate(pairwise(factors), start=1):
+        motion = EnvelopedMotion(motion, after / before, place * each, math.inf, 0.1)
+    return motion
+
+
+def stops(motion: Excitation, moving: float, resting: float, times: int) -> Excitation:
+    """The motion, standing still for ``resting`` [s] after each ``moving`` [s]."""
+    for place in range(times):
+        begin = place * (moving + resting) + moving
+        motion = WarpedMotion(motion, 0.0, begin, begin + resting, 0.1)
+    return motion

@@ -262,10 +262,17 @@ class StreamTrial:
         """The identification, as it is now."""
         return self._tracker
 
-    def branch(self, faults: Sequence[Fault]) -> StreamTrial:
-        """A trial of the same past with these faults, which begin later; this one is unchanged."""
+    def branch(
+        self, faults: Sequence[Fault] = (), current: CurrentSchedule | None = None
+    ) -> StreamTrial:
+        """A trial of the same past with these faults, which begin later; this one is unchanged.
+
+        ``current``: another schedule of the supply, which is the same up to now.
+        """
         other = deepcopy(self)
         other._rig.break_with(faults)
+        if current is not None:
+            other._rig.supply(current)
         other._instruments = Instruments(faults)
         return other
 

@@ -13,7 +13,7 @@ from mr_damper_ros.nodes.messages import current_message, header, samples_messag
 from mr_damper_ros.nodes.pacing import Outlet, Pacer, wait_for_subscribers
 from mr_damper_ros.rig.meter import Meter, Reading
 from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _TOPICS = {
     "mts/samples": MtsSamples,
@@ -81,14 +81,12 @@ class BridgeStream:
         mirror = _Mirror(self._mirror_rate, self._frame_id) if self._mirror_rate else None
         block = None
         for block in blocks:
-            if block.sample_count == 0:
-                if self._pacer.stopped:
-                    return
-                continue
-            if not self._pacer.wait_until(_last_stamp(block)):
+            if self._pacer.stopped or not self._pacer.wait_until(block.due_ns):
                 return
+            if block.sample_count == 0:
+                continue
             # What belongs to the samples goes first, so that it is known when they arrive.
-            for reading in supply.read(block, block.current):
+            for reading in supply.read(block, block.current, block.supply_ahead_ns):
                 self._publish_current(reading)
             for reading in thermometer.read(block, block.temperature):
                 self._outlets["temperature"].publish(
@@ -96,7 +94,7 @@ class BridgeStream:
                         header=header(reading.stamp_ns, self._frame_id), temperature=reading.value
                     )
                 )
-            self._outlets["mts/samples"].publish(samples_message(_samples(block), self._frame_id))
+            self._outlets["mts/samples"].publish(samples_message(block, self._frame_id))
             for message in mirror.messages(block) if mirror else ():
                 self._outlets["joint_states"].publish(message)
             self.sent += block.sample_count
@@ -152,13 +150,3 @@ class _Mirror:
 
 def _last_stamp(block: RigBlock) -> int:
     return block.stamp_ns(block.sample_count - 1)
-
-
-def _samples(block: RigBlock) -> SampleBlock:
-    return SampleBlock(
-        start_ns=block.start_ns,
-        sequence=block.sequence,
-        period=block.period,
-        displacement=block.displacement,
-        force=block.force,
-    )

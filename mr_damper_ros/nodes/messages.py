@@ -9,6 +9,7 @@ from builtin_interfaces.msg import Time
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from std_msgs.msg import Header
 
+from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import BlockError, SampleBlock, check_live
 from mr_damper_ros.signals.stamps import fits_a_stamp
@@ -50,8 +51,8 @@ def from_field(field: array.array[float]) -> Array:
     return np.frombuffer(field, dtype=np.float64)
 
 
-def samples_message(block: SampleBlock, frame_id: str) -> MtsSamples:
-    """The message of a block."""
+def samples_message(block: SampleBlock | RigBlock, frame_id: str) -> MtsSamples:
+    """The message of a block, whatever a rig's instruments say."""
     return MtsSamples(
         header=header(block.start_ns, frame_id),
         seq=block.sequence,

@@ -290,6 +290,10 @@ class EmulatedRig:
             self._peak = self._peak_so_far(before)
         self._faults += own
 
+    def supply(self, current: CurrentSchedule) -> None:
+        """Follow this schedule from the next samples on, which is as before up to now."""
+        self._current = current
+
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples; raises EmulatorError where that is less than one."""
         if count < 1:

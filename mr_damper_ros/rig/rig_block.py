@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
@@ -14,8 +16,8 @@ class RigBlock:
 
     Arrays have shape (n,), ``period`` [s] apart; ``start_ns`` is the stamp of sample 0,
     ``sequence`` its index since the start. ``temperature`` [°C] has shape (n,) too, NaN where it
-    is not known; so is a current that the supply does not report. ``supply_ahead_ns``: how far
-    the clock of the supply is ahead of that of the samples.
+    is not known; so is a current that the supply does not report. ``ahead_ns`` is how far
+    a wrong clock of the samples is ahead, and ``supply_ahead_ns`` that of the supply beside it.
     """
 
     start_ns: int
@@ -25,6 +27,7 @@ class RigBlock:
     force: Array
     current: Array
     temperature: Array
+    ahead_ns: int = 0
     supply_ahead_ns: int = 0
 
     @property
@@ -35,3 +38,22 @@ class RigBlock:
     def stamp_ns(self, index: int) -> int:
         """Stamp [ns] of a sample."""
         return self.start_ns + round(index * self.period * NANOSECONDS)
+
+    @property
+    def due_ns(self) -> int:
+        """When the last sample was measured, by a right clock [ns]; of no samples, the stamp."""
+        return self.stamp_ns(max(self.sample_count - 1, 0)) - self.ahead_ns
+
+    def without_samples(self) -> RigBlock:
+        """A block with the stamp of the last sample and no samples: none of them was sent."""
+        return replace(
+            self,
+            start_ns=self.stamp_ns(self.sample_count - 1),
+            displacement=_NONE,
+            force=_NONE,
+            current=_NONE,
+            temperature=_NONE,
+        )
+
+
+_NONE: Array = np.empty(0)

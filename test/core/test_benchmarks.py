@@ -13,8 +13,10 @@ import pytest
 from benchmarks import (
     bench,
     drift,
+    faults,
     following,
     force_step,
+    healthy,
     kinematics,
     noise_limit,
     recordings,
@@ -25,6 +27,7 @@ from benchmarks import (
     window_refit,
 )
 from benchmarks.dampers import clean_windows, steady_window
+from benchmarks.fault_scenarios import SCENARIOS
 from benchmarks.figure import Figure, table
 from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
@@ -48,6 +51,8 @@ KEYS = [
     *("earthquake_online_fit", "earthquake_online_sixteen_fit"),
     *("earthquake_static_fit", "earthquake_static_mean", "earthquake_static_sixteen_fit"),
     "stream_nrmse_ratio",
+    *("fault_cases", "wrong_valid_s", "wrong_valid_longest_s", "recovery_windows"),
+    *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)
 
@@ -149,6 +154,12 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "drift": lambda: drift.figures(8.0),
         "force_step": lambda: force_step.figures((0.5,)),
         "kinematics": lambda: kinematics.figures(1),
+        "faults": lambda: faults.figures_of(
+            faults.measure(SCENARIOS[:1], ("viscous_tanh",), processes=1)
+        ),
+        "healthy": lambda: healthy.figures_of(
+            healthy.measure(healthy.PROGRAMMES[4:5], ("viscous_tanh",), processes=1)
+        ),
         # These need ROS: test/ros/test_node_benchmarks.py.
         "streaming_load": list,
         "lossy_link": list,

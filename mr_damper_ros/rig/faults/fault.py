@@ -32,7 +32,7 @@ class Fault:
     ``channel`` is the one of ``channels`` that it affects, empty for a fault that has none.
     ``value`` says how much, in the unit that ``unit`` names; None stands for ``usual``. A fault is
     a subclass that overrides the one method of where it acts, and a line in
-    :data:`mr_damper_ros.rig.faults.fault_text.FAULTS`. It may remember samples: each rig copies
+    :data:`mr_damper_ros.rig.faults.fault_text.KINDS`. It may remember samples: each rig copies
     its own.
 
     Raises FaultError where the channel is none of its own, the value is not finite or out of
@@ -106,8 +106,11 @@ class Fault:
 
     # --- in the instruments --------------------------------------------------------------------
 
-    def measured(self, time: Array, values: Array) -> Array:
-        """What the instrument of the channel says, shape (n,), where it should say ``values``."""
+    def measured(self, time: Array, values: Array, period: float) -> Array:
+        """What the instrument of the channel says, shape (n,), where it should say ``values``.
+
+        Samples are ``period`` [s] apart.
+        """
         return values
 
     def rewired(self, block: RigBlock) -> RigBlock:
@@ -144,7 +147,7 @@ class Instruments:
         for fault in self._faults:
             if fault.channel in CHANNELS:
                 right: Array = getattr(block, fault.channel)
-                said: dict[str, Any] = {fault.channel: fault.measured(time, right)}
+                said: dict[str, Any] = {fault.channel: fault.measured(time, right, block.period)}
                 block = replace(block, **said)
             block = fault.rewired(block)
         blocks = [block]

@@ -20,6 +20,8 @@ from mr_damper_ros.rig.emulator import (
     scaled,
 )
 from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.rig.faults.fault import FaultError, Instruments
+from mr_damper_ros.rig.faults.fault_text import faults_of
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
@@ -113,6 +115,21 @@ class EmulatedOptions(ParameterTable):
         maximum=2**31 - 1,
         read_only=True,
     )
+    faults: str = option(
+        "",
+        "What goes wrong, as name[:value][@begin[-end]] with times in seconds since the start, "
+        "separated by blanks: force_gain:10@20-30 displacement_stuck@60. The names are in "
+        "doc/faults.md.",
+        read_only=True,
+    )
+
+    def objection(self) -> str:
+        """Say which fault cannot be had."""
+        try:
+            faults_of(self.faults.split())
+        except FaultError as error:
+            return f"emulated.faults: {error}"
+        return ""
 
 
 class EmulatedSource(Source):
@@ -141,6 +158,8 @@ class EmulatedSource(Source):
             seed=given.seed,
             start_ns=start_ns,
         )
+        faults = faults_of(given.faults.split(), given.seed)
+        instruments = Instruments(faults)
         # The schedule is a list that grows while the rig reads it: this is the supply being turned.
         times, currents = [0.0], [given.current]
         rig = EmulatedRig(
@@ -148,6 +167,7 @@ class EmulatedSource(Source):
             SineMotion(given.amplitude, given.frequency),
             CurrentSchedule(times, currents),
             settings=settings,
+            faults=faults,
             thermal=ThermalModel(
                 ambient=given.ambient_temperature,
                 initial=given.initial_temperature,
@@ -162,7 +182,11 @@ class EmulatedSource(Source):
             if current != currents[-1]:
                 times.append(max(taken * settings.period, math.nextafter(times[-1], math.inf)))
                 currents.append(current)
-            yield rig.next_block(self.stream.block_size)
+            made = rig.next_block(self.stream.block_size)
+            deliveries = instruments.read(made)
+            yield from (delivery.block for delivery in deliveries)
+            if not deliveries:
+                yield made.without_samples()
             taken += self.stream.block_size
 
     def close(self) -> None:

@@ -1,0 +1,207 @@
+"""The fault library: each fault does what its name says, when it says, and nothing else."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known import PLAUSIBLE
+
+from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.rig.faults.fault import CHANNELS, Fault, FaultError, Instruments
+from mr_damper_ros.rig.faults.fault_text import FAULTS, KINDS, fault_of, faults_of
+from mr_damper_ros.rig.rig_block import RigBlock
+
+BEGIN, END, DURATION = 0.5, 0.8, 1.2
+SIZE = 10
+SETTINGS = RigSettings(force_noise=0.0)
+PAGE = Path(__file__).parents[2] / "doc" / "faults.md"
+
+HARMLESS = {
+    *(f"{channel}_{kind}" for channel in ("current", "temperature") for kind in ("stuck", "delay")),
+    *("current_sluggish", "temperature_sluggish"),
+}
+"""What stays the same cannot be seen to be stuck or late."""
+
+STRONG = {
+    **{f"{channel}_clip": 1e-3 for channel in CHANNELS},
+    **{f"{channel}_coarse": 3.0 for channel in CHANNELS},
+    **{f"{channel}_{kind}": 50.0 for channel in CHANNELS for kind in ("dropouts", "nan")},
+    "lost_blocks": 0.5,
+}
+"""Values that show for certain within 0.3 s, where the usual ones may not."""
+
+OTHER_MOTION = {"amplitude", "tempo"}
+
+
+def sent_each_time(text: str = "", size: int = SIZE) -> list[list[RigBlock]]:
+    """What a rig with a fault sends in 1.2 s, each time that it has made a block."""
+    faults = faults_of(text.split())
+    rig = EmulatedRig(
+        ConstantDamper(PLAUSIBLE), SineMotion(0.005, 2.0), 1.0, settings=SETTINGS, faults=faults
+    )
+    instruments = Instruments(faults)
+    made = [rig.next_block(size) for _ in range(round(DURATION * 1000) // size)]
+    return [[delivery.block for delivery in instruments.read(block)] for block in made]
+
+
+def sent(text: str = "", size: int = SIZE) -> list[RigBlock]:
+    """The same in a row."""
+    return [block for blocks in sent_each_time(text, size) for block in blocks]
+
+
+def values(blocks: list[RigBlock], channel: str) -> np.ndarray:
+    return np.concatenate([getattr(block, channel) for block in blocks])
+
+
+HEALTHY = sent()
+
+
+def part(begin: float, end: float) -> slice:
+    return slice(round(begin * 1000), round(end * 1000))
+
+
+def same(one: list[RigBlock], other: list[RigBlock]) -> bool:
+    """Whether two streams are the same to the last bit, stamps and order included."""
+    return len(one) == len(other) and all(
+        (a.start_ns, a.sequence, a.period, a.supply_ahead_ns)
+        == (b.start_ns, b.sequence, b.period, b.supply_ahead_ns)
+        and all(
+            np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in CHANNELS
+        )
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+@pytest.mark.parametrize("name", sorted(set(FAULTS) - OTHER_MOTION))
+def test_a_fault_leaves_what_comes_before_it_alone(name: str) -> None:
+    early = sent(f"{name}@{BEGIN}-{END}")[:50]
+    assert same(early, HEALTHY[:50])
+
+
+@pytest.mark.parametrize("name", sorted(set(FAULTS) - HARMLESS))
+def test_a_fault_shows(name: str) -> None:
+    value = f":{STRONG[name]}" if name in STRONG else ""
+    came = sent_each_time(f"{name}{value}@{BEGIN}-{END}")
+    assert not all(same(blocks, [block]) for blocks, block in zip(came, HEALTHY, strict=True))
+
+
+@pytest.mark.parametrize("name", ["force_noise", "force_spikes", "force_nan:20", "lost_blocks:0.5"])
+def test_a_fault_is_the_same_again_with_the_same_seed(name: str) -> None:
+    assert same(sent(f"{name}@{BEGIN}-{END}"), sent(f"{name}@{BEGIN}-{END}"))
+
+
+@pytest.mark.parametrize("name", [f"{channel}_gain" for channel in CHANNELS])
+def test_a_repaired_instrument_is_right(name: str) -> None:
+    channel = name.removesuffix("_gain")
+    after = values(sent(f"{name}@{BEGIN}-{END}"), channel)[part(END, DURATION)]
+    np.testing.assert_array_equal(after, values(HEALTHY, channel)[part(END, DURATION)])
+
+
+@pytest.mark.parametrize("name", ["force_delay:0.033", "force_noise:5", "displacement_dropouts:20"])
+def test_an_instrument_does_not_mind_how_the_stream_is_cut(name: str) -> None:
+    channel = name.partition("_")[0]
+    small, large = (values(sent(f"{name}@{BEGIN}", size), channel) for size in (1, 30))
+    np.testing.assert_array_equal(small, large)
+
+
+def test_a_reversed_sign_is_a_gain_of_minus_one() -> None:
+    there = part(BEGIN, END)
+    reversed_force = values(sent(f"force_gain:-1@{BEGIN}-{END}"), "force")[there]
+    np.testing.assert_array_equal(reversed_force, -values(HEALTHY, "force")[there])
+
+
+def test_what_is_stuck_shows_its_last_value() -> None:
+    stuck = values(sent(f"displacement_stuck@{BEGIN}-{END}"), "displacement")[part(BEGIN, END)]
+    assert set(stuck) == {values(HEALTHY, "displacement")[499]}
+
+
+def test_a_late_channel_shows_what_was() -> None:
+    late = values(sent(f"force_delay:0.1@{BEGIN}-{END}"), "force")[part(BEGIN, END)]
+    np.testing.assert_array_equal(late, values(HEALTHY, "force")[part(BEGIN - 0.1, END - 0.1)])
+
+
+def test_a_leak_takes_its_part_of_the_force() -> None:
+    weak = values(sent(f"force_loss:0.3@{BEGIN}-{END}"), "force")[part(BEGIN, END)]
+    np.testing.assert_allclose(weak, 0.3 * values(HEALTHY, "force")[part(BEGIN, END)], rtol=1e-12)
+
+
+def test_a_coil_without_current_is_that_of_a_supply_that_is_off() -> None:
+    rig = EmulatedRig(ConstantDamper(PLAUSIBLE), SineMotion(0.005, 2.0), 0.0, settings=SETTINGS)
+    off = rig.next_block(800).force[part(BEGIN, END)]
+    broken = sent(f"coil_factor:0@{BEGIN}-{END}")
+    np.testing.assert_array_equal(values(broken, "force")[part(BEGIN, END)], off)
+
+
+def test_a_machine_at_rest_stays_where_it_is() -> None:
+    at_rest = values(sent(f"tempo:0@{BEGIN}"), "displacement")[part(BEGIN + 0.1, DURATION)]
+    assert np.ptp(at_rest) < 1e-15  # rounding
+
+
+@pytest.mark.parametrize("name", ["amplitude:0.2", "tempo:0.5"])
+def test_a_change_of_motion_does_not_jump(name: str) -> None:
+    moved = values(sent(f"{name}@{BEGIN}-{END}"), "displacement")
+    fastest = 2.0 * np.pi * 2.0 * 0.005 * 1e-3
+    # The ramp of 0.1 s adds some speed of its own: 5 mm in 0.1 s, twice that at its steepest.
+    assert np.abs(np.diff(moved)).max() < fastest + 2.0 * 0.005 / 100.0
+
+
+def test_play_carries_no_force_after_a_reversal() -> None:
+    with_play = values(sent(f"backlash:0.002@{BEGIN}"), "force")[part(BEGIN, DURATION)]
+    assert np.count_nonzero(with_play == 0.0) > 0
+
+
+def test_an_outage_loses_all_that_falls_into_it() -> None:
+    came = {block.sequence for block in sent(f"lost_blocks:1@{BEGIN}-{END}")}
+    assert came == {block.sequence for block in HEALTHY} - set(range(500, 800, SIZE))
+
+
+def test_late_blocks_come_all_and_in_order() -> None:
+    came = [block.sequence for block in sent(f"late_blocks:0.2@{BEGIN}-{END}")]
+    assert came == [block.sequence for block in HEALTHY]
+
+
+def test_each_reordered_block_comes_once() -> None:
+    came = [block.sequence for block in sent(f"reordered_blocks:0.5@{BEGIN}-{END}")]
+    assert sorted(came) == [block.sequence for block in HEALTHY]
+
+
+def test_a_clock_that_was_set_does_not_change_when_a_block_is_due() -> None:
+    assert [b.due_ns for b in sent(f"clock_jump:60@{BEGIN}")] == [b.due_ns for b in HEALTHY]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("force_gain:10@20-30", (10.0, 20.0, 30.0, "force")),
+        ("force_gain:-1e-3@2.5", (-1e-3, 2.5, math.inf, "force")),
+        ("displacement_stuck", (1.0, 0.0, math.inf, "displacement")),
+    ],
+)
+def test_a_text_is_read(text: str, expected: tuple[float, float, float, str]) -> None:
+    fault = fault_of(text)
+    assert (fault.value, fault.begin, fault.end, fault.channel) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("force_gain=10", "cannot be read"),
+        ("gain:10", "is unknown"),
+        ("force_stuck:3", "takes no value"),
+        ("force_gain:1e999", "must be finite"),
+        ("force_gain:2@30-20", "end after that"),
+        ("force_noise:-1", "at least 0"),
+    ],
+)
+def test_a_text_that_cannot_be_had_is_refused_in_a_sentence(text: str, problem: str) -> None:
+    with pytest.raises(FaultError, match=problem):
+        fault_of(text)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_documentation_has_every_kind(kind: type[Fault]) -> None:
+    assert f"_{kind.name}`" in PAGE.read_text() or f"`{kind.name}`" in PAGE.read_text()

@@ -1,0 +1,146 @@
+"""A trial of a stream: it is right about a healthy damper and notices a wrong force."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from benchmarks import faults, healthy
+from benchmarks.fault_scenarios import SCENARIOS
+from benchmarks.other_dampers import DAMPERS, chirp, stairs, stops
+from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.rig.faults.fault_text import faults_of
+from mr_damper_ros.signals.recording import DEFAULT_START_NS
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+
+QUICK = TrialSettings(block_size=50, tracker=TrackerSettings(method="least_squares"))
+DAMPER = "viscous_tanh"
+
+
+def trial(settings: TrialSettings = QUICK) -> StreamTrial:
+    return StreamTrial(DAMPERS[DAMPER], SineMotion(0.005, 1.0), 1.5, settings=settings)
+
+
+@cache
+def healthy_trial() -> StreamTrial:
+    """Six seconds in which the damper is identified."""
+    base = trial()
+    base.advance(6.0)
+    return base
+
+
+def made_up(valid: np.ndarray, error: np.ndarray) -> TrialResult:
+    """A result of 1 kHz whose true force is a sine of 100 N, with this error [N]."""
+    result = healthy_trial().result()
+    count = valid.size
+    true = 100.0 * np.sin(2.0 * np.pi * np.arange(count) / 1000.0)
+    cut = {name: getattr(result, name)[:count] for name in ("time", "current", "measured")}
+    return replace(result, **cut, true=true, predicted=true + error, valid=valid)
+
+
+def test_the_damper_of_the_first_kind_has_the_stated_peak() -> None:
+    assert np.abs(healthy_trial().result().true).max() == pytest.approx(888.0, rel=0.03)
+
+
+def test_a_healthy_damper_is_identified_and_predicted() -> None:
+    result = healthy_trial().result()
+    assert result.error[result.time > 5.0].max() < 0.1
+
+
+def test_a_trial_is_the_same_again() -> None:
+    again = trial().run(6.0)
+    np.testing.assert_array_equal(again.predicted, healthy_trial().result().predicted)
+
+
+def test_a_branch_leaves_the_trial_as_it_was() -> None:
+    base = healthy_trial()
+    before = base.result().predicted
+    base.branch(faults_of(["force_gain:10@6.5"])).advance(1.0)
+    np.testing.assert_array_equal(base.result().predicted, before)
+
+
+def test_a_branch_without_faults_goes_on_as_the_trial() -> None:
+    branch = healthy_trial().branch()
+    np.testing.assert_array_equal(branch.run(1.0).predicted, trial().run(7.0).predicted)
+
+
+def test_the_truth_is_without_the_fault_of_an_instrument() -> None:
+    broken = healthy_trial().branch(faults_of(["force_gain:10@6.5"])).run(1.5)
+    np.testing.assert_array_equal(broken.true, trial().run(7.5).true)
+
+
+def test_a_set_counts_only_after_its_delay() -> None:
+    first = healthy_trial().result().sets[1]
+    late = (first.time * 1e9 - (first.parameters.stamp_ns - DEFAULT_START_NS)) * 1e-9
+    # A window waits for the next reading of the supply, a tenth of a second, and for a block.
+    assert QUICK.delay - 1e-6 <= late <= QUICK.delay + 0.1 + 2.0 * 0.05
+
+
+def test_the_longest_wrong_stretch_is_found() -> None:
+    error = np.zeros(3000)
+    error[1500:1800], error[2500:2600] = 50.0, 50.0
+    stretch = made_up(np.ones(3000, dtype=bool), error).wrong_valid()
+    assert (stretch.longest, stretch.total) == pytest.approx((0.3, 0.4))
+
+
+def test_a_wrong_force_that_is_not_called_valid_does_not_count() -> None:
+    stretch = made_up(np.zeros(3000, dtype=bool), np.full(3000, 50.0)).wrong_valid()
+    assert stretch.total == 0.0
+
+
+def test_a_force_that_swings_through_the_right_one_is_wrong_all_along() -> None:
+    swinging = 100.0 * np.sin(2.0 * np.pi * np.arange(3000) / 100.0)
+    stretch = made_up(np.ones(3000, dtype=bool), swinging).wrong_valid(since=1.0)
+    assert stretch.longest == pytest.approx(2.0, abs=0.02)  # to a part of a swing
+
+
+def test_the_scenarios_are_as_many_as_asked_for() -> None:
+    assert sum(not scenario.unknowable for scenario in SCENARIOS) >= 60
+
+
+def test_every_scenario_can_be_made() -> None:
+    for scenario in SCENARIOS:
+        assert scenario.made(0) or scenario.schedule is not None
+
+
+def test_the_names_of_the_scenarios_tell_them_apart() -> None:
+    named = {(scenario.name, scenario.lasts) for scenario in SCENARIOS}
+    assert len(named) == len(SCENARIOS)
+
+
+def test_a_set_that_is_worse_is_seen() -> None:
+    result = healthy_trial().result()
+    good = result.sets[-1].parameters
+    doubled = replace(good, values=good.values * np.where(np.arange(16) == 0, 2.0, 1.0))
+    after = [*result.sets, result.sets[-1]._replace(time=5.0, parameters=doubled)]
+    assert len(list(faults.bad_sets(replace(result, sets=after), 4.5))) == 1
+
+
+def test_a_repair_is_seen() -> None:
+    error = np.zeros(6000)
+    error[2000:4000] = 90.0
+    result = made_up(np.ones(6000, dtype=bool), error)
+    assert faults.good_since(result, 1.0) == pytest.approx(4.0)
+
+
+def test_rest_is_not_motion() -> None:
+    motion = stops(SineMotion(0.005, 1.0), 2.0, 1.0, 1)
+    result = healthy_trial().result()
+    moved = replace(result, displacement=motion.at(result.time).displacement)
+    # The machine takes a tenth of a second to stop and to go.
+    assert np.count_nonzero(healthy.at_rest(moved)) * 1e-3 == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [chirp(0.1, 0.005, 0.5, 10.0, 8.0), stairs(0.005, 1.0, (1.0, 0.2, 2.0), 2.0)],
+    ids=["chirp", "stairs"],
+)
+def test_the_velocity_is_that_of_the_displacement(motion: SineMotion) -> None:
+    time = np.arange(500, 7500) * 1e-3
+    displacement, velocity, _ = motion.at(time)
+    assert np.abs(np.gradient(displacement, 1e-3) - velocity)[1:-1].max() < 0.01 * velocity.max()
