@@ -133,7 +133,8 @@ def test_a_coil_without_current_is_that_of_a_supply_that_is_off() -> None:
     rig = EmulatedRig(ConstantDamper(PLAUSIBLE), SineMotion(0.005, 2.0), 0.0, settings=SETTINGS)
     off = rig.next_block(800).force[part(BEGIN, END)]
     broken = sent(f"coil_factor:0@{BEGIN}-{END}")
-    np.testing.assert_array_equal(values(broken, "force")[part(BEGIN, END)], off)
+    # The coil's own lag, here none, is reckoned to rounding.
+    np.testing.assert_allclose(values(broken, "force")[part(BEGIN, END)], off, rtol=1e-6)
 
 
 def test_a_machine_at_rest_stays_where_it_is() -> None:
