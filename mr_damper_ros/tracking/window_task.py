@@ -118,7 +118,7 @@ def _fitted(
     )
     scale = force_scale(task.model, window, fit, Baselines(task.baselines))
     parts = parts_by_current(window, task.settings.screening.current_tolerance)
-    divided = parts != [window]
+    divided = len(parts) != 1 or parts[0] is not window
     return FitResult(
         fit=fit,
         evidence=evidence,
