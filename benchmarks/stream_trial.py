@@ -37,7 +37,7 @@ from mr_damper_ros.rig.faults.fault import Delivery, Fault, Instruments
 from mr_damper_ros.rig.meter import Meter
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import BlockError, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
@@ -340,7 +340,8 @@ class StreamTrial:
             self._rejected.append(str(error))
             return
         self._take_outcomes()
-        prediction = self._predictor.predict(samples)
+        now_ns = self._rig.settings.start_ns + round(self._now * NANOSECONDS)
+        prediction = self._predictor.predict(samples, now_ns)
         self._predictor.catch_up()
         self._note(delivery, prediction)
         self._identify(self._assembler.add_block(samples))

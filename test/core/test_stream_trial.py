@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import faults, healthy
-from benchmarks.fault_scenarios import SCENARIOS
+from benchmarks.fault_scenarios import SCENARIOS, Scenario
 from benchmarks.other_dampers import DAMPERS, chirp, stairs, stops
 from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
 from mr_damper_ros.rig.excitation import SineMotion
@@ -19,6 +19,12 @@ from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 
 QUICK = TrialSettings(block_size=50, tracker=TrackerSettings(method="least_squares"))
 DAMPER = "viscous_tanh"
+
+LONGEST = 0.5
+"""Seconds: what the median of all scenarios may take at most."""
+
+MOST_WINDOWS = 4.0
+"""Windows after the repair, as for all scenarios."""
 
 
 def trial(settings: TrialSettings = QUICK) -> StreamTrial:
@@ -144,3 +150,25 @@ def test_the_velocity_is_that_of_the_displacement(motion: SineMotion) -> None:
     time = np.arange(500, 7500) * 1e-3
     displacement, velocity, _ = motion.at(time)
     assert np.abs(np.gradient(displacement, 1e-3) - velocity)[1:-1].max() < 0.01 * velocity.max()
+
+
+@cache
+def outcome(text: str) -> faults.Outcome:
+    """What comes of a fault of two seconds."""
+    return faults.run(healthy_trial(), Scenario(text, begin=6.5, end=8.5), DAMPER)
+
+
+TROUBLE = [
+    *("force_gain:1000", "force_gain:-1", "displacement_stuck", "displacement_gain:-1"),
+    *("coil_factor:0", "force_loss:0.3", "tempo:0", "amplitude:0.1", "clock_jump:-60"),
+]
+
+
+@pytest.mark.parametrize("text", TROUBLE)
+def test_no_wrong_force_is_called_valid_for_long(text: str) -> None:
+    assert outcome(text).wrong_valid <= LONGEST
+
+
+@pytest.mark.parametrize("text", TROUBLE)
+def test_a_repaired_rig_is_soon_right_again(text: str) -> None:
+    assert outcome(text).recovery <= MOST_WINDOWS
