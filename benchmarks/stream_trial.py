@@ -37,7 +37,7 @@ from mr_damper_ros.rig.faults.fault import Delivery, Fault, Instruments
 from mr_damper_ros.rig.meter import Meter
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock, check_live
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
@@ -336,6 +336,7 @@ class StreamTrial:
             samples = SampleBlock(
                 block.start_ns, block.sequence, block.period, block.displacement, block.force
             )
+            check_live(samples)
         except BlockError as error:
             self._rejected.append(str(error))
             return

@@ -221,7 +221,8 @@ class WindowAssembler:
             self._start += to_next - to_this
             self._part = (self._part + 1) % parts
             # The next window ends after this one: what it does not reach is let go of.
-            self._store.forget(self._start + length - round(self._longest / period))
+            longest = max(round(self._longest / period), length)
+            self._store.forget(self._start + length - longest)
 
     def _reach(self, end: int, length: int, period: float) -> int:
         """Samples back from the end that hold a cycle, ``length`` at least; 0 where too few do."""

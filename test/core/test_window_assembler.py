@@ -376,3 +376,13 @@ def test_old_values_are_forgotten_but_the_one_in_force_is_kept() -> None:
     assert made.known_from(at(99.9 - 5.0))
     assert not made.known_from(at(90.0))
     assert made.at(at(99.9 - 5.0), PERIOD, 1).tolist() == [949.0]
+
+
+def test_samples_further_apart_than_the_longest_window_are_cut_as_any() -> None:
+    assembler = WindowAssembler(2.0, 1.0, 3, 30.0)
+    period, size = 1000.0, 10
+    for first in range(0, 5 * size, size):
+        stamp = T0 + round(first * period * NANOSECONDS)
+        displacement = np.sin(np.arange(first, first + size, dtype=float))
+        assembler.add_block(SampleBlock(stamp, first, period, displacement, displacement))
+    assert len(assembler.add_current(T0, 1.0)) + len(assembler.add_current(stamp, 1.0)) > 0
