@@ -193,6 +193,11 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
         yield fit.parameters.shape == (parameter_count,), "another number of parameters"
         yield _square(fit.scales, fit.covariance), "such a covariance"
         yield _square(fit.coefficients, fit.coefficient_covariance), "such a covariance"
+        for vector, matrix in (
+            (fit.scales, fit.discrepancy),
+            (fit.coefficients, fit.coefficient_discrepancy),
+        ):
+            yield matrix is None or _square(vector, matrix), "such a discrepancy"
         for array in (fit.parameters, fit.scales, fit.coefficients):
             yield bool(np.all(np.isfinite(array))), "a value that is not finite"
     points = [fit.operating_point for fit in memory.baselines] + list(memory.reservoir_points)
@@ -245,4 +250,5 @@ def _window_soundness(window: Window) -> Iterator[tuple[bool, str]]:
 
 def _square(vector: np.ndarray, matrix: np.ndarray) -> bool:
     """Whether a matrix can be the covariance of a vector."""
-    return vector.ndim == 1 and matrix.shape == vector.shape * 2
+    fits = vector.ndim == 1 and matrix.shape == vector.shape * 2
+    return fits and not bool(np.any(np.diagonal(matrix) < 0.0))
