@@ -377,6 +377,10 @@ class StreamTrial:
             self._reports.append(outcome.report)
             self._report_times.append(outcome.time)
             # The node publishes the report first, then the set.
+            report = outcome.report
+            self._predictor.follow_verdict(
+                report.verdict, report.nrmse_before, confirms=report.confirms
+            )
             if outcome.report.confirms:
                 self._predictor.confirm(outcome.report.set_id, outcome.report.stamp_ns)
             if outcome.parameters is not None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
-from mr_damper_ros.nodes.quality import overridable
+from mr_damper_ros.nodes.quality import STREAM_DEPTH, overridable
 from mr_damper_ros.signals.blocks import BlockError, BlockSequence, SampleBlock
 from mr_damper_ros.signals.zero_order_hold import CurrentError
 
@@ -109,22 +111,40 @@ class Inputs:
         self._on_current = on_current
         self._value = math.nan
         self._interruptions = 0
-        for message_type, topic, callback, profile in (
-            (MtsSamples, SAMPLES_TOPIC, self._take_samples, samples_quality),
-            (SupplyCurrent, CURRENT_TOPIC, self._take_current, current_quality),
-        ):
+        self._samples_in, self._current_in = (
             node.create_subscription(
                 message_type, topic, callback, profile, qos_overriding_options=overridable()
             )
+            for message_type, topic, callback, profile in (
+                (MtsSamples, SAMPLES_TOPIC, self._take_samples, samples_quality),
+                (SupplyCurrent, CURRENT_TOPIC, self._take_current, current_quality),
+            )
+        )
+
+    def waiting(self) -> list[SampleBlock]:
+        """Take all blocks that have come and wait for their turn, oldest first.
+
+        The currents that wait are taken too, and handed on as ever.
+        """
+        for message in _taken(self._current_in):
+            self._take_current(message)
+        blocks = (self._block(message) for message in _taken(self._samples_in))
+        return [block for block in blocks if block is not None]
 
     def _take_samples(self, message: MtsSamples) -> None:
+        block = self._block(message)
+        if block is not None:
+            self._on_block(block)
+
+    def _block(self, message: MtsSamples) -> SampleBlock | None:
+        """The block in a message, counted; None where it cannot be used."""
         try:
             block = sample_block(message)
         except BlockError as error:
             self._samples.reject(str(error))
-            return
+            return None
         self._samples.accept(block.sample_count)
-        self._on_block(block)
+        return block
 
     def _take_current(self, message: SupplyCurrent) -> None:
         try:
@@ -173,6 +193,19 @@ class Inputs:
                 "rejected messages": self._current.rejected,
             },
         )
+
+
+def _taken(subscription: Subscription) -> list[Any]:
+    """The messages that wait in a subscription's queue, as many as it can hold at most."""
+    messages: list[Any] = []
+    with subscription.handle:
+        while len(messages) < STREAM_DEPTH:
+            # The executor finds nothing later on, which is usual for it.
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+            if taken is None:
+                break
+            messages.append(taken[0])
+    return messages
 
 
 def _pace(rate: float, sequence: BlockSequence) -> str:

@@ -21,6 +21,7 @@ from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.joined_blocks import joined
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.running_error import RunningError
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
@@ -47,6 +48,19 @@ class ModelParameters(ParameterTable):
         read_only=True,
     )
     predictor: PredictorSettings = group(PredictorSettings, flat=True, read_only=True)
+    newest_first: bool = option(
+        True,
+        "Where the samples of a running machine have come late, go straight to the newest: the "
+        "blocks before them are only followed, and no force is published for them. What is "
+        "recorded is predicted block by block.",
+        read_only=True,
+    )
+    trusted_source: str = option(
+        "",
+        "Name of the one node whose parameters are used, such as /identifier; empty: any, but "
+        "several that publish damper/parameters are an error in the diagnostics.",
+        read_only=True,
+    )
     error_memory: float = option(
         10.0,
         "Time [s] over which the error against the measured force is taken for the diagnostics.",
@@ -79,6 +93,8 @@ class ModelNode(Node):
         self._last: Prediction | None = None
         self._next_wrench_ns: int | None = None
         self._slowest = 0.0
+        self._oldest = math.nan
+        self._skipped = 0
         self._published = -math.inf
         self._unfinished: tuple[Prediction, SampleBlock] | None = None
         self._refused_parameters = ""
@@ -135,6 +151,13 @@ class ModelNode(Node):
             self._refused_parameters = str(error)
             self.get_logger().warning(f"parameters {message.id} are not used: {error}")
             return
+        trusted = self._options.trusted_source
+        if trusted and message.node != trusted:
+            self._refused_parameters = (
+                f"they come from {message.node or 'a node that does not say its name'}, and "
+                f"trusted_source is {trusted}"
+            )
+            return
         self._refused_parameters = ""
         self._parameters_from = message.node or "a node that does not say its name"
         # Published parameters that come from no samples have the stamp 0.
@@ -143,17 +166,34 @@ class ModelNode(Node):
         self.get_logger().debug(f"predicting with parameters {parameters.set_id}")
 
     def _take_report(self, message: FitReport) -> None:
+        self._predictor.follow_verdict(
+            message.verdict, message.nrmse_before, confirms=message.confirms
+        )
         if message.confirms:
             self._predictor.confirm(message.parameter_set, to_nanoseconds(message.header.stamp))
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
         self._finish()
-        prediction = self._predictor.predict(block, self.get_clock().now().nanoseconds)
+        now_ns = self.get_clock().now().nanoseconds
+        if self._options.newest_first and self._predictor.freshness.is_late(block.end_ns, now_ns):
+            block = self._skip_to_newest(block)
+            now_ns = self.get_clock().now().nanoseconds
+        prediction = self._predictor.predict(block, now_ns)
         self._force.publish(self._message.of(prediction))
         self._published = time.perf_counter()
         self._slowest = max(self._slowest, self._published - began)
+        age = self._predictor.freshness.age
+        self._oldest = age if math.isnan(self._oldest) else max(self._oldest, age)
         self._unfinished = (prediction, block)
+
+    def _skip_to_newest(self, block: SampleBlock) -> SampleBlock:
+        """The newest block that has come; the motion is followed through those before it."""
+        *skipped, newest = (block, *self._inputs.waiting())
+        self._skipped += len(skipped)
+        for part in joined(skipped):
+            self._predictor.predict(part)
+        return newest
 
     def finish_in_time(self) -> float:
         """Do the rest of the work on the last block once its time has come.
@@ -200,6 +240,16 @@ class ModelNode(Node):
 
     def _parameters_finding(self) -> Finding:
         parameters = self._predictor.parameters
+        publishers = self.get_publishers_info_by_topic(self.resolve_topic_name("damper/parameters"))
+        if len(publishers) > 1 and not self._options.trusted_source:
+            names = " and ".join(
+                sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in publishers)
+            )
+            return Finding(
+                ERROR,
+                f"damper/parameters is published by {names}: end all but one, or name the one to "
+                "use in trusted_source",
+            )
         if self._refused_parameters:
             return Finding(WARN, f"the newest parameters are not used: {self._refused_parameters}")
         if parameters is None:
@@ -236,12 +286,27 @@ class ModelNode(Node):
 
     def _latency_finding(self) -> Finding:
         slowest, self._slowest = self._slowest, 0.0
+        oldest, self._oldest = self._oldest, math.nan
+        skipped, self._skipped = self._skipped, 0
         if slowest == 0.0:
             return Finding(STALE, "no block since the last report")
+        sentence = f"at most {1e3 * slowest:.2f} ms from a block to its prediction"
+        if math.isnan(oldest):
+            sentence += "; the stamps are not those of a running machine: no age is known"
+        else:
+            sentence += f"; the samples were up to {1e3 * oldest:.0f} ms old"
+        if skipped:
+            sentence += f"; {skipped} blocks have no force for newer ones had come: an overload?"
+        limit = self._options.predictor.max_age
+        late = skipped > 0 or (limit > 0.0 and oldest > limit)
         return Finding(
-            OK,
-            f"at most {1e3 * slowest:.2f} ms from a block to its prediction",
-            {"slowest [ms]": f"{1e3 * slowest:.3f}"},
+            WARN if late else OK,
+            sentence,
+            {
+                "slowest [ms]": f"{1e3 * slowest:.3f}",
+                "age [ms]": f"{1e3 * oldest:.1f}",
+                "skipped blocks": skipped,
+            },
         )
 
 

@@ -1,8 +1,8 @@
 """Holds the predicted force against the one that was measured in the same samples.
 
-Two errors are followed, both as parts of the recent peak of the measured force: the mean error of
-some milliseconds, which tells at once that the force is wrong now, and the root mean square over a
-cycle, which tells that the parameters are: then nothing is valid until they are right again.
+Two errors are followed, both as parts of the recent peak of the measured force: that of every
+sample, which tells at once that the force is wrong now, and the root mean square over a cycle,
+which tells that the parameters are: then nothing is valid until they are right again.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.recent_force import RecentForce
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
-_MOMENT = 0.005
-"""Seconds over which the error of the moment is taken: less than a twentieth of most cycles."""
-
-_LASTING = 0.5
-"""Part of the allowed error that the root mean square over a cycle may reach ..."""
-
-_BACK = 0.75
-"""... and the part of either limit that it must fall below again."""
+_SAMPLE = 0.85
+"""Part of the allowed error that a sample may have: its noise may hide the rest ..."""
 
 _CHANCE = 3.0
-"""Standard deviations of noise that are no error of the prediction."""
+"""... besides so many standard deviations of noise, which are no error of the prediction."""
+
+_LASTING = 0.75
+"""Part of the allowed error that the root mean square over a cycle may reach."""
+
+_BACK = 0.75
+"""Part of either limit that the error must fall below again."""
 
 _MOST_NOISE = 0.1
 """What looks like noise is taken for it up to this part of the peak."""
@@ -44,11 +44,8 @@ class ForceWatch:
         self._period = period
         self._limit = maximum_error
         self._recent = RecentForce(period)
-        self._moment = max(round(_MOMENT / period), 1)
-        self._starts: tuple[int, np.ndarray, Array] | None = None
         self._time = _SHORTEST
-        # Mean error [N] of the latest moment, mean square [1] of the error over the peak.
-        self._fast = 0.0
+        # Mean square [1] of the error over the peak.
         self._square = 0.0
         self._wrong_now = False
         self._wrong = False
@@ -63,7 +60,7 @@ class ForceWatch:
 
     def forget_moment(self) -> None:
         """The samples do not go on from where the force could be known, or were not judged."""
-        self._fast = self._square = 0.0
+        self._square = 0.0
         self._wrong_now = self._wrong = False
 
     def judge(self, predicted: Array, measured: Array) -> Doubt:
@@ -90,29 +87,20 @@ class ForceWatch:
             self._time = min(max(2.0 * half_cycle, _SHORTEST), _LONGEST)
 
     def _follow(self, predicted: Array, measured: Array, peak: float) -> float:
-        """Follow both errors; returns the largest error [N] of a moment."""
+        """Follow the lasting error; returns the largest error [N] of a sample."""
         count = measured.size
         if count == 1:
-            error = float(predicted[0]) - float(measured[0])
-            self._fast += min(1.0 / self._moment, 1.0) * (error - self._fast)
-            largest = abs(self._fast)
-            square = error * error
+            largest = abs(float(predicted[0]) - float(measured[0]))
+            square = largest * largest
         else:
             errors = predicted - measured
             square = float(errors @ errors) / count
-            if count <= self._moment:
-                self._fast += count / self._moment * (float(errors.sum()) / count - self._fast)
-                largest = abs(self._fast)
-            else:
-                starts, sizes = self._moments(count)
-                means = np.add.reduceat(errors, starts) / sizes
-                self._fast = float(means[-1])
-                largest = float(np.abs(means).max())
+            largest = float(np.abs(errors).max())
         if not square < math.inf:
             return math.inf
         square = max(square - self._noise(peak) ** 2, 0.0) / peak**2
         # One burst of error must not be remembered for ever.
-        square = min(square, self._limit**2)
+        square = min(square, (2.0 * _LASTING * self._limit) ** 2)
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
         return largest
@@ -120,20 +108,13 @@ class ForceWatch:
     def _noise(self, peak: float) -> float:
         return min(self._recent.noise, _MOST_NOISE * peak)
 
-    def _moments(self, count: int) -> tuple[np.ndarray, Array]:
-        """Where the moments of a block begin, and how many samples each has."""
-        if self._starts is None or self._starts[0] != count:
-            starts = np.arange(0, count, self._moment)
-            self._starts = (count, starts, np.diff(np.append(starts, count)).astype(float))
-        return self._starts[1:]
-
     def _doubt_of_error(self, largest: float, peak: float, measured: Array) -> Doubt:
-        chance = _CHANCE * self._noise(peak) / math.sqrt(self._moment)
-        if largest > self._limit * peak:
+        allowed = _SAMPLE * self._limit * (_BACK if self._wrong_now else 1.0)
+        chance = _CHANCE * self._noise(peak)
+        if largest > allowed * peak + chance:
             # A force that grows is not wrong because it was smaller before.
             peak = max(peak, float(np.abs(measured - self._recent.centre).max()))
-        limit = self._limit * (_BACK if self._wrong_now else 1.0) * peak + chance
-        self._wrong_now = largest > limit
+        self._wrong_now = largest > allowed * peak + chance
         lasting = _LASTING * self._limit * (_BACK if self._wrong else 1.0)
         self._wrong = self._square > lasting**2
         if self._wrong_now:

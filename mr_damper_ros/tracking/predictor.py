@@ -28,6 +28,7 @@ from mr_damper_ros.tracking.validity import (
     doubt_of_speed,
     middle,
 )
+from mr_damper_ros.tracking.verdict_watch import VerdictWatch
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,7 @@ class ForcePredictor:
         self._stream: ForceStream | None = None
         self._foreseen: _Foreseen | None = None
         self._freshness = Freshness(settings.max_age)
+        self._verdicts = VerdictWatch()
         self._watch: ForceWatch | None = None
         # What the watch has yet to learn from: predicted and measured force, velocity.
         self._unlearned: tuple[Array, Array, Array] | None = None
@@ -158,6 +160,7 @@ class ForcePredictor:
             self._stream.retrace(parameters.values)
         if self._watch is not None:
             self._watch.forget_error()
+        self._verdicts.forget()
         self._parameters = parameters
         self._confirmed_ns = confirmed_ns
 
@@ -165,6 +168,13 @@ class ForcePredictor:
         """Take note that the set of this name fits the samples up to the stamp."""
         if self._parameters is not None and self._parameters.set_id == set_id:
             self._confirmed_ns = stamp_ns
+
+    def follow_verdict(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
+        """Take note of the identifier's verdict on a window, as in FitReport.
+
+        ``nrmse_before``: what the parameters in use leave of the window, NaN where it is unknown.
+        """
+        self._verdicts.follow(verdict, nrmse_before, confirms=confirms)
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a value of the supply current [A]; raises CurrentError for one that is not finite."""
@@ -306,6 +316,7 @@ class ForcePredictor:
             or doubt_of_parameters_age(self._confirmed_ns, block.end_ns, settings, live=live)
             or reckoned.doubt
             or measured
+            or self._verdicts.doubt
         )
 
     def _reckon_block(self, motion: Motion, block: SampleBlock) -> _Reckoned:

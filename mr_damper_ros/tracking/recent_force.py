@@ -10,14 +10,20 @@ import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
 
-_HALF_CYCLES = 4
-_SHORTEST_MEMORY = 0.4
+_HALF_CYCLES = 8
+_SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
 """The memory is so many half-cycles, and within these times [s]."""
 
-_STRETCHES = 16
+_STRETCHES = 32
 _LONGEST_STRETCH = 0.25
-"""The memory moves on by a sixteenth of it, or by so many seconds if that is less."""
+"""The memory moves on by this part of it, or by so many seconds if that is less."""
+
+_FOR_POWER = 4
+"""The power is that of so many half-cycles: what a spring takes it has given back by then."""
+
+_SHORTEST_STUCK = 0.4
+"""Seconds: no fast motion is followed so well that its half-cycle is a measure."""
 
 _DRIVING = 0.1
 """Correlation of force and velocity below minus this: the force drives the motion."""
@@ -74,6 +80,7 @@ class RecentForce:
     def forget_predicted(self) -> None:
         """The predicted forces so far were those of other parameters."""
         self.predicted_drives = False
+        self._parts = [(f, np.zeros(f.size), v) for f, _, v in self._parts]
         for stretch in self._past:
             stretch.sums[2] = stretch.sums[:, 3] = 0.0
 
@@ -108,15 +115,22 @@ class RecentForce:
         top, bottom = max(s.top for s in past), min(s.bottom for s in past)
         self.peak, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
         self.noise = sorted(stretch.noise for stretch in past)[len(past) // 2]
-        self.stuck = self._unchanged * self._period > max(half_cycle, _SHORTEST_MEMORY)
+        self.stuck = self._unchanged * self._period > max(half_cycle, _SHORTEST_STUCK)
         self.measured_drives = self.predicted_drives = False
-        if half_cycle == 0.0 or self._remembered * self._period < 2.0 * half_cycle:
+        latest: list[Array] = []
+        count = 0
+        for stretch in reversed(past):
+            latest.append(stretch.sums)
+            count += stretch.count
+            if count * self._period >= _FOR_POWER * half_cycle:
+                break
+        if half_cycle == 0.0 or count * self._period < 0.5 * _FOR_POWER * half_cycle:
             return
         with np.errstate(over="ignore", invalid="ignore"):
-            sums = np.sum([stretch.sums for stretch in past], axis=0)
-            products = sums[:, 1:] - np.outer(sums[:, 0], sums[:, 0]) / self._remembered
+            sums = np.sum(latest, axis=0)
+            products = sums[:, 1:] - np.outer(sums[:, 0], sums[:, 0]) / count
             sizes = np.sqrt(np.maximum(np.diag(products), 0.0))
-            if sizes[0] > _STILL * math.sqrt(self._remembered):
+            if sizes[0] > _STILL * math.sqrt(count):
                 self.measured_drives = bool(products[0, 1] < -_DRIVING * sizes[0] * sizes[1])
                 self.predicted_drives = bool(products[0, 2] < -_DRIVING * sizes[0] * sizes[2])
 

@@ -132,7 +132,7 @@ class ValiditySettings(CheckedSettings):
     maximum_error: float = option(
         0.2,
         "Error of the predicted force against the measured one, as a part of the latter's recent "
-        "peak, beyond which the force is marked invalid; half of it where it lasts. 0: the "
+        "peak, beyond which the force is marked invalid; three quarters where it lasts. 0: the "
         "measured force is not looked at, for a rig that has no load cell.",
         minimum=0.0,
         maximum=100.0,
@@ -175,7 +175,7 @@ def doubt_of_speed(speed: float, parameters: ParameterSet, margin: float) -> Dou
 
 def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doubt:
     """Whether a force (n,) [N] is one that this damper has been measured to give."""
-    largest = getattr(parameters, "largest_force", math.nan)
+    largest = parameters.largest_force
     if math.isnan(largest):
         return NO_DOUBT
     reached = max(float(force.max()), -float(force.min()))

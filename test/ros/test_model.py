@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from dataclasses import replace
 from functools import cached_property
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
 from press import BAD_BLOCKS, BLOCK, Press, block_message
@@ -287,6 +289,67 @@ def test_parameters_that_no_window_confirms_make_the_force_invalid(
         assert reports.wait_for_all_acked(Duration(seconds=30))
         later = replace(recording, start_ns=recording.start_ns + (1 + valid) * 10**10)
         assert rig.run(later)[-1].valid == valid
+
+
+def test_two_publishers_of_parameters_are_an_error(start: Any, listener: Listener) -> None:
+    publishers = [
+        listener.node.create_publisher(DamperParameters, "damper/parameters", quality.latched())
+        for _ in range(2)
+    ]
+    start("model")
+    status = listener.wait_for_finding("model: parameters", "damper/parameters is published by")
+    assert status.level == DiagnosticStatus.ERROR
+    listener.node.destroy_publisher(publishers.pop())
+    listener.wait_for_finding("model: parameters", "no parameters yet")
+
+
+def test_only_the_trusted_source_is_used(start: Any, listener: Listener) -> None:
+    publisher, _ = [
+        listener.node.create_publisher(DamperParameters, "damper/parameters", quality.latched())
+        for _ in range(2)
+    ]
+    start("model", trusted_source="/right")
+    message = parameters_message(TRUE_SET, "damper", "nobody")
+    for node, part in (("/wrong", "they come from /wrong"), ("/right", "predicting with true")):
+        message.node = node
+        publisher.publish(message)
+        listener.wait_for_finding("model: parameters", part)
+
+
+def test_a_model_that_has_fallen_behind_goes_straight_to_the_newest(
+    start: Any, listener: Listener, recording: Recording, tmp_path: Path
+) -> None:
+    path = tmp_path / "true.yaml"
+    path.write_text(TRUE_SET.to_yaml())
+    forces = listener.listen(PredictedForce, "damper/predicted_force", quality.lossless())
+    model = start("model", parameter_file=path)
+    listener.until(
+        lambda: listener.node.count_publishers("damper/predicted_force"), "the model's topic"
+    )
+    heard = listener.listen(DiagnosticArray, "/diagnostics")
+    press = Press(listener)
+    began_ns = listener.node.get_clock().now().nanoseconds
+    live = replace(recording, start_ns=began_ns)
+    os.kill(model.pid, signal.SIGSTOP)
+    sent = press.run(live, with_current=False)
+    assert live.duration > SETTLED
+    # Stamped in the future at first; the model is let go when the last one is late.
+    listener.until(
+        lambda: listener.node.get_clock().now().nanoseconds > live.stamp_ns(live.sample_count),
+        "the end of the recording",
+        patience=60.0,
+    )
+    os.kill(model.pid, signal.SIGCONT)
+    listener.until(
+        lambda: any(
+            status.level == DiagnosticStatus.WARN and "blocks have no force" in status.message
+            for array in heard
+            for status in array.status
+        ),
+        "a warning of skipped blocks",
+    )
+    listener.until(lambda: forces and forces[-1].seq == sent[-1].seq, "the newest force")
+    assert len(forces) < len(sent) // 2
 
 
 def test_blocks_that_cannot_be_used_are_counted(
