@@ -28,6 +28,7 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.free_parameters import FreeParameters
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import (
+    DIFFERENT_CURRENT,
     determined_parameters,
     operating_points_within,
     parameter_ranges,
@@ -112,6 +113,7 @@ class GlobalSearch:
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
         # What one run determines besides the coefficients, such as a compliance.
         self._common = model.common_names
+        self._current_varies = any(map(_current_varies, windows))
         # The range of a parameter that has one tells its size, if it has none itself.
         self._sizes = np.array(
             [
@@ -132,8 +134,9 @@ class GlobalSearch:
         """
         # The laws from two starts, and once more if the samples leave parameters open.
         laws = 2 * self._settings.generations * self.model.searched_laws(self._varied_between)
+        again = laws if self._current_varies else 0
         direct = self._settings.generations if method == "differential_evolution" else 0
-        self._clock = ProgressClock(max(2 * laws + direct, 1), self._report)
+        self._clock = ProgressClock(max(2 * laws + direct + again, 1), self._report)
         candidates = self._candidates(self._varied_between)
         self.best = self._best_of(candidates)
         self.free = self._determined(self.best)
@@ -160,7 +163,9 @@ class GlobalSearch:
         first, best = self.candidates[0], min(self.candidates, key=lambda found: found.cost)
         # The first keeps most of the start: the others must be better, not just different.
         self.best = (best if best.cost < _CLEARLY_BETTER * first.cost else first).parameters
-        if self._common:
+        if self._current_varies:
+            self._search_again()
+        if self._common or self._current_varies:
             self._take_in_what_is_common()
         self._return_to_start()
         self.best = self._local(self.whole_misfit(), self.best, False)
@@ -210,24 +215,46 @@ class GlobalSearch:
         else:
             self.free = free
 
-    def _fit_windows(self, start: Array) -> None:
-        self.fits = [
-            fit_window(self.model, w, start, method="least_squares") for w in self._thinned
-        ]
+    def _fit_windows(self, start: Array, known: Array | None = None) -> None:
+        """Fit each window from ``start``; that of varying current from ``known``, if it is better.
+
+        Without its dependence on the current no law comes near to the force of such a window.
+        """
+        self.fits = []
+        for window in self._thinned:
+            starts = [start]
+            if known is not None and _current_varies(window):
+                starts.append(known)
+            fits = [fit_window(self.model, window, each, method="least_squares") for each in starts]
+            self.fits.append(min(fits, key=lambda fit: fit.rmse))
         self.pooled = self._misfit(self._thinned)
         self.evaluations += sum(fit.evaluations for fit in self.fits)
+
+    def _search_again(self) -> None:
+        """From the laws over coefficients that the varying current no longer blurs.
+
+        All that was varied may move: what of it is determined, only a good fit can tell.
+        """
+        self._fit_windows(self._neutral, self.best)
+        self.best = self._best_of({found.origin: found.parameters for found in self.candidates})
+        self.free = self._varied
+        for origin, parameters in self._candidates(self._varied_between).items():
+            found = self._local(self.pooled, parameters, False)
+            self.best = self._best_of({"so far": self.best, origin: found})
+        self.free = self._determined(self.best)
 
     def _take_in_what_is_common(self) -> None:
         """Fit the windows with what was found for all of them, and see what they determine now.
 
-        Before, what a lag, for one, does to the force stood for noise, in which much is lost.
+        Before, what a lag, for one, or a varying current does to the force stood for noise, in
+        which much is lost.
         """
         places = self.model.places(self._common)
         for _ in range(_MOST_ROUNDS):
             before = self.free
             neutral = self._neutral.copy()
             neutral[places] = self.best[places]
-            self._fit_windows(neutral)
+            self._fit_windows(neutral, self.best)
             self.free = self._determined(self.best)
             self.best = self._local(self.pooled, self.best, False)
             if self.free == before:
@@ -359,6 +386,10 @@ class GlobalSearch:
         finally:
             self.evaluations += search.evaluations
         return problem.parameters(search.best)
+
+
+def _current_varies(window: Window) -> bool:
+    return float(np.ptp(window.current)) > DIFFERENT_CURRENT
 
 
 def thinned_for_search(windows: Sequence[Window]) -> list[Window]:

@@ -20,7 +20,7 @@ from mr_damper_ros.signals.arrays import Array
 _DIFFERENT_VELOCITY = 1.2
 """Peak velocities count as different where they are this factor apart."""
 
-_DIFFERENT_CURRENT = 0.02
+DIFFERENT_CURRENT = 0.02
 """Currents [A] count as different where they are this far apart."""
 
 SURE = 0.25
@@ -68,7 +68,7 @@ def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], lis
 def _count_different(currents: Sequence[float]) -> int:
     count, last = 0, -np.inf
     for current in sorted(currents):
-        if current - last > _DIFFERENT_CURRENT:
+        if current - last > DIFFERENT_CURRENT:
             count, last = count + 1, current
     return count
 

@@ -18,7 +18,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
 
-_MOST_PARTS = 6
+_MOST_INTERVALS = 6
 
 _FEWEST_SAMPLES = 64
 """A part of fewer samples is no operating point ..."""
@@ -51,24 +51,36 @@ class PartsByCurrent:
 def parts_by_current(window: Window, tolerance: float) -> list[Window]:
     """Parts of a window within which the current changes little; the window, if it does so itself.
 
-    The range of the current is cut into equal intervals, wider than ``tolerance`` [A].
+    Levels of the current more than ``tolerance`` [A] apart are parts of their own. Where it passes
+    through all values between, its range is cut into equal intervals.
     """
-    span = float(np.ptp(window.current))
-    if span <= tolerance:
+    if float(np.ptp(window.current)) <= tolerance:
         return [window]
-    count = min(max(math.ceil(0.5 * span / max(tolerance, 1e-12)), 2), _MOST_PARTS)
-    place = np.minimum((window.current - window.current.min()) / span * count, count - 1)
+    edges = _edges(window.current, tolerance)
+    place = np.searchsorted(edges, window.current, side="right")
     speed = window.motion.velocity
     least = _LEAST_SPEED * float(np.sqrt(np.mean(speed**2)))
     parts = []
-    for number in range(count):
-        chosen = place.astype(int) == number
+    for number in range(edges.size + 1):
+        chosen = place == number
         if np.count_nonzero(chosen) < _FEWEST_SAMPLES:
             continue
         moving = float(np.sqrt(np.mean(speed[chosen] ** 2))) >= least
         if moving and np.ptp(window.force[chosen]) > 0.0:
             parts.append(window.part(chosen))
     return parts
+
+
+def _edges(current: Array, tolerance: float) -> Array:
+    """Currents [A] at which one part ends and the next begins, rising."""
+    levels = np.unique(current)
+    widest = max(float(np.ptp(levels)) / _MOST_INTERVALS, tolerance)
+    gaps = np.flatnonzero(np.diff(levels) > tolerance)
+    edges = (0.5 * (levels[gaps] + levels[gaps + 1])).tolist()
+    for stretch in np.split(levels, gaps + 1):
+        count = math.ceil(float(np.ptp(stretch)) / widest)
+        edges += np.linspace(stretch[0], stretch[-1], count + 1)[1:-1].tolist()
+    return np.sort(edges)
 
 
 def judge_parts(
