@@ -204,6 +204,12 @@ class WindowTracker:
         holds = not self._other_damper and holds_at(self.parameters, fit.operating_point)
         known_motion = self._motion.windows_of(summary) >= _ESTABLISHED
         judgement = self._gatekeeper.judge(evidence, force, holds=holds, same_motion=known_motion)
+        if self._unexplained and judgement.verdict is Verdict.DISTURBED:
+            judgement = Judgement(
+                Verdict.POOR_FIT,
+                "the force does not follow the current as the running set has it: the window goes "
+                "into the next global identification",
+            )
         if judgement.verdict.confirms:
             # All but the running set learns from every good window; that from those that help.
             self._state = result.state
@@ -287,9 +293,11 @@ class WindowTracker:
         if self._unexplained and points > 1 and has_grown:
             return True
         common = self._model.places(self._model.common_names)
-        if common.size and not self.parameters.observable[common].any():
-            # No window fit finds a lag, a stiffness or an offset; one operating point does.
-            return self._accepted_since_global > 0
+        known = bool(self.parameters.observable[common].any())
+        if common.size and has_grown and (not known or 0 < self._searched_points < self._accepted):
+            # No window fit finds a lag, a stiffness or an offset. One operating point does, but it
+            # may be a poor one: the next few may correct what it has led to.
+            return self._accepted_since_global > 0 and self._accepted <= period
         return self._accepted_since_global >= period and points > 1
 
     def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
