@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks import (
+    cold_start,
     drift,
     earthquake_online,
     earthquake_static,
@@ -22,6 +23,7 @@ from benchmarks import (
     kinematics,
     noise_limit,
     repeated_evolution,
+    switched_current,
     utfsm_extended,
     utfsm_left_out,
     utfsm_models,
@@ -63,6 +65,8 @@ FULL: dict[str, Measure] = {
     "honest_errors": honest_errors.figures,
     "drift": drift.figures,
     "force_step": force_step.figures,
+    "switched_current": switched_current.figures,
+    "cold_start": cold_start.figures,
     "utfsm_sixteen": utfsm_sixteen.figures,
     "utfsm_extended": utfsm_extended.figures,
     "utfsm_left_out": utfsm_left_out.figures,
@@ -87,6 +91,7 @@ QUICK: dict[str, Measure] = {
     "force_step": lambda: force_step.figures(offsets=(0.0, 0.5)),
     "faults": lambda: faults.figures(SCENARIOS[::8], ("viscous_tanh",)),
     "healthy": lambda: healthy.figures(healthy.PROGRAMMES[2:5], ("viscous_tanh",)),
+    "switched_current": lambda: switched_current.figures(30.0, switched_current.CASES[:1]),
     "streaming_load": _of_nodes("streaming_load", duration=30.0, latency_duration=30.0),
     "lossy_link": _of_nodes("lossy_link", duration=20.0),
 }

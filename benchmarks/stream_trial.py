@@ -31,6 +31,7 @@ from mr_damper_ros.rig.emulator import (
     EmulatedRig,
     ModelDamper,
     RigSettings,
+    ThermalModel,
 )
 from mr_damper_ros.rig.excitation import Excitation
 from mr_damper_ros.rig.faults.fault import Delivery, Fault, Instruments
@@ -222,14 +223,18 @@ class StreamTrial:
         *,
         faults: Sequence[Fault] = (),
         settings: TrialSettings | None = None,
+        thermal: ThermalModel | None = None,
+        hot_force: float = 1.0,
     ) -> None:
+        """``thermal``: how the damper heats, with ``hot_force`` times its force at 71 °C."""
         self._settings = given = settings or TrialSettings()
         # The noise is added here: the rig then says what is true.
         self._rig = EmulatedRig(
-            ModelDamper(damper, 1.0 / given.sample_rate),
+            ModelDamper(damper, 1.0 / given.sample_rate, hot_force),
             excitation,
             current,
             settings=RigSettings(given.sample_rate, force_noise=0.0, seed=given.seed),
+            thermal=thermal,
             faults=faults,
         )
         self._noise = np.random.default_rng(given.seed)

@@ -23,7 +23,7 @@ _SAMPLES_PER_CYCLE = 1000
 _FEWER_PER_CYCLE = 200
 """So many follow a hysteresis, which yields over a tenth of a cycle or so."""
 
-_LONGEST_SETTLING = 0.25
+LONGEST_SETTLING = 0.25
 """No more than this part of a window is left out because its past is not known."""
 
 
@@ -111,7 +111,7 @@ class MotionHistory:
         """Mask (n,) of samples that follow the unknown past by less than this duration [s]."""
         if self.periodic:
             return np.zeros(self.places.size, dtype=bool)
-        longest = _LONGEST_SETTLING * self.current.size * self.period
+        longest = LONGEST_SETTLING * self.current.size * self.period
         return np.asarray(self.places * self.period < min(duration, longest))
 
 

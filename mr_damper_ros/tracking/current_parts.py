@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.motion_history import LONGEST_SETTLING
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
@@ -48,14 +49,16 @@ class PartsByCurrent:
     explained: bool
 
 
-def parts_by_current(window: Window, tolerance: float) -> list[Window]:
+def parts_by_current(model: Model, window: Window, tolerance: float) -> list[Window]:
     """Parts of a window within which the current changes little; the window, if it does so itself.
 
     Levels of the current more than ``tolerance`` [A] apart are parts of their own. Where it passes
-    through all values between, its range is cut into equal intervals.
+    through all values between, its range is cut into equal intervals. What lies only in the begin
+    of the window is no part, if the force of the ``model`` there depends on the unknown past.
     """
     if float(np.ptp(window.current)) <= tolerance:
         return [window]
+    lead_in = round(LONGEST_SETTLING * window.sample_count) if model.needs_past(window) else 0
     edges = _edges(window.current, tolerance)
     place = np.searchsorted(edges, window.current, side="right")
     speed = window.motion.velocity
@@ -63,7 +66,7 @@ def parts_by_current(window: Window, tolerance: float) -> list[Window]:
     parts = []
     for number in range(edges.size + 1):
         chosen = place == number
-        if np.count_nonzero(chosen) < _FEWEST_SAMPLES:
+        if np.count_nonzero(chosen[lead_in:]) < _FEWEST_SAMPLES:
             continue
         moving = float(np.sqrt(np.mean(speed[chosen] ** 2))) >= least
         if moving and np.ptp(window.force[chosen]) > 0.0:

@@ -117,8 +117,8 @@ def _fitted(
         task.settings.smallest_change,
     )
     scale = force_scale(task.model, window, fit, Baselines(task.baselines))
-    parts = parts_by_current(window, task.settings.screening.current_tolerance)
-    divided = len(parts) != 1 or parts[0] is not window
+    parts = parts_by_current(task.model, window, task.settings.screening.current_tolerance)
+    divided = bool(parts) and parts[0] is not window
     return FitResult(
         fit=fit,
         evidence=evidence,

@@ -34,7 +34,7 @@ ROUNDING = 1e-9
 BETWEEN_SAMPLES = 1e-3
 """Relative to the step: what is left between an exponential and its samples joined by lines."""
 
-LAW = MODELS["sigmoid_lag"]
+LAW, SIXTEEN = MODELS["sigmoid_lag"], MODELS["sigmoid"]
 LATE = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, LAG])
 
 
@@ -66,19 +66,25 @@ def window(current: CurrentSchedule, **options: float) -> Window:
 
 def test_a_window_of_constant_current_is_its_own_part() -> None:
     whole = known.run().window
-    assert parts_by_current(whole, TOLERANCE) == [whole]
+    assert parts_by_current(SIXTEEN, whole, TOLERANCE) == [whole]
 
 
 def test_each_level_of_the_current_is_a_part() -> None:
-    parts = parts_by_current(window(switching()), TOLERANCE)
+    parts = parts_by_current(SIXTEEN, window(switching()), TOLERANCE)
     assert [np.unique(part.current).tolist() for part in parts] == [[0.2], [1.2]]
     assert sum(part.sample_count for part in parts) == SAMPLES
 
 
 def test_a_current_that_varies_continuously_is_cut_into_intervals() -> None:
     ramp = CurrentSchedule(np.arange(0.0, 2.0, 1e-3).tolist(), np.linspace(0.0, 1.2, 2000).tolist())
-    parts = parts_by_current(window(ramp), TOLERANCE)
+    parts = parts_by_current(SIXTEEN, window(ramp), TOLERANCE)
     assert [np.ptp(part.current) for part in parts] == pytest.approx([0.2] * 6, abs=2e-3)
+
+
+def test_a_part_whose_past_is_not_known_is_left_out_of_a_law_that_remembers() -> None:
+    early = CurrentSchedule([0.0, 0.3], [1.2, 0.2])
+    assert len(parts_by_current(SIXTEEN, window(early), TOLERANCE)) == 2
+    assert len(parts_by_current(LAW, window(early), TOLERANCE)) == 1
 
 
 def test_a_part_at_rest_is_left_out() -> None:
@@ -87,13 +93,13 @@ def test_a_part_at_rest_is_left_out() -> None:
     m = given.motion
     velocity = np.where(still, 0.0, m.velocity)
     motion = Motion(m.displacement, velocity, m.acceleration, m.peak_velocity, None)
-    (part,) = parts_by_current(replace(given, motion=motion), TOLERANCE)
+    (part,) = parts_by_current(SIXTEEN, replace(given, motion=motion), TOLERANCE)
     assert np.unique(part.current) == [0.2]
 
 
 def test_the_right_law_over_the_current_explains_the_parts_and_a_wrong_one_does_not() -> None:
     given = window(switching())
-    parts = parts_by_current(given, TOLERANCE)
+    parts = parts_by_current(SIXTEEN, given, TOLERANCE)
     model = MODELS["sigmoid"]
     assert judge_parts(model, given, parts, known.PLAUSIBLE).explained
     wrong = known.PLAUSIBLE.copy()
@@ -180,7 +186,7 @@ _SERIES = ("displacement", "velocity", "acceleration", "peak_velocity")
 
 def test_the_jacobian_by_the_coil_is_that_of_differences() -> None:
     given = window(switching())
-    misfit = LAW.pooled_problem(parts_by_current(given, TOLERANCE), [known.NOISE] * 2)
+    misfit = LAW.pooled_problem(parts_by_current(SIXTEEN, given, TOLERANCE), [known.NOISE] * 2)
     step = 1e-4 * np.eye(20)[-1]
     expected = (misfit.residual(LATE + step) - misfit.residual(LATE - step)) / 2e-4
     got = misfit.jacobian(LATE)[:, -1]

@@ -263,7 +263,7 @@ def broken_sensor(w: RawWindow) -> RawWindow:
 BAD_WINDOWS = {
     burst: "times the usual one: a disturbance or a sensor fault",
     spike: "",
-    current_step: "times the usual one: a disturbance or a sensor fault",
+    current_step: "the force does not follow the current as the running set has it",
     clipped: "the force is clipped",
     stopped: "the force follows a motion that the displacement does not show",
     stopped_half_way: "the machine stands still for",

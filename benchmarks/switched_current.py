@@ -1,0 +1,234 @@
+"""Semi-active control: the current switches all the time, from a cold start.
+
+Dampers of the sixteen-parameter law and of laws unlike it; a sine and random motion; the current
+between 0.2 and 1.2 A every 0.4 s, and as a clipped-optimal controller leaves it, off for a while,
+then on at some level.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.dampers import window_of
+from benchmarks.figure import Figure
+from benchmarks.other_dampers import DAMPERS, random_motion
+from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper, ThermalModel
+from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.current_parts import parts_by_current
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.screening import Screening
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+
+SIXTEEN = ParameterSet(
+    np.array(
+        [
+            *(40.0, -0.35, -0.25, 900.0, 2.5, 4.0, 3.0, 2.0),
+            *(9.0, 4.0, 6.0, 18.0, -0.45, -0.11, 0.06, 0.012),
+        ]
+    ),
+    set_id="sixteen",
+)
+"""An invented damper, whose coefficients all change over 0.01 to 0.25 m/s and 0 to 1.5 A."""
+
+SETTLED = 20.0
+"""Seconds after which it counts."""
+
+_EVERY = 0.4
+_LOW, _HIGH = 0.2, 1.2
+_PART = 2.0
+_BLOCK = 20
+
+
+class Case(NamedTuple):
+    """A damper and the law that is identified; how it is moved, and how the current goes."""
+
+    damper: ParameterSet
+    model: str
+    motion: str
+    current: str
+
+
+CASES = (
+    *(
+        Case(SIXTEEN, "sigmoid", motion, current)
+        for motion in ("sine", "random")
+        for current in ("switched", "clipped")
+    ),
+    Case(DAMPERS["modified_bouc_wen"], "sigmoid_lag", "sine", "switched"),
+    Case(DAMPERS["modified_bouc_wen"], "sigmoid_lag", "random", "clipped"),
+)
+
+
+def excitation(motion: str, duration: float, seed: int) -> Excitation:
+    """A sine of 5 mm at 1 Hz, or random motion up to 3 Hz."""
+    if motion == "sine":
+        return SineMotion(5e-3, 1.0)
+    return random_motion(4e-3, 0.3, 3.0, duration, seed)
+
+
+def schedule(current: str, duration: float, seed: int) -> CurrentSchedule:
+    """Switched every 0.4 s, or clipped: off for a while, then on at some level."""
+    if current == "switched":
+        times = np.arange(0.0, duration, _EVERY)
+        levels = np.where(np.arange(times.size) % 2, _HIGH, _LOW)
+        return CurrentSchedule(times.tolist(), levels.tolist())
+    rng = np.random.default_rng(seed)
+    steps = 0.02 + rng.exponential(0.25, round(8.0 * duration))
+    times = np.concatenate(([0.0], np.cumsum(steps)))
+    levels = np.where(rng.random(times.size) < 0.5, 0.0, rng.uniform(_LOW, _HIGH, times.size))
+    return CurrentSchedule(times.tolist(), levels.tolist())
+
+
+@cache
+def streamed(case: Case, duration: float, seed: int = 0) -> TrialResult:
+    """The case from a cold start."""
+    settings = TrialSettings(
+        seed=seed, block_size=_BLOCK, tracker=TrackerSettings(model=case.model)
+    )
+    trial = StreamTrial(
+        case.damper,
+        excitation(case.motion, duration, seed),
+        schedule(case.current, duration, seed),
+        settings=settings,
+    )
+    return trial.run(duration)
+
+
+def judged_good(result: TrialResult) -> float:
+    """Part of the windows after :data:`SETTLED` whose fit is in use, or confirms the set in use."""
+    windows = [
+        report.confirms
+        for report, time in zip(result.reports, result.report_times, strict=True)
+        if time > SETTLED and report.window_start_ns < report.stamp_ns
+    ]
+    return float(np.mean(windows))
+
+
+def off_line(case: Case, result: TrialResult) -> ParameterSet:
+    """The law fitted to all of the recording at once."""
+    tolerance = Screening().current_tolerance
+    count = round(_PART / result.period)
+    parts: list[Window] = []
+    for first in range(0, result.time.size - count + 1, count):
+        part = slice(first, first + count)
+        run = Recording(
+            name=case.motion,
+            start_ns=0,
+            period=result.period,
+            displacement=result.displacement[part],
+            force=result.measured[part],
+            current=result.current[part],
+        )
+        parts += parts_by_current(MODELS[case.model], window_of(run), tolerance)
+    start = start_set(case.model).values
+    fit = identify_global(MODELS[case.model], parts, start, EvolutionSettings())
+    return fit.parameter_set
+
+
+def predicted(result: TrialResult, parameters: ParameterSet) -> Array:
+    """Force [N] of a set that stays, predicted block by block; shape (n,)."""
+    predictor = ForcePredictor(PredictorSettings())
+    predictor.set_parameters(parameters)
+    force = np.empty(result.time.size)
+    changes = np.diff(result.current, prepend=math.nan) != 0.0
+    for first in range(0, force.size, _BLOCK):
+        part = slice(first, first + _BLOCK)
+        stamps = np.round(result.time[part] * NANOSECONDS).astype(int)
+        for place in np.flatnonzero(changes[part]):
+            predictor.add_current(int(stamps[place]), float(result.current[part][place]))
+        block = SampleBlock(
+            int(stamps[0]),
+            first,
+            result.period,
+            result.displacement[part],
+            result.measured[part],
+        )
+        force[part] = predictor.predict(block).force
+    return force
+
+
+def error(result: TrialResult, force: Array) -> float:
+    """NRMSE of a predicted force after :data:`SETTLED`."""
+    counted = (result.time >= SETTLED) & np.isfinite(force)
+    left = (force - result.measured)[counted]
+    return float(np.sqrt(np.mean(left**2)) / np.std(result.measured[counted]))
+
+
+def drift_errors(duration: float, seed: int = 0) -> Array:
+    """Errors of the reported force scale [1] while the damper heats from 28 to 71 °C.
+
+    The truth is the force of the damper that heats over that of one that stays cold.
+    """
+    heat = ThermalModel(initial=28.0, ambient=90.0, capacity=1.0, conductance=1.15 / duration)
+    motion, current = excitation("sine", duration, seed), schedule("switched", duration, seed)
+    settings = TrialSettings(seed=seed, block_size=_BLOCK)
+    trial = StreamTrial(SIXTEEN, motion, current, settings=settings, thermal=heat, hot_force=0.74)
+    result = trial.run(duration)
+    cold = EmulatedRig(ModelDamper(SIXTEEN, result.period), motion, current)
+    reference = cold.record(duration).force
+    begin = round(result.reports[0].window_start_ns)
+    errors, first = [], math.nan
+    for report in result.reports:
+        if not math.isfinite(report.scale.value):
+            continue
+        places = np.array([report.window_start_ns, report.stamp_ns]) - begin
+        part = slice(*np.round(places / NANOSECONDS / result.period).astype(int))
+        truth = float(result.true[part] @ reference[part] / (reference[part] @ reference[part]))
+        if math.isnan(first):
+            first = truth / report.scale.value
+        errors.append(report.scale.value * first / truth - 1.0)
+    return np.asarray(errors)
+
+
+def figures(duration: float = 45.0, cases: Sequence[Case] = CASES) -> list[Figure]:
+    """``switched_accepted``, ``switched_nrmse_ratio``, ``switched_drift_scale_error_...``."""
+    results = [streamed(case, duration) for case in cases]
+    ratios = [
+        error(result, result.predicted) / error(result, predicted(result, off_line(case, result)))
+        for case, result in zip(cases, results, strict=True)
+    ]
+    drift = drift_errors(3.0 * duration)
+    names = "; ".join(f"{c.damper.set_id}, {c.motion}, {c.current}" for c in cases)
+    return [
+        Figure(
+            "switched_accepted",
+            [100.0 * judged_good(result) for result in results],
+            "Windows [%] that are accepted, or confirm the set in use, while the current switches, "
+            f"cold start, after {SETTLED:g} s: {names}.",
+            (90.0, 100.0),
+        ),
+        Figure(
+            "switched_nrmse",
+            [100.0 * error(result, result.predicted) for result in results],
+            "NRMSE [%] of the predicted force there.",
+        ),
+        Figure(
+            "switched_nrmse_ratio",
+            ratios,
+            "The same over that of one set of the same law, fitted off-line to the whole recording "
+            "and predicted by the same observer.",
+            (0.0, 1.15),
+        ),
+        Figure(
+            "switched_drift_scale_error_p95_percent",
+            100.0 * float(np.quantile(np.abs(drift), 0.95)),
+            "95th percentile of the error [%] of the reported force scale while the damper heats "
+            "from 28 to 71 °C and the current switches (sine).",
+            (0.0, 2.0),
+        ),
+    ]
