@@ -28,7 +28,7 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.free_parameters import FreeParameters
 from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import (
-    DIFFERENT_CURRENT,
+    current_varies,
     determined_parameters,
     operating_points_within,
     parameter_ranges,
@@ -113,7 +113,7 @@ class GlobalSearch:
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
         # What one run determines besides the coefficients, such as a compliance.
         self._common = model.common_names
-        self._current_varies = any(map(_current_varies, windows))
+        self._current_varies = any(map(current_varies, windows))
         # The range of a parameter that has one tells its size, if it has none itself.
         self._sizes = np.array(
             [
@@ -223,7 +223,7 @@ class GlobalSearch:
         self.fits = []
         for window in self._thinned:
             starts = [start]
-            if known is not None and _current_varies(window):
+            if known is not None and current_varies(window):
                 starts.append(known)
             fits = [fit_window(self.model, window, each, method="least_squares") for each in starts]
             self.fits.append(min(fits, key=lambda fit: fit.rmse))
@@ -386,10 +386,6 @@ class GlobalSearch:
         finally:
             self.evaluations += search.evaluations
         return problem.parameters(search.best)
-
-
-def _current_varies(window: Window) -> bool:
-    return float(np.ptp(window.current)) > DIFFERENT_CURRENT
 
 
 def thinned_for_search(windows: Sequence[Window]) -> list[Window]:

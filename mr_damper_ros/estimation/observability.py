@@ -20,7 +20,7 @@ from mr_damper_ros.signals.arrays import Array
 _DIFFERENT_VELOCITY = 1.2
 """Peak velocities count as different where they are this factor apart."""
 
-DIFFERENT_CURRENT = 0.02
+_DIFFERENT_CURRENT = 0.02
 """Currents [A] count as different where they are this far apart."""
 
 SURE = 0.25
@@ -50,6 +50,11 @@ def parameter_ranges(model: Model, windows: Sequence[Window]) -> dict[str, tuple
     return model.plausible_ranges(windows, max(speeds), top_current)
 
 
+def current_varies(window: Window) -> bool:
+    """Whether the current takes different values within the window."""
+    return float(np.ptp(window.current)) > _DIFFERENT_CURRENT
+
+
 def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], list[float]]:
     """Peak velocities and currents that the windows pass through, also within one window."""
     speeds: list[float] = []
@@ -68,7 +73,7 @@ def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], lis
 def _count_different(currents: Sequence[float]) -> int:
     count, last = 0, -np.inf
     for current in sorted(currents):
-        if current - last > DIFFERENT_CURRENT:
+        if current - last > _DIFFERENT_CURRENT:
             count, last = count + 1, current
     return count
 
