@@ -54,7 +54,7 @@ _PART = 2.0
 _BLOCK = 20
 
 
-class Case(NamedTuple):
+class SwitchedStream(NamedTuple):
     """A damper and the law that is identified; how it is moved, and how the current goes."""
 
     damper: ParameterSet
@@ -65,12 +65,12 @@ class Case(NamedTuple):
 
 CASES = (
     *(
-        Case(SIXTEEN, "sigmoid", motion, current)
+        SwitchedStream(SIXTEEN, "sigmoid", motion, current)
         for motion in ("sine", "random")
         for current in ("switched", "clipped")
     ),
-    Case(DAMPERS["modified_bouc_wen"], "sigmoid_lag", "sine", "switched"),
-    Case(DAMPERS["modified_bouc_wen"], "sigmoid_lag", "random", "clipped"),
+    SwitchedStream(DAMPERS["modified_bouc_wen"], "sigmoid_lag", "sine", "switched"),
+    SwitchedStream(DAMPERS["modified_bouc_wen"], "sigmoid_lag", "random", "clipped"),
 )
 
 
@@ -95,7 +95,7 @@ def schedule(current: str, duration: float, seed: int) -> CurrentSchedule:
 
 
 @cache
-def streamed(case: Case, duration: float, seed: int = 0) -> TrialResult:
+def streamed(case: SwitchedStream, duration: float, seed: int = 0) -> TrialResult:
     """The case from a cold start."""
     settings = TrialSettings(
         seed=seed, block_size=_BLOCK, tracker=TrackerSettings(model=case.model)
@@ -119,7 +119,7 @@ def judged_good(result: TrialResult) -> float:
     return float(np.mean(windows))
 
 
-def off_line(case: Case, result: TrialResult) -> ParameterSet:
+def off_line(case: SwitchedStream, result: TrialResult) -> ParameterSet:
     """The law fitted to all of the recording at once."""
     tolerance = Screening().current_tolerance
     count = round(_PART / result.period)
@@ -195,7 +195,7 @@ def drift_errors(duration: float, seed: int = 0) -> Array:
     return np.asarray(errors)
 
 
-def figures(duration: float = 45.0, cases: Sequence[Case] = CASES) -> list[Figure]:
+def figures(duration: float = 45.0, cases: Sequence[SwitchedStream] = CASES) -> list[Figure]:
     """``switched_accepted``, ``switched_nrmse_ratio``, ``switched_drift_scale_error_...``."""
     results = [streamed(case, duration) for case in cases]
     ratios = [
