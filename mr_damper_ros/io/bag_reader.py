@@ -21,12 +21,16 @@ from mr_damper_ros.io.bag_streams import (
 from mr_damper_ros.io.opened_bag import opened_bag
 from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, BlockSequence, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError, ZeroOrderHold
 
 _FOREVER = 1e9
 """Seconds; longer than any recording."""
+
+_HOLD_BACK = 1.0
+"""Seconds for which blocks that overtook others wait for them: a file is in no hurry."""
 
 _JUMP_BACK = 1.0
 """A current stamped earlier than the one before by more than this [s] opens a new round."""
@@ -35,7 +39,8 @@ _JUMP_BACK = 1.0
 def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> list[Recording]:
     """Read the recordings in a bag, which is a folder or a single ``.mcap`` or ``.db3`` file.
 
-    There are several where samples are missing, stamps jump back, or the period changes. Topics
+    There are several where samples are missing (for more than 0.05 s: less is bridged),
+    stamps jump back, or the period changes. Topics
     are found in any namespace: ``/rig1/mts/samples`` matches ``/mts/samples``. The current holds
     from each stamp to the next; samples before its first stamp are left out. The temperature,
     where the bag has it, is interpolated. A bag with more than ``maximum_samples`` is refused.
@@ -57,6 +62,7 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
                 currents.add(message)
             else:
                 celsius.append((_stamp_ns(message), float(message.temperature)))
+        segments.finish()
         details = dict(bag.details)
     if not segments.found:
         raise BagError(f"the bag '{bag.name}' holds no samples: the topic {samples} is empty")
@@ -101,7 +107,7 @@ class _Segments:
     def __init__(self, bag: str, topic: str, maximum_samples: int) -> None:
         self._bag, self._topic = bag, topic
         self._left = maximum_samples
-        self._sequence = BlockSequence()
+        self._sequence = UniformGrid(hold_back=_HOLD_BACK)
         self._round = 0
         self.found: list[_Segment] = []
 
@@ -125,15 +131,24 @@ class _Segments:
                 f"the bag '{self._bag}' is too large: make bags of parts of it with "
                 "ros2 bag convert"
             )
-        verdict = self._sequence.follow(block)
-        if verdict.kind == "repeat":
+        for placed in self._sequence.follow(block):
+            self._add(placed)
+
+    def finish(self) -> None:
+        """Take what still waits for samples that never came."""
+        for placed in self._sequence.flush():
+            self._add(placed)
+
+    def _add(self, placed: Placed) -> None:
+        kind = placed.continuity.kind
+        if kind == "repeat":
             return
-        if verdict.kind == "jump_back":
+        if kind == "jump_back":
             self._round += 1
-        if verdict.kind == "next":
-            self.found[-1].blocks.append(block)
+        if kind in ("next", "bridged"):
+            self.found[-1].blocks.append(placed.block)
         else:
-            self.found.append(_Segment(self._round, [block]))
+            self.found.append(_Segment(self._round, [placed.block]))
 
 
 @dataclass

@@ -20,6 +20,9 @@ from mr_damper_ros.signals.arrays import Array
 _REVERSALS_FOR_CENTRE = 3
 """The centre of a motion is known once its ends have been seen, the first of them surely whole."""
 
+_LONGEST_GAP = 0.5
+"""Part of a half-cycle; a cubic over it is off by 1.5 % of the amplitude."""
+
 _HALF_CYCLES_FOR_PEAK = 4
 """Of fewer half-cycles the angular frequency, and with it the peak velocity, is a guess."""
 
@@ -67,6 +70,10 @@ class MotionFollower:
     def reversals(self) -> int:
         """Changes of direction up to the last block caught up with."""
         return self._centre.reversals
+
+    def lost_sight(self, gap: float) -> bool:
+        """Whether so long a gap [s] is too much of a half-cycle for its motion to be reckoned."""
+        return gap > _LONGEST_GAP * self._centre.half_cycle
 
     @property
     def resting(self) -> bool:

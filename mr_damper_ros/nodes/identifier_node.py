@@ -221,7 +221,9 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) ->
     except StateError as error:
         raise ConfigurationError(str(error)) from error
     return Identifier(
-        WindowAssembler(windows.window, windows.hop, windows.looks, windows.longest_window),
+        WindowAssembler(
+            windows.window, windows.hop, windows.looks, windows.longest_window, options.grid
+        ),
         tracker,
         worker,
         options.work,

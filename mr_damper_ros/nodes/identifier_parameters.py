@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
+from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.pipeline import PipelineSettings
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowSettings
@@ -15,6 +16,7 @@ class IdentifierParameters(ParameterTable):
     """Parameters of the identifier node."""
 
     windows: WindowSettings = group(WindowSettings, flat=True, read_only=True)
+    grid: GridSettings = group(GridSettings, flat=True, read_only=True)
     tracking: TrackerSettings = group(TrackerSettings, flat=True, read_only=True)
     work: PipelineSettings = group(PipelineSettings, flat=True, read_only=True)
     initial_parameters: str = option(

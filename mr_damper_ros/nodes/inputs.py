@@ -15,7 +15,8 @@ from rclpy.subscription import Subscription
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.quality import STREAM_DEPTH, overridable
-from mr_damper_ros.signals.blocks import BlockError, BlockSequence, SampleBlock
+from mr_damper_ros.signals.blocks import BlockError, SampleBlock
+from mr_damper_ros.signals.uniform_grid import UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError
 
 SAMPLES_TOPIC = "mts/samples"
@@ -160,7 +161,7 @@ class Inputs:
         """Whether no samples have come for a while, or ever."""
         return self._samples.silent
 
-    def samples_finding(self, sequence: BlockSequence) -> Finding:
+    def samples_finding(self, sequence: UniformGrid) -> Finding:
         """How the samples come in, and how they followed each other in the node's ``sequence``."""
         rate, fault = self._samples.take_rate(), self._samples.take_fault()
         before, self._interruptions = self._interruptions, sequence.interruptions
@@ -175,6 +176,7 @@ class Inputs:
             {
                 "samples/s": f"{rate:.1f}",
                 "lost": sequence.lost_samples,
+                "bridged": sequence.bridged_samples,
                 "repeated": sequence.repeated_samples,
                 "interruptions": sequence.interruptions,
                 "rejected messages": self._samples.rejected,
@@ -208,7 +210,7 @@ def _taken(subscription: Subscription) -> list[Any]:
     return messages
 
 
-def _pace(rate: float, sequence: BlockSequence) -> str:
+def _pace(rate: float, sequence: UniformGrid) -> str:
     """A remark where samples come faster or slower than their period says; empty elsewhere."""
     pace = rate * sequence.last.period if sequence.last else 0.0
     if abs(pace - 1.0) <= _PACE_TOLERANCE or rate == 0.0:

@@ -22,6 +22,7 @@ from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.joined_blocks import joined
+from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.running_error import RunningError
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
@@ -61,6 +62,7 @@ class ModelParameters(ParameterTable):
         "several that publish damper/parameters are an error in the diagnostics.",
         read_only=True,
     )
+    grid: GridSettings = group(GridSettings, flat=True, read_only=True)
     error_memory: float = option(
         10.0,
         "Time [s] over which the error against the measured force is taken for the diagnostics.",
@@ -87,7 +89,7 @@ class ModelNode(Node):
     def __init__(self) -> None:
         super().__init__("model")
         self._options = NodeParameters(self, ModelParameters).values
-        self._predictor = ForcePredictor(self._options.predictor)
+        self._predictor = ForcePredictor(self._options.predictor, self._options.grid)
         self._error = RunningError(self._options.error_memory)
         self._message = PredictionMessage(self._options.frame_id)
         self._last: Prediction | None = None

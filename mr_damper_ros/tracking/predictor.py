@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from mr_damper_ros.models.force_stream import Ahead, ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, BlockSequence, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
@@ -114,12 +115,12 @@ class _Foreseen:
 class ForcePredictor:
     """Predicts the force of each block as it arrives."""
 
-    def __init__(self, settings: PredictorSettings) -> None:
+    def __init__(self, settings: PredictorSettings, grid: GridSettings | None = None) -> None:
         self._settings = settings
         self._parameters: ParameterSet | None = None
         self._confirmed_ns: int | None = None
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
-        self._sequence = BlockSequence()
+        self._sequence = UniformGrid(grid)
         self._motion: MotionFollower | None = None
         self._stream: ForceStream | None = None
         self._foreseen: _Foreseen | None = None
@@ -132,7 +133,7 @@ class ForcePredictor:
         self._begun_at = 0
 
     @property
-    def sequence(self) -> BlockSequence:
+    def sequence(self) -> UniformGrid:
         """How the blocks have followed each other so far."""
         return self._sequence
 
@@ -253,9 +254,23 @@ class ForcePredictor:
     def predict(self, block: SampleBlock, now_ns: int | None = None) -> Prediction:
         """Force at the samples of a block; NaN, and not valid, where it cannot be computed.
 
-        ``now_ns`` is the present time on the clock of the stamps, where there is one.
+        Of a block of which a part came before, that at its new samples. ``now_ns`` is the present
+        time on the clock of the stamps, where there is one.
         """
-        verdict = self._sequence.follow(block)
+        (placed,) = self._sequence.follow(block)
+        prediction = self._predict(placed.block, placed.bridged, placed.continuity, now_ns)
+        if placed.block is block:
+            return prediction
+        return replace(
+            prediction,
+            start_ns=placed.stamp_ns,
+            sequence=placed.arrived.sequence,
+            force=prediction.force[placed.bridged :],
+        )
+
+    def _predict(
+        self, block: SampleBlock, bridged: int, verdict: Continuity, now_ns: int | None
+    ) -> Prediction:
         if verdict.kind == "repeat":
             repeated = Doubt(DoubtKind.REPEATED, verdict.sentence)
             return self._invalid(block, repeated, verdict.sentence)
@@ -263,7 +278,8 @@ class ForcePredictor:
             self._current.follow_jump()
             self._freshness.restart()
         stale = self._freshness.judge(block.end_ns, now_ns)
-        if self._motion is None or verdict.restarts:
+        lost_sight = self._motion is not None and self._motion.lost_sight(bridged * block.period)
+        if self._motion is None or verdict.restarts or lost_sight:
             self._motion = MotionFollower(
                 block.period, self._settings.bandwidth, self._settings.centre_memory
             )

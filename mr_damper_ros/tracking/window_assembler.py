@@ -11,12 +11,16 @@ from mr_damper_ros.kinematics.cycles import averages, holds_cycle
 from mr_damper_ros.kinematics.peak_velocity import StreamPeakVelocity
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, BlockSequence, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.sample_store import SampleStore
 from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
 
 _USUAL_WAIT_NS = 1_000_000_000
+
+_HOLD_BACK = 0.05
+"""Seconds for which blocks that overtook others wait for them: a window is in no hurry."""
 
 _WAIT_FOR_CURRENT = 64
 """At most this many complete windows wait for the current to become known."""
@@ -109,12 +113,17 @@ class WindowAssembler:
     """
 
     def __init__(
-        self, window: float, hop: float, looks: int = 0, longest: float | None = None
+        self,
+        window: float,
+        hop: float,
+        looks: int = 0,
+        longest: float | None = None,
+        grid: GridSettings | None = None,
     ) -> None:
         """Raises ValueError, as :class:`WindowSettings` does; ``longest`` None: its default."""
         usual = WindowSettings.longest_window
         self._settings = WindowSettings(window, hop, usual if longest is None else longest, looks)
-        self._sequence = BlockSequence()
+        self._sequence = UniformGrid(grid, _HOLD_BACK)
         self._peak: StreamPeakVelocity | None = None
         self._longest = max(window, self._settings.longest_window)
         self._current = ZeroOrderHold(keep=max(KEEP_CURRENT, 2.0 * self._longest))
@@ -134,7 +143,7 @@ class WindowAssembler:
         self._part = 0
 
     @property
-    def sequence(self) -> BlockSequence:
+    def sequence(self) -> UniformGrid:
         """How the blocks have followed each other so far."""
         return self._sequence
 
@@ -171,11 +180,16 @@ class WindowAssembler:
 
     def add_block(self, block: SampleBlock) -> list[RawWindow]:
         """Add a block; returns the windows that became complete, oldest first."""
-        verdict = self._sequence.follow(block)
+        for placed in self._sequence.follow(block):
+            self._add(placed)
+        return self._ready()
+
+    def _add(self, placed: Placed) -> None:
+        block, verdict = placed.block, placed.continuity
         if verdict.sentence:
             self._events.append(verdict.sentence)
         if verdict.kind == "repeat":
-            return []
+            return
         if verdict.restarts:
             self._empty()
         if self._peak is None or verdict.restarts:
@@ -186,7 +200,6 @@ class WindowAssembler:
             self._current.follow_jump()
         self._store.add(block, self._peak.follow(block.displacement))
         self._cut(block.period)
-        return self._ready()
 
     def add_current(self, stamp_ns: int, current: float) -> list[RawWindow]:
         """Add a value of the supply current [A]; returns the windows that became complete.

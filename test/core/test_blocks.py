@@ -1,4 +1,4 @@
-"""What follows what in a stream of blocks, and what becomes of the rest."""
+"""Which blocks can be used, and which a node takes in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from mr_damper_ros.signals.blocks import (
     MOST_SAMPLES,
     NANOSECONDS,
     BlockError,
-    BlockSequence,
     SampleBlock,
     check_live,
 )
@@ -31,104 +30,6 @@ def block(sequence: int, count: int = 10, *, late: float = 0.0, **changes: objec
         "force": np.zeros(count),
     }
     return SampleBlock(**{**entries, **changes})  # type: ignore[arg-type]
-
-
-def followed(*blocks: SampleBlock) -> BlockSequence:
-    sequence = BlockSequence()
-    for one in blocks:
-        sequence.follow(one)
-    return sequence
-
-
-def kind_after_first(second: SampleBlock) -> str:
-    return followed(block(0)).follow(second).kind
-
-
-def test_the_first_block_is_first() -> None:
-    verdict = BlockSequence().follow(block(123))
-    assert (verdict.kind, verdict.sentence, verdict.restarts) == ("first", "", False)
-
-
-def test_a_block_that_follows_is_next() -> None:
-    verdict = followed(block(0)).follow(block(10))
-    assert (verdict.kind, verdict.sentence, verdict.restarts) == ("next", "", False)
-
-
-@pytest.mark.parametrize("late", [-0.49, 0.49])
-def test_half_a_period_is_tolerated(late: float) -> None:
-    assert kind_after_first(block(10, late=late * PERIOD)) == "next"
-
-
-@pytest.mark.parametrize("late", [0.51, 3.0])
-def test_more_than_half_a_period_late_is_a_gap(late: float) -> None:
-    assert kind_after_first(block(10, late=late * PERIOD)) == "gap"
-
-
-def test_lost_samples_are_counted() -> None:
-    sequence = followed(block(0), block(10))
-    verdict = sequence.follow(block(25))
-    assert verdict.restarts
-    assert verdict.lost == 5
-    assert "5 samples were lost" in verdict.sentence
-    assert sequence.lost_samples == 5
-
-
-def test_a_pause_loses_no_samples() -> None:
-    sequence = followed(block(0))
-    verdict = sequence.follow(block(10, late=2.5))
-    assert (verdict.kind, verdict.lost) == ("gap", 0)
-    assert "pause for 2.5 s" in verdict.sentence
-
-
-def test_a_repeated_block_is_ignored() -> None:
-    sequence = followed(block(0), block(10))
-    verdict = sequence.follow(block(10))
-    assert (verdict.kind, verdict.restarts) == ("repeat", False)
-    assert sequence.repeated_samples == 10
-    assert sequence.follow(block(20)).kind == "next", "the repeat took no one's place"
-
-
-def test_an_older_block_that_comes_late_is_ignored() -> None:
-    sequence = followed(block(0), block(10), block(20))
-    assert sequence.follow(block(0)).kind == "repeat"
-
-
-def test_stamps_that_go_back_far_are_a_jump() -> None:
-    sequence = followed(block(5000))
-    verdict = sequence.follow(block(0))
-    assert (verdict.kind, verdict.restarts) == ("jump_back", True)
-    assert "jump back by 5.01 s" in verdict.sentence
-
-
-def test_a_short_bag_that_loops_jumps_back_when_its_count_goes_on() -> None:
-    assert kind_after_first(block(10, start_ns=T0)) == "jump_back"
-
-
-def test_a_block_that_overlaps_only_in_part_is_no_repeat() -> None:
-    assert kind_after_first(block(5, 10)) == "jump_back"
-
-
-def test_a_changed_period_restarts() -> None:
-    verdict = followed(block(0)).follow(block(10, period=2e-3))
-    assert (verdict.kind, verdict.restarts) == ("changed_period", True)
-    assert "from 0.001 s to 0.002 s" in verdict.sentence
-
-
-def test_rounding_of_the_period_is_no_change() -> None:
-    assert kind_after_first(block(10, period=PERIOD * (1.0 + 1e-9))) == "next"
-
-
-def test_a_count_that_is_set_back_restarts() -> None:
-    verdict = followed(block(0), block(10)).follow(block(0, late=0.020))
-    assert (verdict.kind, verdict.restarts) == ("gap", True)
-    assert "count was set back or forward" in verdict.sentence
-
-
-def test_the_stamps_may_run_at_another_rate_than_the_nominal_one() -> None:
-    # 300 parts per million over 1000 blocks: each block follows its predecessor.
-    sequence = BlockSequence()
-    kinds = {sequence.follow(block(10 * k, late=3e-4 * 10 * k * PERIOD)).kind for k in range(1000)}
-    assert kinds == {"first", "next"}
 
 
 def test_end_of_a_block() -> None:

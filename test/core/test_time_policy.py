@@ -119,7 +119,11 @@ def test_no_fault_of_the_stamps_is_for_ever(name: str) -> None:
     assert predictions[-1].valid, predictions[-1].reason
 
 
-@pytest.mark.parametrize("name", FAULTS)
+MENDED = {"duplicates", "out of order"}
+"""What interrupts nothing: the one is ignored, the other waited for or bridged."""
+
+
+@pytest.mark.parametrize("name", sorted(set(FAULTS) - {"out of order"}))
 def test_every_fault_of_the_stamps_is_told(name: str) -> None:
     made = WindowAssembler(1.0, 0.5)
     for block in FAULTS[name](BLOCKS[:300], BLOCKS[300:]):
@@ -129,7 +133,7 @@ def test_every_fault_of_the_stamps_is_told(name: str) -> None:
     assert made.sequence.last_interruption
 
 
-@pytest.mark.parametrize("name", set(FAULTS) - {"duplicates"})
+@pytest.mark.parametrize("name", sorted(set(FAULTS) - MENDED))
 def test_after_a_break_nothing_is_valid_before_the_motion_is_known_again(name: str) -> None:
     predictions = predicted(FAULTS[name](BLOCKS[:300], BLOCKS[300:]))
     broken = [k for k, p in enumerate(predictions) if p.continuity]
@@ -147,8 +151,9 @@ def test_a_window_never_spans_a_break(name: str) -> None:
 
 
 @known.fixed(30)
-@given(st.lists(st.sampled_from(sorted(FAULTS)), min_size=1, max_size=3))
+@given(st.lists(st.sampled_from(sorted(set(FAULTS) - MENDED)), min_size=1, max_size=3))
 def test_predictor_and_windows_judge_a_stream_alike(names: list[str]) -> None:
+    # Blocks that are out of order only the windows can wait for.
     blocks = BLOCKS[:200]
     for name in names:
         blocks = FAULTS[name](blocks[: len(blocks) // 2], blocks[len(blocks) // 2 :])

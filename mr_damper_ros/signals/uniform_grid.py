@@ -1,0 +1,336 @@
+"""Blocks as they arrive, put on one even grid: the one policy on time that every consumer follows.
+
+The stamps of the data are the only clock. Sample ``index`` of the grid is the sample of that number
+in the source's count; its time is that of the clock behind the stamps
+(:mod:`mr_damper_ros.signals.stamp_clock`), or the stamp itself where it does not jitter. What does
+not simply follow is named and handled the same way everywhere:
+
+- a *bridged* gap (few samples lost): reckoned from those on either side, and marked;
+- a *gap* (more lost, the source paused or was started again): what was being collected starts anew;
+- a *jump back* (a bag that loops, a clock that was set): starts anew too;
+- a *repeat* (samples that came before, or are known to be lost by now): ignored;
+- a *changed period*: starts anew.
+
+Nothing that was identified is touched by any of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mr_damper_ros.settings.option_table import CheckedSettings, option
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.resampling import UnevenSampling, on_a_cubic, on_a_line
+from mr_damper_ros.signals.stamp_clock import StampClock
+
+_REPEAT_HORIZON_NS = NANOSECONDS
+"""A block older than the last one by less than a second is a repeat, by more a jump back."""
+
+_JITTER_NS, _JITTER = 5_000_000, 1.5
+"""A stamp may be off by so many nanoseconds, or sample periods where that is more, while the count
+of the samples goes on: computers stamp when they come to it."""
+
+_EVEN = 0.1
+"""A stamp that is off by less than this part of a period is taken as it is."""
+
+_NOTICED = 0.02
+"""One that is off by more tells whether the samples were taken unevenly."""
+
+_TAIL = 12
+"""Samples kept of the past, for the slope at a gap."""
+
+_DELAY, _SLEW = 0.5, 0.01
+"""Sample periods that the grid is behind where samples are taken unevenly, so that it lies between
+those that have come; it falls behind by so much with each sample, without a step."""
+
+
+@dataclass(frozen=True)
+class GridSettings(CheckedSettings):
+    """How a stream whose stamps jitter, or that has gaps, is put on an even grid."""
+
+    stamps: str = option(
+        "auto",
+        "What stamps that jitter mean: 'clock', the samples were taken evenly and their time was "
+        "read unevenly, as a controller's are; 'sampling', each was taken when its stamp says; "
+        "'auto' finds out from the motion and starts as clock.",
+        choices=("auto", "clock", "sampling"),
+    )
+    longest_gap: float = option(
+        0.05,
+        "Longest time [s] of lost samples that is bridged; after a longer gap all starts anew. 0: "
+        "none is bridged.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True)
+class Continuity:
+    """How a block follows its predecessor: ``kind`` is one of the words below.
+
+    "first", "next", "bridged", "gap", "jump_back", "repeat", "changed_period". ``lost`` counts the
+    samples missing before it; ``sentence`` says it in words, empty for the first three.
+    """
+
+    kind: str
+    lost: int = 0
+    sentence: str = ""
+
+    @property
+    def restarts(self) -> bool:
+        """Whether whatever is being collected must start again."""
+        return self.kind in ("gap", "jump_back", "changed_period")
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A block on the grid; its first ``bridged`` samples were not measured.
+
+    ``arrived`` is the part of what came that had not come before, stamped as it was. Of a repeat
+    ``block`` is that, too. ``stamp_ns`` is the time of the first measured value: that stamp, unless
+    the values were brought from where they were sampled to another time.
+    """
+
+    block: SampleBlock
+    arrived: SampleBlock
+    bridged: int
+    continuity: Continuity
+    stamp_ns: int
+
+
+_NEXT = Continuity("next")
+_FIRST = Continuity("first")
+_REPEAT = Continuity("repeat", sentence="a block came twice or too late: it is ignored")
+
+
+class UniformGrid:
+    """Puts the blocks of a stream on an even grid, and remembers how they followed each other.
+
+    Blocks that come out of order wait for the missing ones until the samples are ``hold_back`` [s]
+    further; what is in order never waits. A stream without jitter, gaps or repeats passes as it is.
+
+    Counted since the start: samples lost, those of them that were bridged, samples that came again
+    or too late, and interruptions, of the last of which there is a sentence.
+    """
+
+    def __init__(self, settings: GridSettings | None = None, hold_back: float = 0.0) -> None:
+        self._settings = settings or GridSettings()
+        self._hold_back = hold_back
+        self._held: list[SampleBlock] = []
+        self._last: SampleBlock | None = None
+        self._clock: StampClock | None = None
+        self._uneven = UnevenSampling()
+        # The latest blocks, and how late they were stamped [sample periods].
+        self._recent: deque[tuple[SampleBlock, float]] = deque()
+        self._delay = 0.0
+        self.lost_samples = 0
+        self.bridged_samples = 0
+        self.repeated_samples = 0
+        self.interruptions = 0
+        self.last_interruption = ""
+
+    @property
+    def last(self) -> SampleBlock | None:
+        """The last block on the grid."""
+        return self._last
+
+    @property
+    def uneven(self) -> bool:
+        """Whether the samples are taken to be measured when their stamps say, and not evenly."""
+        if self._settings.stamps == "auto":
+            return self._uneven.found
+        return self._settings.stamps == "sampling"
+
+    def follow(self, block: SampleBlock) -> list[Placed]:
+        """The blocks that are on the grid now that this one has come: one, where none waits."""
+        verdict = self._judge(block)
+        if self._hold_back == 0.0 or (not self._held and verdict.kind != "bridged"):
+            return [self._place(block, verdict)]
+        # What waits belongs to the time before a new start.
+        placed = self.flush() if verdict.restarts else []
+        self._held.append(block)
+        self._held.sort(key=lambda held: held.sequence)
+        while self._held:
+            verdict = self._judge(self._held[0])
+            if verdict.kind == "bridged" and self._may_wait(self._held[-1]):
+                break
+            placed.append(self._place(self._held.pop(0), verdict))
+        return placed
+
+    def flush(self) -> list[Placed]:
+        """What still waits for samples that have not come."""
+        held, self._held = self._held, []
+        return [self._place(block, self._judge(block)) for block in held]
+
+    def _may_wait(self, newest: SampleBlock) -> bool:
+        assert self._last is not None
+        ahead = newest.sequence + newest.sample_count - _end(self._last)
+        return ahead * self._last.period < self._hold_back + newest.sample_count * newest.period
+
+    def _judge(self, block: SampleBlock) -> Continuity:
+        last = self._last
+        if last is None or self._clock is None:
+            return _FIRST
+        if not math.isclose(block.period, last.period, rel_tol=1e-6):
+            return Continuity(
+                "changed_period",
+                sentence=f"the sample period changed from {last.period:g} s to {block.period:g} s: "
+                "what was being collected starts again",
+            )
+        due_ns = self._clock.at(_end(last))
+        late_ns = block.start_ns - due_ns
+        missing = block.sequence - _end(last)
+        # How far the stamp is from where the count says.
+        off_ns = abs(late_ns - missing * block.period * NANOSECONDS)
+        allowed_ns = max(_JITTER_NS, _JITTER * block.period * NANOSECONDS)
+        if off_ns <= allowed_ns:
+            if -block.sample_count < missing <= 0:
+                return _NEXT
+            if missing > 0 and missing * block.period <= self._settings.longest_gap + 1e-9:
+                return Continuity("bridged", missing)
+            if missing < 0 and off_ns < abs(late_ns) < _REPEAT_HORIZON_NS:
+                return _REPEAT
+        if abs(late_ns) <= allowed_ns and missing != 0:
+            # The stamps go on but the count does not: the source was started again.
+            return Continuity(
+                "gap",
+                sentence="the sample count was set back or forward (a source that was started "
+                "again?): what was being collected starts again",
+            )
+        late = late_ns / NANOSECONDS
+        if late > 0.0:
+            lost = max(missing, 0)
+            detail = (
+                f"{lost} samples were lost (an overloaded computer or network?)"
+                if lost
+                else f"the samples pause for {late:.3g} s"
+            )
+            return Continuity("gap", lost, f"{detail}: what was being collected starts again")
+        if block.end_ns <= due_ns + allowed_ns and -late_ns < _REPEAT_HORIZON_NS and missing < 0:
+            return _REPEAT
+        return Continuity(
+            "jump_back",
+            sentence=f"the stamps jump back by {-late:.3g} s: what was being collected "
+            "starts again",
+        )
+
+    def _place(self, block: SampleBlock, verdict: Continuity) -> Placed:
+        if verdict.sentence:
+            self.interruptions += 1
+            self.last_interruption = verdict.sentence
+        if verdict.kind == "repeat":
+            self.repeated_samples += block.sample_count
+            return Placed(block, block, 0, verdict, block.start_ns)
+        self.lost_samples += verdict.lost
+        if verdict.restarts or self._clock is None:
+            self._clock = StampClock(block.sequence, block.start_ns, block.period)
+            self._recent.clear()
+            self._last = block
+            self._remember(block, 0.0)
+            return Placed(block, block, 0, verdict, block.start_ns)
+        assert self._last is not None
+        known = _end(self._last) - block.sequence
+        if known > 0:
+            self.repeated_samples += known
+            block = _part(block, known)
+        self._clock.learn(block.sequence, block.start_ns)
+        late = (block.start_ns - self._clock.at(block.sequence)) / (block.period * NANOSECONDS)
+        if self._settings.stamps == "auto" and (abs(late) > _NOTICED or self._uneven.found):
+            self._uneven.learn(block.sequence, late, block.displacement)
+        if self.uneven or self._delay > 0.0:
+            placed = self._between(block, late, verdict.lost)
+            stamp_ns = placed.start_ns + round(verdict.lost * block.period * NANOSECONDS)
+            self._remember(block, late)
+        else:
+            placed = self._in_time(block, late, verdict.lost)
+            stamp_ns = block.start_ns
+            self._remember(placed, late)
+        self.bridged_samples += verdict.lost
+        self._last = placed
+        return Placed(placed, block, verdict.lost, verdict, stamp_ns)
+
+    def _in_time(self, block: SampleBlock, late: float, lost: int) -> SampleBlock:
+        """The block with its samples as they are, and the ``lost`` ones before it."""
+        assert self._clock is not None
+        if lost == 0:
+            if abs(late) <= _EVEN:
+                return block
+            return replace(block, start_ns=self._clock.at(block.sequence))
+        _, displacement, force = self._tail()
+        return replace(
+            block,
+            start_ns=self._clock.at(block.sequence - lost),
+            sequence=block.sequence - lost,
+            displacement=np.concatenate(
+                [on_a_cubic(displacement, block.displacement, lost), block.displacement]
+            ),
+            force=np.concatenate([on_a_line(force, block.force, lost), block.force]),
+        )
+
+    def _between(self, block: SampleBlock, late: float, lost: int) -> SampleBlock:
+        """The block interpolated on straight lines between the samples, where they were taken."""
+        assert self._clock is not None
+        first = block.sequence - lost
+        count = lost + block.sample_count
+        step = _SLEW if self.uneven else -_SLEW
+        delays = np.clip(self._delay + step * np.arange(1.0, count + 1.0), 0.0, _DELAY)
+        self._delay = float(delays[-1])
+        before, displacement, force = self._tail()
+        # Samples that overtake each other keep their order.
+        places = np.maximum.accumulate(
+            np.concatenate([before - first, np.arange(lost, count) + late])
+        )
+        wanted = np.arange(count) - delays
+        return replace(
+            block,
+            start_ns=self._clock.at(first) - round(float(delays[0]) * block.period * NANOSECONDS),
+            sequence=first,
+            displacement=np.interp(
+                wanted, places, np.concatenate([displacement, block.displacement])
+            ),
+            force=np.interp(wanted, places, np.concatenate([force, block.force])),
+        )
+
+    def _remember(self, block: SampleBlock, late: float) -> None:
+        recent = self._recent
+        recent.append((block, late))
+        while len(recent) > _TAIL or (len(recent) > 1 and recent[1][0].sample_count >= _TAIL):
+            recent.popleft()
+
+    def _tail(self) -> tuple[Array, Array, Array]:
+        """Index at which each of the latest samples was taken, its displacement and its force."""
+        places, displacement, force = (
+            np.concatenate(parts)
+            for parts in zip(
+                *(
+                    (
+                        block.sequence + np.arange(block.sample_count) + late,
+                        block.displacement,
+                        block.force,
+                    )
+                    for block, late in self._recent
+                ),
+                strict=True,
+            )
+        )
+        return places[-_TAIL:], displacement[-_TAIL:], force[-_TAIL:]
+
+
+def _end(block: SampleBlock) -> int:
+    return block.sequence + block.sample_count
+
+
+def _part(block: SampleBlock, first: int) -> SampleBlock:
+    """The samples of a block from number ``first`` on."""
+    return replace(
+        block,
+        start_ns=block.start_ns + round(first * block.period * NANOSECONDS),
+        sequence=block.sequence + first,
+        displacement=block.displacement[first:],
+        force=block.force[first:],
+    )

@@ -1,0 +1,297 @@
+"""Blocks on an even grid: what follows what, gaps, repeats, and stamps that jitter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_blocks import PERIOD, T0, block
+
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, Placed, UniformGrid
+
+HOLD_BACK = 0.05
+
+AMPLITUDE, FREQUENCY = 5e-3, 1.0
+
+BRIDGED = 1e-3
+"""Of the amplitude: a bridge over a twentieth of a cycle, with a single sample behind it."""
+
+SMOOTHED_NS = 0.15 * PERIOD * NANOSECONDS
+"""Some hundred stamps off by 0.29 periods (RMS) tell the time that well."""
+
+CORRECTED = 0.1
+"""Error of samples brought onto the grid, over that of those that are not."""
+
+
+def followed(*blocks: SampleBlock) -> UniformGrid:
+    sequence = UniformGrid()
+    for one in blocks:
+        sequence.follow(one)
+    return sequence
+
+
+def judged(sequence: UniformGrid, one: SampleBlock) -> Continuity:
+    (placed,) = sequence.follow(one)
+    return placed.continuity
+
+
+def kind_after_first(second: SampleBlock) -> str:
+    return judged(followed(block(0)), second).kind
+
+
+def test_the_first_block_is_first() -> None:
+    verdict = judged(UniformGrid(), block(123))
+    assert (verdict.kind, verdict.sentence, verdict.restarts) == ("first", "", False)
+
+
+def test_a_block_that_follows_is_next() -> None:
+    verdict = judged(followed(block(0)), block(10))
+    assert (verdict.kind, verdict.sentence, verdict.restarts) == ("next", "", False)
+
+
+@pytest.mark.parametrize("late", [-0.49, 0.49])
+def test_half_a_period_is_tolerated(late: float) -> None:
+    assert kind_after_first(block(10, late=late * PERIOD)) == "next"
+
+
+@pytest.mark.parametrize("late", [0.51, 3.0])
+def test_a_stamp_that_was_read_late_is_tolerated_while_the_count_goes_on(late: float) -> None:
+    assert kind_after_first(block(10, late=late * PERIOD)) == "next"
+
+
+def test_stamps_that_are_late_by_more_than_they_jitter_are_a_gap() -> None:
+    assert kind_after_first(block(10, late=0.006)) == "gap"
+
+
+def test_lost_samples_are_counted() -> None:
+    sequence = followed(block(0), block(10))
+    verdict = judged(sequence, block(85))
+    assert verdict.restarts
+    assert verdict.lost == 65
+    assert "65 samples were lost" in verdict.sentence
+    assert sequence.lost_samples == 65
+
+
+def test_a_pause_loses_no_samples() -> None:
+    sequence = followed(block(0))
+    verdict = judged(sequence, block(10, late=2.5))
+    assert (verdict.kind, verdict.lost) == ("gap", 0)
+    assert "pause for 2.5 s" in verdict.sentence
+
+
+def test_a_repeated_block_is_ignored() -> None:
+    sequence = followed(block(0), block(10))
+    verdict = judged(sequence, block(10))
+    assert (verdict.kind, verdict.restarts) == ("repeat", False)
+    assert sequence.repeated_samples == 10
+    assert judged(sequence, block(20)).kind == "next", "the repeat took no one's place"
+
+
+def test_an_older_block_that_comes_late_is_ignored() -> None:
+    sequence = followed(block(0), block(10), block(20))
+    assert judged(sequence, block(0)).kind == "repeat"
+
+
+def test_stamps_that_go_back_far_are_a_jump() -> None:
+    sequence = followed(block(5000))
+    verdict = judged(sequence, block(0))
+    assert (verdict.kind, verdict.restarts) == ("jump_back", True)
+    assert "jump back by 5.01 s" in verdict.sentence
+
+
+def test_a_short_bag_that_loops_jumps_back_when_its_count_goes_on() -> None:
+    assert kind_after_first(block(10, start_ns=T0)) == "jump_back"
+
+
+def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
+    sequence = followed(block(0))
+    (placed,) = sequence.follow(block(5, 10))
+    assert placed.continuity.kind == "next"
+    assert (placed.block.sequence, placed.block.sample_count) == (10, 5)
+    assert placed.block.start_ns == block(10).start_ns
+    assert sequence.repeated_samples == 5
+
+
+def test_a_changed_period_restarts() -> None:
+    verdict = judged(followed(block(0)), block(10, period=2e-3))
+    assert (verdict.kind, verdict.restarts) == ("changed_period", True)
+    assert "from 0.001 s to 0.002 s" in verdict.sentence
+
+
+def test_rounding_of_the_period_is_no_change() -> None:
+    assert kind_after_first(block(10, period=PERIOD * (1.0 + 1e-9))) == "next"
+
+
+def test_a_count_that_is_set_back_restarts() -> None:
+    verdict = judged(followed(block(0), block(10)), block(0, late=0.020))
+    assert (verdict.kind, verdict.restarts) == ("gap", True)
+    assert "count was set back or forward" in verdict.sentence
+
+
+def test_the_stamps_may_run_at_another_rate_than_the_nominal_one() -> None:
+    # 300 parts per million over 1000 blocks: each block follows its predecessor.
+    sequence = UniformGrid()
+    kinds = {judged(sequence, block(10 * k, late=3e-4 * 10 * k * PERIOD)).kind for k in range(1000)}
+    assert kinds == {"first", "next"}
+
+
+# -- streams ---------------------------------------------------------------------------------
+
+
+def at(time: np.ndarray) -> np.ndarray:
+    return np.asarray(AMPLITUDE * np.sin(2.0 * np.pi * FREQUENCY * time + 0.4))
+
+
+def stream(
+    sizes: list[int], late: np.ndarray | None = None, *, sampled: bool = False
+) -> list[SampleBlock]:
+    """A sine in blocks of these sizes, stamped ``late`` [s]; sampled so late, too, or on time."""
+    blocks, first = [], 0
+    for number, size in enumerate(sizes):
+        off = 0.0 if late is None else float(late[number])
+        time = (first + np.arange(size)) * PERIOD + off * sampled
+        one = block(first, size, late=off, displacement=at(time), force=1e5 * at(time))
+        blocks.append(one)
+        first += size
+    return blocks
+
+
+def placed_in(grid: UniformGrid, blocks: list[SampleBlock]) -> list[Placed]:
+    return [placed for one in blocks for placed in grid.follow(one)] + grid.flush()
+
+
+def joined(placed: list[Placed]) -> np.ndarray:
+    """Index, displacement and force of all samples on the grid, shape (n, 3)."""
+    rows = [
+        np.stack([one.sequence + np.arange(one.sample_count), one.displacement, one.force], axis=1)
+        for one in (p.block for p in placed if p.continuity.kind != "repeat")
+    ]
+    return np.concatenate(rows)
+
+
+SIZES = st.lists(st.integers(1, 20), min_size=5, max_size=40)
+
+
+@settings(deadline=None, max_examples=50)
+@given(SIZES)
+def test_a_clean_stream_passes_untouched(sizes: list[int]) -> None:
+    blocks = stream(sizes)
+    placed = placed_in(UniformGrid(hold_back=HOLD_BACK), blocks)
+    assert all(p.block is one for p, one in zip(placed, blocks, strict=True))
+
+
+@settings(deadline=None, max_examples=50)
+@given(SIZES, st.data())
+def test_repeats_and_blocks_out_of_order_change_nothing(
+    sizes: list[int], data: st.DataObject
+) -> None:
+    blocks = stream(sizes)
+    firsts = [one.sequence * PERIOD for one in blocks]
+    # Each comes later by less than others wait for it; some come again.
+    delays = data.draw(st.lists(st.floats(0.0, 0.02), min_size=len(blocks), max_size=len(blocks)))
+    again = data.draw(st.lists(st.integers(0, len(blocks) - 1), max_size=5))
+    arrivals = [(0.0, 0)] + [(firsts[k] + delays[k], k) for k in range(1, len(blocks))]
+    arrivals += [(firsts[k] + 0.03, k) for k in again]
+    order = [k for _, k in sorted(arrivals)]
+    placed = placed_in(UniformGrid(hold_back=HOLD_BACK), [blocks[k] for k in order])
+    np.testing.assert_array_equal(joined(placed), joined(placed_in(UniformGrid(), blocks)))
+
+
+@settings(deadline=None, max_examples=50)
+@given(SIZES, st.sets(st.integers(3, 38)), st.sampled_from([0.0, HOLD_BACK]))
+def test_what_is_lost_is_reckoned_and_the_rest_stays(
+    sizes: list[int], lost: set[int], hold_back: float
+) -> None:
+    blocks = stream(sizes)
+    came = [one for number, one in enumerate(blocks) if number not in lost]
+    grid = UniformGrid(GridSettings(longest_gap=1.0), hold_back)
+    rows = joined(placed_in(grid, came))
+    np.testing.assert_array_equal(rows[:, 0], np.arange(rows.shape[0]))
+    measured = np.concatenate([one.sequence + np.arange(one.sample_count) for one in came])
+    everything = joined(placed_in(UniformGrid(), blocks))
+    np.testing.assert_array_equal(rows[measured], everything[measured])
+    assert grid.bridged_samples == grid.lost_samples == rows.shape[0] - measured.size
+
+
+@pytest.mark.parametrize("size", [1, 10])
+def test_a_bridge_hits_what_was_lost(size: int) -> None:
+    blocks = stream([size] * 40)
+    rows = joined(placed_in(UniformGrid(), blocks[:20] + blocks[22:]))
+    truth = at(rows[:, 0] * PERIOD)
+    assert np.max(np.abs(rows[:, 1] - truth)) < BRIDGED * AMPLITUDE
+
+
+def test_a_gap_longer_than_may_be_bridged_starts_anew() -> None:
+    grid = UniformGrid(GridSettings(longest_gap=0.005))
+    blocks = stream([5] * 10)
+    kinds = [p.continuity.kind for p in placed_in(grid, [*blocks[:4], *blocks[5:7], *blocks[9:]])]
+    assert kinds[4:] == ["bridged", "next", "gap"]
+
+
+# -- jitter ----------------------------------------------------------------------------------
+
+
+def jittered(count: int, part: float = 0.5) -> np.ndarray:
+    return np.random.default_rng(1).uniform(-part, part, count) * PERIOD
+
+
+def test_stamps_that_were_read_unevenly_are_smoothed_and_the_samples_stay() -> None:
+    blocks = stream([1] * 3000, jittered(3000))
+    grid = UniformGrid()
+    placed = placed_in(grid, blocks)
+    assert not grid.uneven
+    assert {p.continuity.kind for p in placed} == {"first", "next"}
+    np.testing.assert_array_equal(
+        joined(placed), joined(placed_in(UniformGrid(), stream([1] * 3000)))
+    )
+    off = [p.block.start_ns - T0 - p.block.sequence * PERIOD * NANOSECONDS for p in placed[500:]]
+    # A stamp close to that of the clock is taken as it is.
+    assert np.max(np.abs(off)) < SMOOTHED_NS + 0.1 * PERIOD * NANOSECONDS
+
+
+@pytest.mark.parametrize("size", [1, 10])
+def test_samples_that_were_taken_unevenly_are_brought_onto_the_grid(size: int) -> None:
+    late = jittered(4000)
+    blocks = stream([size] * 4000, late, sampled=True)
+    grid = UniformGrid()
+    placed = placed_in(grid, blocks)
+    assert grid.uneven
+    settled = placed[2000:]
+    times = np.concatenate(
+        [
+            (p.stamp_ns - T0) / NANOSECONDS + np.arange(p.block.sample_count) * PERIOD
+            for p in settled
+        ]
+    )
+    error = joined(settled)[:, 1] - at(times)
+    without = late.std() * AMPLITUDE * 2.0 * np.pi * FREQUENCY / np.sqrt(2.0)
+    assert np.std(error) < CORRECTED * without
+
+
+def test_how_stamps_jitter_may_be_told() -> None:
+    blocks = stream([1] * 200, jittered(200), sampled=True)
+    told = UniformGrid(GridSettings(stamps="clock"))
+    placed_in(told, blocks)
+    assert not told.uneven
+    assert UniformGrid(GridSettings(stamps="sampling")).uneven
+
+
+def test_a_clock_that_runs_at_another_rate_is_followed() -> None:
+    # 2000 parts per million, and jitter: no block is ever out of place.
+    late = jittered(5000) + 2e-3 * PERIOD * np.arange(5000)
+    placed = placed_in(UniformGrid(), stream([1] * 5000, late))
+    assert {p.continuity.kind for p in placed} == {"first", "next"}
+    off = [p.block.start_ns - T0 - p.block.sequence * PERIOD * 1.002 * NANOSECONDS for p in placed]
+    assert np.max(np.abs(off[500:])) < SMOOTHED_NS + 0.1 * PERIOD * NANOSECONDS
+
+
+def test_a_repeat_of_a_jittered_block_is_a_repeat() -> None:
+    blocks = stream([1] * 300, jittered(300))
+    grid = UniformGrid()
+    placed_in(grid, blocks)
+    for one in blocks[-20:]:
+        assert judged(grid, replace(one, start_ns=one.start_ns + 300_000)).kind == "repeat"
