@@ -77,6 +77,25 @@ class Window:
             motion, self.force[chosen], self.current[chosen], self.period, places[chosen], whole
         )
 
+    def measured_after(self, delay: Array) -> Window:
+        """The window with each force taken for one that came so many sample periods later.
+
+        ``delay`` has shape (n,); the motion at those times is interpolated between the samples.
+        """
+        grid = np.arange(self.sample_count, dtype=float)
+        places = np.clip(grid + delay, 0.0, grid[-1])
+        m = self.motion
+        motion = Motion(
+            displacement=np.interp(places, grid, m.displacement),
+            velocity=np.interp(places, grid, m.velocity),
+            acceleration=np.interp(places, grid, m.acceleration),
+            peak_velocity=np.interp(places, grid, m.peak_velocity),
+            sine=m.sine,
+        )
+        current = np.interp(places, grid, self.current)
+        whole = None if self.steady else self
+        return Window(motion, self.force, current, self.period, places, whole)
+
     def held_within(self, low: float, high: float) -> Window:
         """The same window, the peak velocity of its motion held; see :meth:`Motion.held_within`."""
         whole = None if self.whole is None else self.whole.held_within(low, high)

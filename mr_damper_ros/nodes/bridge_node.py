@@ -99,8 +99,8 @@ class BridgeParameters(ParameterTable):
 class BridgeNode(LifecycleNode):
     """Publishes the samples of a source, stamped on their own clock, at their time.
 
-    The first sample is stamped with the node's time at activation, whatever stamps a recording
-    has: the bridge stands for a live machine (the replay node keeps recorded stamps).
+    The first sample is stamped with the node's time when it is ready to be sent, whatever stamps a
+    recording has: the bridge stands for a live machine (the replay node keeps recorded stamps).
     """
 
     def __init__(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.node import Node
@@ -72,7 +72,11 @@ class BridgeStream:
             self._node.destroy_publisher(outlet.publisher)
 
     def send(self, blocks: Iterator[RigBlock], wait: SubscriberWait) -> None:
-        """Publish all blocks, each when its last sample is due, or until the pacer is stopped."""
+        """Publish all blocks, each when its last sample is due, or until the pacer is stopped.
+
+        They are stamped anew: the first sample is taken when all is ready to send it, and where
+        sending was held up for longer than can be made good, the stamps pause, too.
+        """
         self.sent = 0
         self._wait_for(wait)
         self.state = "streams"
@@ -80,11 +84,18 @@ class BridgeStream:
         thermometer = Meter(_TEMPERATURE_PERIOD)
         mirror = _Mirror(self._mirror_rate, self._frame_id) if self._mirror_rate else None
         block = None
-        for block in blocks:
-            if self._pacer.stopped or not self._pacer.wait_until(block.due_ns):
+        later_ns: int | None = None
+        for made in blocks:
+            if later_ns is None and made.sample_count > 0:
+                # Its first sample is taken now, and it goes out with its last.
+                first_ns = made.due_ns - (made.stamp_ns(made.sample_count - 1) - made.start_ns)
+                later_ns = self._node.get_clock().now().nanoseconds - first_ns
+                self._pacer.begin(first_ns)
+            if self._pacer.stopped or not self._pacer.wait_until(made.due_ns):
                 return
-            if block.sample_count == 0:
+            if made.sample_count == 0 or later_ns is None:
                 continue
+            block = replace(made, start_ns=made.start_ns + later_ns + self._pacer.left_out_ns)
             # What belongs to the samples goes first, so that it is known when they arrive.
             for reading in supply.read(block, block.current, block.supply_ahead_ns):
                 self._publish_current(reading)
@@ -98,7 +109,7 @@ class BridgeStream:
             for message in mirror.messages(block) if mirror else ():
                 self._outlets["joint_states"].publish(message)
             self.sent += block.sample_count
-        if block is not None and block.sample_count > 0:
+        if block is not None:
             # The current is now known up to the last sample.
             self._publish_current(Reading(_last_stamp(block), float(block.current[-1])))
         for outlet in self._outlets.values():

@@ -55,6 +55,8 @@ class Pacer:
         self._steps = 0
         self._anchor: tuple[int, int] | None = None
         self._changed = threading.Condition()
+        self.left_out_ns = 0
+        """Of the data's time, since the start: so much later it is now than its stamps say."""
 
     @property
     def stopped(self) -> bool:
@@ -90,6 +92,7 @@ class Pacer:
                 if early <= 0:
                     if -early > _FORGIVEN_NS:
                         self._anchor = (now, data_ns)
+                        self.left_out_ns += int(-early * self._rate)
                     return True
                 self._changed.wait(early * 1e-9)
             return False
@@ -98,6 +101,11 @@ class Pacer:
         """Count the due times anew from the next message: its time is not that of the last one."""
         with self._changed:
             self._anchor = None
+
+    def begin(self, data_ns: int) -> None:
+        """Let the data's time be this now."""
+        with self._changed:
+            self._anchor = (time.monotonic_ns(), data_ns)
 
     def pause(self) -> None:
         """Hold up the sending."""
@@ -119,6 +127,7 @@ class Pacer:
             self._stopped = False
             self._steps = 0
             self._anchor = None
+            self.left_out_ns = 0
 
     def stop(self) -> None:
         """End the sending."""

@@ -93,7 +93,9 @@ class Placed:
 
     ``arrived`` is the part of what came that had not come before, stamped as it was. Of a repeat
     ``block`` is that, too. ``stamp_ns`` is the time of the first measured value: that stamp, unless
-    the values were brought from where they were sampled to another time.
+    the values were brought from where they were sampled to another time. ``measured``: for each
+    sample a force [N] that was really measured, shape (n,), and how many sample periods after the
+    sample; None where those are the block's own forces.
     """
 
     block: SampleBlock
@@ -101,6 +103,7 @@ class Placed:
     bridged: int
     continuity: Continuity
     stamp_ns: int
+    measured: tuple[Array, Array] | None = None
 
 
 _NEXT = Continuity("next")
@@ -242,17 +245,20 @@ class UniformGrid:
         late = (block.start_ns - self._clock.at(block.sequence)) / (block.period * NANOSECONDS)
         if self._settings.stamps == "auto" and (abs(late) > _NOTICED or self._uneven.found):
             self._uneven.learn(block.sequence, late, block.displacement)
+        stamp_ns, measured = block.start_ns, None
         if self.uneven or self._delay > 0.0:
-            placed = self._between(block, late, verdict.lost)
+            placed, after = self._between(block, late, verdict.lost)
             stamp_ns = placed.start_ns + round(verdict.lost * block.period * NANOSECONDS)
+            measured = _measured(block.force, after, verdict.lost)
             self._remember(block, late)
         else:
             placed = self._in_time(block, late, verdict.lost)
-            stamp_ns = block.start_ns
+            if verdict.lost:
+                measured = _measured(block.force, np.zeros(placed.sample_count), verdict.lost)
             self._remember(placed, late)
         self.bridged_samples += verdict.lost
         self._last = placed
-        return Placed(placed, block, verdict.lost, verdict, stamp_ns)
+        return Placed(placed, block, verdict.lost, verdict, stamp_ns, measured)
 
     def _in_time(self, block: SampleBlock, late: float, lost: int) -> SampleBlock:
         """The block with its samples as they are, and the ``lost`` ones before it."""
@@ -272,8 +278,11 @@ class UniformGrid:
             force=np.concatenate([on_a_line(force, block.force, lost), block.force]),
         )
 
-    def _between(self, block: SampleBlock, late: float, lost: int) -> SampleBlock:
-        """The block interpolated on straight lines between the samples, where they were taken."""
+    def _between(self, block: SampleBlock, late: float, lost: int) -> tuple[SampleBlock, Array]:
+        """The block interpolated on straight lines between the samples, where they were taken.
+
+        And how many sample periods after each of its places the sample of that index was taken.
+        """
         assert self._clock is not None
         first = block.sequence - lost
         count = lost + block.sample_count
@@ -286,7 +295,7 @@ class UniformGrid:
             np.concatenate([before - first, np.arange(lost, count) + late])
         )
         wanted = np.arange(count) - delays
-        return replace(
+        placed = replace(
             block,
             start_ns=self._clock.at(first) - round(float(delays[0]) * block.period * NANOSECONDS),
             sequence=first,
@@ -295,6 +304,7 @@ class UniformGrid:
             ),
             force=np.interp(wanted, places, np.concatenate([force, block.force])),
         )
+        return placed, delays + late
 
     def _remember(self, block: SampleBlock, late: float) -> None:
         recent = self._recent
@@ -319,6 +329,16 @@ class UniformGrid:
             )
         )
         return places[-_TAIL:], displacement[-_TAIL:], force[-_TAIL:]
+
+
+def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:
+    """See :class:`Placed`: the lost ones have the force of the first sample that came after them.
+
+    ``after`` (n,) is how many sample periods after its place each sample was taken.
+    """
+    after = after.copy()
+    after[:lost] = after[lost] + np.arange(lost, 0.0, -1.0)
+    return np.concatenate([np.full(lost, force[0]), force]), after
 
 
 def _end(block: SampleBlock) -> int:

@@ -9,16 +9,20 @@ import numpy as np
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 
-_ROWS = 3
+_ROWS = 4
 _LEAST_ROOM = 1024
 
 
 class Samples(NamedTuple):
-    """Displacement [m], force [N] and peak velocity [m/s] of samples, each of shape (n,)."""
+    """Displacement [m], force [N] and peak velocity [m/s] of samples, each of shape (n,).
+
+    ``force_after`` [sample periods]: how long after the sample its force was measured.
+    """
 
     displacement: Array
     force: Array
     peak_velocity: Array
+    force_after: Array
 
 
 class SampleStore:
@@ -37,12 +41,22 @@ class SampleStore:
         """Count of the sample that comes next."""
         return self.first + self._used - self._begin
 
-    def add(self, block: SampleBlock, peak_velocity: Array) -> None:
-        """Add the samples of a block and the peak velocity [m/s] (n,) at them."""
+    def add(
+        self,
+        block: SampleBlock,
+        peak_velocity: Array,
+        measured: tuple[Array, Array] | None = None,
+    ) -> None:
+        """Add the samples of a block and the peak velocity [m/s] (n,) at them.
+
+        ``measured``: forces [N] in place of the block's, and how many sample periods after each.
+        """
         count = block.sample_count
+        force, after = measured or (block.force, 0.0)
         self._make_room(count)
         place = slice(self._used, self._used + count)
-        self._values[:, place] = block.displacement, block.force, peak_velocity
+        values = self._values[:, place]
+        values[0], values[1], values[2], values[3] = block.displacement, force, peak_velocity, after
         # From the stamp of its own block: a sample clock that is not quite the nominal one must
         # not drift away from the stamps.
         offsets = np.rint(np.arange(count) * (block.period * NANOSECONDS))

@@ -38,7 +38,8 @@ class RawWindow:
 
     ``peak_velocity`` [m/s] is that of the stream, which knows what went before; None where the
     window is all there is. A look is a window cut early, to see whether its ``look`` newest samples
-    still fit the running set; 0 for a window to be fitted.
+    still fit the running set; 0 for a window to be fitted. ``force_after``: how many sample periods
+    after each sample its force was measured; None where all were measured at their samples.
     """
 
     start_ns: int
@@ -49,6 +50,7 @@ class RawWindow:
     temperature: float = math.nan
     look: int = 0
     peak_velocity: Array | None = None
+    force_after: Array | None = None
 
     @property
     def end_ns(self) -> int:
@@ -198,7 +200,7 @@ class WindowAssembler:
             # Windows that still wait belong to the time before the jump.
             self._waiting.clear()
             self._current.follow_jump()
-        self._store.add(block, self._peak.follow(block.displacement))
+        self._store.add(block, self._peak.follow(block.displacement), placed.measured)
         self._cut(block.period)
 
     def add_current(self, stamp_ns: int, current: float) -> list[RawWindow]:
@@ -265,6 +267,7 @@ class WindowAssembler:
         samples = self._store.samples(start, end)
         middle = stride // 2
         displacement = samples.displacement.reshape(count, stride)
+        after = samples.force_after[middle::stride]
         return RawWindow(
             start_ns=self._store.stamp_ns(start + middle),
             period=stride * period,
@@ -274,6 +277,7 @@ class WindowAssembler:
             temperature=self._temperature,
             look=look,
             peak_velocity=samples.peak_velocity[middle::stride],
+            force_after=after / stride if after.any() else None,
         )
 
     def _ready(self) -> list[RawWindow]:

@@ -56,6 +56,8 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         fault = fault_of_sign(window.motion.velocity, window.force)
         if fault:
             return FitResult(fault_of_data(fault))
+        if raw.force_after is not None:
+            window = window.measured_after(raw.force_after)
         if raw.look:
             return run_look(task, window)
         before_change = math.ceil((task.changed_ns - raw.start_ns) / (raw.period * NANOSECONDS))

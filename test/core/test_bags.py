@@ -304,7 +304,7 @@ def test_lost_samples_split_a_bag(recorder: Recorder) -> None:
 def test_a_pause_without_lost_samples_splits_a_bag(recorder: Recorder) -> None:
     recorder.current(0.0, 1.0)
     recorder.block(0.0, 0)
-    recorder.block(0.107, 10)
+    recorder.block(0.117, 10)
     recorder.writer.close()
     assert [r.sample_count for r in read_bag(recorder.writer.path)] == [10, 10]
 

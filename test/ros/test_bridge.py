@@ -65,6 +65,23 @@ def test_the_emulated_rig_streams_until_it_is_told_to_stop(
     )
 
 
+def test_stamps_are_those_of_now(start: Any, listener: Listener) -> None:
+    ages: list[float] = []
+
+    def take(message: MtsSamples) -> None:
+        last = to_nanoseconds(message.header.stamp) + 99_000_000
+        now = listener.node.get_clock().now().nanoseconds
+        ages.append(now - last)
+
+    listener.listen(MtsSamples, "mts/samples", hear=take)
+    start("bridge", block_size=100, wait_for_subscribers=1)
+    listener.until(lambda: len(ages) >= 30, "three seconds of data")
+    youngest = min(ages)
+    assert youngest >= 0.0, "no sample comes before its time"
+    # A busy computer may hold up a message, but not all of them.
+    assert youngest < 100_000_000, "the stream is not late by itself"
+
+
 def test_a_bag_as_fast_as_possible_loses_nothing_and_the_node_stays(
     start: Any, listener: Listener
 ) -> None:
