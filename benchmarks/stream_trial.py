@@ -39,7 +39,8 @@ from mr_damper_ros.rig.meter import Meter
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock, check_live
-from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings

@@ -23,7 +23,8 @@ from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.joined_blocks import joined
 from mr_damper_ros.signals.uniform_grid import GridSettings
-from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.running_error import RunningError
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
 

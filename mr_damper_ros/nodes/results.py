@@ -9,7 +9,7 @@ from std_msgs.msg import Header
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, known_model
 from mr_damper_ros.nodes.messages import header, set_stamp, to_field, to_nanoseconds, to_stamp
-from mr_damper_ros.tracking.predictor import Prediction
+from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.reports import Report
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, Uniform
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
+from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
     Doubt,
@@ -55,29 +56,6 @@ class PredictorSettings(ValiditySettings):
         minimum=0.01,
         maximum=3600.0,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """Predicted force [N], shape (n,), of the block's samples; ``doubt`` tells why not valid."""
-
-    start_ns: int
-    sequence: int
-    period: float
-    force: Array
-    set_id: str
-    doubt: Doubt
-    continuity: str
-
-    @property
-    def valid(self) -> bool:
-        """Whether there is no doubt."""
-        return not self.doubt
-
-    @property
-    def reason(self) -> str:
-        """The doubt in words; empty where it is valid."""
-        return self.doubt.sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,14 +237,7 @@ class ForcePredictor:
         """
         (placed,) = self._sequence.follow(block)
         prediction = self._predict(placed.block, placed.bridged, placed.continuity, now_ns)
-        if placed.block is block:
-            return prediction
-        return replace(
-            prediction,
-            start_ns=placed.stamp_ns,
-            sequence=placed.arrived.sequence,
-            force=prediction.force[placed.bridged :],
-        )
+        return prediction if placed.block is block else prediction.of_arrived(placed)
 
     def _predict(
         self, block: SampleBlock, bridged: int, verdict: Continuity, now_ns: int | None

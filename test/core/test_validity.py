@@ -14,7 +14,8 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.joined_blocks import joined
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
+from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind, current_allowance
 from mr_damper_ros.tracking.verdict_watch import VerdictWatch
 
