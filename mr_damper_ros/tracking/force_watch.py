@@ -24,6 +24,9 @@ _CHANCE = 3.0
 _LASTING = 0.75
 """Part of the allowed error that the root mean square over a cycle may reach."""
 
+_MOST_REMEMBERED = 1.5
+"""A burst counts no more than so many times that limit: it must not be remembered for ever."""
+
 _BACK = 0.75
 """Part of either limit that the error must fall below again."""
 
@@ -99,8 +102,7 @@ class ForceWatch:
         if not square < math.inf:
             return math.inf
         square = max(square - self._noise(peak) ** 2, 0.0) / peak**2
-        # One burst of error must not be remembered for ever.
-        square = min(square, (2.0 * _LASTING * self._limit) ** 2)
+        square = min(square, (_MOST_REMEMBERED * _LASTING * self._limit) ** 2)
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
         return largest

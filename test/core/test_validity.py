@@ -189,7 +189,8 @@ def test_a_machine_at_rest_has_no_valid_force_and_one_that_starts_again_has() ->
     predictions = predicted(u, force)
     assert kinds(predictions, 2500, 4000) == {DoubtKind.NONE}
     assert DoubtKind.NONE not in kinds(predictions, 4250, 6000)
-    assert kinds(predictions, 7500) == {DoubtKind.NONE}
+    # It starts with a jolt, which the observer of the velocity has to get over first.
+    assert kinds(predictions, 8500) == {DoubtKind.NONE}
 
 
 def test_a_slow_motion_is_not_valid_before_a_cycle_and_valid_after_some() -> None:
