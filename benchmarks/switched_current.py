@@ -51,6 +51,7 @@ SETTLED = 20.0
 _EVERY = 0.4
 _LOW, _HIGH = 0.2, 1.2
 _PART = 2.0
+_COLD, _HOT = 28.0, 71.0
 _BLOCK = 20
 
 
@@ -174,7 +175,10 @@ def drift_errors(duration: float, seed: int = 0) -> Array:
 
     The truth is the force of the damper that heats over that of one that stays cold.
     """
-    heat = ThermalModel(initial=28.0, ambient=90.0, capacity=1.0, conductance=1.15 / duration)
+    # So much capacity that the surroundings heat the damper, hardly its own friction.
+    capacity, ambient = 1e4, 90.0
+    rate = math.log((ambient - _COLD) / (ambient - _HOT)) / duration
+    heat = ThermalModel(ambient, _COLD, capacity, conductance=rate * capacity)
     motion, current = excitation("sine", duration, seed), schedule("switched", duration, seed)
     settings = TrialSettings(seed=seed, block_size=_BLOCK)
     trial = StreamTrial(SIXTEEN, motion, current, settings=settings, thermal=heat, hot_force=0.74)

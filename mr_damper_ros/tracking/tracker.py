@@ -216,7 +216,9 @@ class WindowTracker:
             self._watch = self._watch or result.watch
             self._motion = self._motion.followed_by(summary)
             self._accepted_since_global += 1
-            self._baselines.add(fit)
+            if parts is None or parts.explained:
+                # A wrong law over the current is nothing to compare other windows with.
+                self._baselines.add(fit)
         if judgement.verdict.accepted:
             self._watch = result.watch
             self._other_damper = False
