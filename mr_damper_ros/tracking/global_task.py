@@ -29,8 +29,6 @@ def run_global(
     start = task.start
     held_back = [held_back_samples(window.sample_count) for window in task.windows]
     pairs = list(zip(task.windows, held_back, strict=True))
-    # A set of this very damper is where to search from as well, and no better one is missed.
-    known = start.values if start.observable.any() else None
     try:
         fit = identify_global(
             start.law,
@@ -38,7 +36,6 @@ def run_global(
             start.values,
             task.settings,
             report,
-            known=known,
         )
     except ValueError as error:
         return GlobalResult(fault_of_data(str(error)))
