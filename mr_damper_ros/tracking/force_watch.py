@@ -52,6 +52,13 @@ class ForceWatch:
         self._square = 0.0
         self._wrong_now = False
         self._wrong = False
+        # Seconds for which it was neither.
+        self._right = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether the predicted force has been right for the last cycle, by the measured one."""
+        return self._right >= self._time
 
     def forget_error(self) -> None:
         """Other parameters: the lasting error of those before says nothing of them.
@@ -60,10 +67,11 @@ class ForceWatch:
         """
         self._square = (_LASTING * self._limit) ** 2 if self._wrong else 0.0
         self._recent.forget_predicted()
+        self._right = 0.0
 
     def forget_moment(self) -> None:
         """The samples do not go on from where the force could be known, or were not judged."""
-        self._square = 0.0
+        self._square = self._right = 0.0
         self._wrong_now = self._wrong = False
 
     def judge(self, predicted: Array, measured: Array) -> Doubt:
@@ -77,11 +85,13 @@ class ForceWatch:
         largest = self._follow(predicted, measured, peak)
         if not largest < math.inf:
             return Doubt(DoubtKind.WRONG, "the predicted force has no finite error")
-        return (
+        doubt = (
             self._doubt_of_sensor()
             or self._doubt_of_power()
             or self._doubt_of_error(largest, peak, measured)
         )
+        self._right = 0.0 if doubt else self._right + measured.size * self._period
+        return doubt
 
     def learn(self, predicted: Array, measured: Array, velocity: Array, half_cycle: float) -> None:
         """What only later samples need of these: forces [N] and velocity [m/s], shape (n,)."""

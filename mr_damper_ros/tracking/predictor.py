@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,13 +59,23 @@ class PredictorSettings(ValiditySettings):
     )
 
 
+class _ForceDoubt(NamedTuple):
+    """Whether the parameters hold for a motion and a current and give a possible force.
+
+    ``speed``: whether its peak velocity is one that was identified.
+    """
+
+    speed: Doubt
+    otherwise: Doubt
+
+
 @dataclass(frozen=True, eq=False)
 class _Reckoned:
     """Force [N] of a motion at a current, whether it is finite, and why to doubt it."""
 
     force: Array
     finite: bool
-    doubt: Doubt
+    doubt: _ForceDoubt
 
 
 @dataclass(eq=False)
@@ -80,7 +91,7 @@ class _Foreseen:
     held: Motion
     current: float
     ahead: Ahead
-    doubt: Doubt
+    doubt: _ForceDoubt
     count: int = 0
 
     def use(self, came: int) -> Array:
@@ -219,14 +230,15 @@ class ForcePredictor:
             came = foreseen.held.part(slice(0, foreseen.count))
             self._stream.follow(self._parameters.values, came, foreseen.current)
 
-    def _doubt_of_force(self, motion: Motion, steady: bool, current: Array, force: Array) -> Doubt:
-        """Whether the parameters hold for a motion and a current, and give a possible force."""
+    def _doubt_of_force(
+        self, motion: Motion, steady: bool, current: Array, force: Array
+    ) -> _ForceDoubt:
         assert self._parameters is not None
         settings, parameters = self._settings, self._parameters
-        return (
+        return _ForceDoubt(
+            doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin),
             doubt_of_current_range(current, parameters, settings.current_margin)
-            or doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin)
-            or doubt_of_size(force, parameters, settings.force_margin)
+            or doubt_of_size(force, parameters, settings.force_margin),
         )
 
     def predict(self, block: SampleBlock, now_ns: int | None = None) -> Prediction:
@@ -301,7 +313,9 @@ class ForcePredictor:
         return (
             doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live)
             or doubt_of_parameters_age(self._confirmed_ns, block.end_ns, settings, live=live)
-            or reckoned.doubt
+            or reckoned.doubt.otherwise
+            # What has been right for a cycle of this motion holds for it, identified or not.
+            or (NO_DOUBT if self._watch.holds else reckoned.doubt.speed)
             or measured
             or self._verdicts.doubt
         )

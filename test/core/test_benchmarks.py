@@ -17,10 +17,13 @@ from benchmarks import (
     following,
     force_step,
     healthy,
+    honest_errors,
+    jitter,
     kinematics,
     noise_limit,
     recordings,
     repeated_evolution,
+    switched_current,
     utfsm_left_out,
     utfsm_sixteen,
     whole_damper,
@@ -50,8 +53,11 @@ KEYS = [
     *("utfsm_left_out_sixteen_nrmse", "utfsm_left_out_extended_nrmse"),
     *("earthquake_online_fit", "earthquake_online_sixteen_fit"),
     *("earthquake_static_fit", "earthquake_static_mean", "earthquake_static_sixteen_fit"),
-    "stream_nrmse_ratio",
+    *("stream_nrmse_ratio", "jitter_valid", "jitter_nrmse_ratio"),
     *("fault_cases", "wrong_valid_s", "wrong_valid_longest_s", "recovery_windows"),
+    *("misfit_error_ratio", "scale_chi2", "ar1_error_ratio", "needless_exchanges"),
+    *("switched_accepted", "switched_nrmse", "switched_nrmse_ratio"),
+    *("switched_drift_scale_error_p95_percent", "cold_start_windows", "cold_start_largest_force"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)
@@ -151,6 +157,8 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "whole_damper": lambda: whole_damper.figures(1, 1, clean_windows()[:2]),
         "repeated_evolution": lambda: repeated_evolution.figures(1, 1, 1),
         "noise_limit": lambda: noise_limit.figures(2, 1000),
+        "honest_errors": lambda: honest_errors.figures(6, 2, 8),
+        "switched_current": lambda: switched_current.figures(22.0, switched_current.CASES[:1]),
         "drift": lambda: drift.figures(8.0),
         "force_step": lambda: force_step.figures((0.5,)),
         "kinematics": lambda: kinematics.figures(1),
@@ -163,6 +171,8 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         # These need ROS: test/ros/test_node_benchmarks.py.
         "streaming_load": list,
         "lossy_link": list,
+        "hostile_messages": list,
+        "jitter": lambda: jitter.figures(8.0, (10,)),
     }
     found = [figure for name in bench.FULL for figure in short[name]()]
     assert sorted(figure.key for figure in found) == sorted(KEYS)
