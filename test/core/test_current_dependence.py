@@ -212,7 +212,7 @@ def test_a_window_kept_without_its_past_has_a_force_whatever_the_coil(name: str)
     values[-1] = LAG
     current = 1.0 + 1e-3 * np.sin(np.arange(750))
     here = moved(name, truth(name), current)
-    kept = thinned_to_keep(here, with_past=model.remembers)
+    kept = thinned_to_keep(here, with_past=model.remembers).window
     assert np.all(np.isfinite(model.window_force(kept, values)))
     assert model.settled(kept, values).any()
 

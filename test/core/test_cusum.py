@@ -237,7 +237,7 @@ def test_a_step_is_fitted_before_the_hop_is_over(factor: float, tracker: str) ->
 def test_after_a_step_no_window_mixes_before_and_after(tracker: str) -> None:
     tracked, reports = stream(0.9, tracker=tracker)
     after = reports[reports.index(early(reports)[0]) :]
-    scales = [report.scale.value for report in after if report.accepted]
+    scales = [report.scale.value for report in after if report.confirms]
     assert len(scales) >= 2
     np.testing.assert_allclose(scales, 0.9, rtol=SCALE_ERROR)
     assert any("before the change" in report.reason for report in after)
