@@ -76,7 +76,6 @@ FULL: dict[str, Measure] = {
     "earthquake_static": earthquake_static.figures,
     "jitter": jitter.figures,
     "kinematics": kinematics.figures,
-    "jitter": jitter.figures,
     "faults": faults.figures,
     "healthy": healthy.figures,
     "streaming_load": _of_nodes("streaming_load"),
