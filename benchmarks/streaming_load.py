@@ -230,7 +230,6 @@ def measure_latency(sample_rate: float, block_size: int, duration: float) -> Lat
 
     The supply current comes between two blocks: it is a device of its own.
     """
-    blocks = _blocks(sample_rate, block_size, duration)
     with ExitStack() as stack:
         domain = stack.enter_context(closing(ProfiledDomain()))
         folder = stack.enter_context(tempfile.TemporaryDirectory())
@@ -238,7 +237,7 @@ def measure_latency(sample_rate: float, block_size: int, duration: float) -> Lat
         known = ParameterSet(
             THESIS_28_CELSIUS,
             set_id=relay.PARAMETER_SET,
-            peak_velocity_range=(0.0, 1.0),
+            peak_velocity_range=(0.0, 0.1),
             current_range=(0.0, 2.0),
         )
         file.write_text(known.to_yaml(), encoding="utf-8")
@@ -270,6 +269,9 @@ def measure_latency(sample_rate: float, block_size: int, duration: float) -> Lat
         )
         quarter = 0.25 * block_size / sample_rate
         start = time.monotonic() + 1.0
+        # A block is sent once its last sample has been taken.
+        taken_ns = time.time_ns() + round((1.0 - 4.0 * quarter) * NANOSECONDS)
+        blocks = _blocks(sample_rate, block_size, duration, taken_ns)
         for number, block in enumerate(blocks):
             due = start + 4.0 * quarter * number
             spin_until(due - quarter)
@@ -289,17 +291,18 @@ def measure_latency(sample_rate: float, block_size: int, duration: float) -> Lat
         return Latencies(np.array(model.latencies[settled:]), np.array(bare.latencies[settled:]))
 
 
-def _blocks(sample_rate: float, block_size: int, duration: float) -> list[SampleBlock]:
+def _blocks(
+    sample_rate: float, block_size: int, duration: float, start_ns: int
+) -> list[SampleBlock]:
     """A sine, in blocks."""
     omega = 2.0 * np.pi * FREQUENCY
     time_s = np.arange(round(duration * sample_rate / block_size) * block_size) / sample_rate
     u = AMPLITUDE * np.sin(omega * time_s)
     v = AMPLITUDE * omega * np.cos(omega * time_s)
     measured = force(THESIS_28_CELSIUS, u, v, -(omega**2) * u, CURRENT)
-    now = time.time_ns()
     return [
         SampleBlock(
-            start_ns=now + round(first / sample_rate * NANOSECONDS),
+            start_ns=start_ns + round(first / sample_rate * NANOSECONDS),
             sequence=first,
             period=1.0 / sample_rate,
             displacement=u[first : first + block_size],

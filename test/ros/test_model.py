@@ -162,11 +162,12 @@ def test_another_model_is_predicted_with_as_well(
     hysteresis = ParameterSet(np.array(values), model="bouc_wen", set_id="hysteresis")
     path = tmp_path / "hysteresis.yaml"
     path.write_text(hysteresis.to_yaml())
-    rig = Rig(start, listener, parameter_file=path)
+    # The recording is of another damper.
+    rig = Rig(start, listener, parameter_file=path, maximum_error=0.0)
     forces = rig.run(recording)
     assert forces[-1].valid, forces[-1].reason
 
-    alone = ForcePredictor(PredictorSettings())
+    alone = ForcePredictor(PredictorSettings(maximum_error=0.0))
     alone.set_parameters(hysteresis)
     alone.add_current(recording.start_ns, 1.5)
     for message in forces:
@@ -368,11 +369,11 @@ def test_lost_samples_are_reported_and_the_prediction_starts_again(
 ) -> None:
     assert rig.run(recording)[-1].valid
     count = recording.sample_count
-    pause = 50
+    pause = 100  # longer than what is bridged
     late = replace(recording, start_ns=recording.stamp_ns(count - 1) + (pause + 1) * 1_000_000)
     rig.press.send_current(late.start_ns, 1.5)
     assert not rig.send(block_message(late, 0, seq=count + pause))[0].valid
-    listener.wait_for_finding("model: input", "50 samples were lost")
+    listener.wait_for_finding("model: input", "100 samples were lost")
 
 
 def test_it_predicts_with_what_the_identifier_finds(
