@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion import displacement_noise
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.white_noise import white_noise
 
 _TURN = 0.05
 """A way back of this part of the span is a turn of the motion, ..."""
@@ -51,7 +51,7 @@ def _holds_cycle(u: Array) -> bool:
     if u.size < _FEWEST_SAMPLES:
         return False
     span = float(np.ptp(u))
-    noise = _NOISE_TURN * displacement_noise(u)
+    noise = _NOISE_TURN * white_noise(u)
     turn = min(max(_TURN * span, noise), _LARGEST_TURN * span)
     if not turn > 0.0:
         return False

@@ -17,6 +17,7 @@ from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
 from mr_damper_ros.kinematics.sine import Sine, fit_sine
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.white_noise import white_noise
 
 SINE_TOLERANCE = 2e-3
 """A window is a sine where the fit leaves less than this fraction of the amplitude [1] ...
@@ -85,24 +86,13 @@ class Motion:
         return math.nan if self.sine is None else self.sine.frequency
 
 
-def displacement_noise(displacement: Array) -> float:
-    """Standard deviation [m] of the white part of a displacement of shape (n,), n >= 8.
-
-    From fourth differences, which a smooth motion leaves almost nothing of; the median makes it
-    robust against kinks and jumps.
-    """
-    differences = np.diff(displacement, 4)
-    # The sum of the squared binomial coefficients of the fourth difference is 70.
-    return float(np.median(np.abs(differences)) / 0.6745 / math.sqrt(70.0))
-
-
 def _smooth(displacement: Array, period: float) -> tuple[Array, Array, Array]:
     """Displacement, velocity, acceleration by the longest filter that leaves only noise behind.
 
     A filter too long for the motion leaves part of the motion in the residual (discrepancy
     principle); one too short passes more noise than it must.
     """
-    noise = displacement_noise(displacement)
+    noise = white_noise(displacement)
     candidate = _SHORTEST_FILTER
     best = SavitzkyGolay(candidate, _POLYNOMIAL_ORDER)
     while candidate < displacement.size // 2:
@@ -146,7 +136,7 @@ def window_motion(displacement: Array, period: float) -> Motion:
         raise ValueError("the displacement does not change: there is no motion to identify from")
     sine = fit_sine(u, period)
     if sine is not None:
-        noise = displacement_noise(u)
+        noise = white_noise(u)
         limit = max(SINE_TOLERANCE * sine.amplitude / math.sqrt(2.0), _NOISE_FACTOR * noise)
         cycles = sine.frequency * period * u.size
         if sine.residual_rms <= limit and cycles >= 0.5:

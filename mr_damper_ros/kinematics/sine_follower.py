@@ -12,8 +12,9 @@ import math
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion import SINE_TOLERANCE, displacement_noise
+from mr_damper_ros.kinematics.motion import SINE_TOLERANCE
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.white_noise import white_noise
 
 _CYCLES = 1.5
 """Length of the fit in cycles: longer averages more, shorter forgets a change sooner."""
@@ -121,7 +122,7 @@ class SineFollower:
         amplitude = math.hypot(weights[0], weights[1])
         self._allowed = max(
             SINE_TOLERANCE * amplitude / math.sqrt(2.0),
-            _NOISE_FACTOR * displacement_noise(recent[-_NOISE_SAMPLES:]),
+            _NOISE_FACTOR * white_noise(recent[-_NOISE_SAMPLES:]),
         )
         if math.sqrt(float(residual @ residual) / residual.size) > self._allowed:
             # Perhaps the frequency has been lost: start again from the reversals.

@@ -148,21 +148,19 @@ class ModelNode(Node):
         )
 
     def _take_parameters(self, message: DamperParameters) -> None:
+        source = message.node or "a node that does not say its name"
+        trusted = self._options.trusted_source
+        if trusted and message.node != trusted:
+            self._refused_parameters = f"they come from {source}, and trusted_source is {trusted}"
+            return
         try:
             parameters = check_plausible(parameter_set(message))
         except ParameterError as error:
             self._refused_parameters = str(error)
             self.get_logger().warning(f"parameters {message.id} are not used: {error}")
             return
-        trusted = self._options.trusted_source
-        if trusted and message.node != trusted:
-            self._refused_parameters = (
-                f"they come from {message.node or 'a node that does not say its name'}, and "
-                f"trusted_source is {trusted}"
-            )
-            return
         self._refused_parameters = ""
-        self._parameters_from = message.node or "a node that does not say its name"
+        self._parameters_from = source
         # Published parameters that come from no samples have the stamp 0.
         self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
         self._error.reset()

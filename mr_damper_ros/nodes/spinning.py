@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import gc
 import os
 import signal
@@ -36,6 +37,9 @@ _LOG_ADVICE = "set ROS_LOG_DIR to a folder that the log can be written to"
 
 _WAKE_UP = 0.1
 """Seconds after which a spinning node looks whether it is to stop, or at its end."""
+
+_LAST_CHANCE = 10.0
+"""Seconds that the middleware has to take a node down."""
 
 N = TypeVar("N", bound=Node)
 
@@ -92,6 +96,7 @@ def run(
         return _reject(f"the node cannot be started: {error}")
     finally:
         rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
 
 
 class _Stop:
@@ -131,8 +136,21 @@ def _spin(
                 return code
     finally:
         executor.shutdown()
+        _end_in_any_case()
         node.destroy_node()
     return SUCCESS
+
+
+def _end_in_any_case() -> None:
+    """End the process soon, even if what takes the node down never returns.
+
+    Fast DDS 2.14 has been seen to lock up when a writer was deleted while another participant
+    left, with Python's own lock held: no Python code runs any more, nor any signal's.
+    faulthandler waits in a thread without that lock. What a node has to keep is on disk before its
+    publishers go.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    faulthandler.dump_traceback_later(_LAST_CHANCE, exit=True, file=nowhere)
 
 
 _CONFIGURATION_ERRORS = (

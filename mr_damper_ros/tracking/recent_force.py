@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.white_noise import white_noise
 
 _HALF_CYCLES = 8
 _SHORTEST_MEMORY = 2.0
@@ -100,7 +101,7 @@ class RecentForce:
             not self._past or top == self._past[-1].top == self._past[-1].bottom
         )
         self._unchanged = self._unchanged + count if unchanged else 0
-        self._past.append(_Stretch(count, top, bottom, _white_part(measured), sums))
+        self._past.append(_Stretch(count, top, bottom, white_noise(measured), sums))
         self._remembered += count
         # Without a half-cycle nothing is known of how long to remember: the shortest time.
         known = 0.0 if math.isnan(half_cycle) else half_cycle
@@ -133,11 +134,3 @@ class RecentForce:
             if sizes[0] > _STILL * math.sqrt(count):
                 self.measured_drives = bool(products[0, 1] < -_DRIVING * sizes[0] * sizes[1])
                 self.predicted_drives = bool(products[0, 2] < -_DRIVING * sizes[0] * sizes[2])
-
-
-def _white_part(force: Array) -> float:
-    """Standard deviation of the noise, from fourth differences; 0 of too few samples."""
-    if force.size < 5:
-        return 0.0
-    # The sum of the squared binomial coefficients of the fourth difference is 70.
-    return float(np.median(np.abs(np.diff(force, 4)))) / 0.6745 / math.sqrt(70.0)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.kinematics.cycles import holds_cycle
-from mr_damper_ros.kinematics.motion import displacement_noise
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.white_noise import white_noise
 
 LARGEST_SPAN = 0.5
 """A displacement that spans more [m] is taken for millimetres: no damper has such a stroke."""
@@ -109,7 +109,7 @@ def fault_at_rest(displacement: Array, force: Array, largest_force: float) -> st
 
     ``largest_force`` [N] is the largest known of the damper, NaN where none is.
     """
-    still = float(np.ptp(displacement)) <= _STILL * displacement_noise(displacement)
+    still = float(np.ptp(displacement)) <= _STILL * white_noise(displacement)
     low, high = np.quantile(force, (0.01, 0.99))
     if still and high - low > _MOVING_FORCE * largest_force and holds_cycle(force):
         return _STUCK

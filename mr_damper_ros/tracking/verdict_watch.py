@@ -10,6 +10,7 @@ _DISTRUST = {
     Verdict.POOR_FIT: "no parameters fit the samples",
     Verdict.DISTURBED: "the residual is far above the usual one",
     Verdict.UNCONFIRMED: "the force has changed by too much at once",
+    Verdict.BEYOND_LIMITS: "the force is beyond what this damper can have changed to",
 }
 """Verdicts that speak against the samples or the parameters, in words."""
 

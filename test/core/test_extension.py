@@ -15,7 +15,6 @@ from mr_damper_ros.models.sigmoid.extension import (
     Extension,
     extension_of,
     is_extended,
-    name_of_law,
 )
 
 PERIOD = 1e-3
@@ -135,7 +134,6 @@ def test_an_array_tells_its_law():
     extended = np.append(known.PLAUSIBLE, [1e-8, 3.0, 4.0, 0.0])
     assert not is_extended(known.PLAUSIBLE)
     assert is_extended(extended)
-    assert (name_of_law(known.PLAUSIBLE), name_of_law(extended)) == ("sigmoid", "sigmoid_lag")
     assert extension_of(extended) == (1e-8, 3.0, 4.0)
     with pytest.raises(ValueError, match="there are 17 parameters: the sigmoid law has 16"):
         is_extended(np.zeros(17))

@@ -14,10 +14,11 @@ from random_motion import BandLimitedRandom
 from scipy.signal import savgol_filter, sawtooth
 
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
-from mr_damper_ros.kinematics.motion import displacement_noise, window_motion
+from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.kinematics.sine import fit_sine
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.white_noise import white_noise
 
 EXACT = 1e-10
 """Relative, of a phase in rad: rounding of an offset of a thousand amplitudes, in half a cycle."""
@@ -214,12 +215,12 @@ def test_a_window_that_cannot_be_used_is_refused(u: Array, period: float, senten
 @pytest.mark.parametrize("noise", [1e-7, 1e-6, 1e-5])
 def test_the_noise_of_a_displacement_is_measured(noise: float) -> None:
     u = np.random.default_rng(1).normal(0.0, noise, TIME.size)
-    measured = displacement_noise(triangle(3.0, 0.2) + u)
+    measured = white_noise(triangle(3.0, 0.2) + u)
     assert measured == pytest.approx(noise, rel=MEASURED_NOISE)
 
 
 def test_a_displacement_without_noise_has_none() -> None:
-    assert displacement_noise(triangle(3.0, 0.2)) < NO_NOISE
+    assert white_noise(triangle(3.0, 0.2)) < NO_NOISE
 
 
 ROUNDED_TRIANGLE = SineMotion(5e-3, 3.0, triangularity=0.95)

@@ -290,6 +290,7 @@ FAULT, CONFIRMED = (Verdict.FAULT_OF_DATA, math.nan), (Verdict.NO_BETTER, 0.1)
         ([FAULT, FAULT, CONFIRMED], DoubtKind.NONE),
         ([FAULT, CONFIRMED, FAULT], DoubtKind.NONE),
         ([(Verdict.DISTURBED, 0.5), (Verdict.UNCONFIRMED, 0.6)], DoubtKind.REFUSED),
+        ([(Verdict.BEYOND_LIMITS, 9.0)] * 2, DoubtKind.REFUSED),
         ([(Verdict.DISTURBED, 0.2), (Verdict.DISTURBED, 0.2)], DoubtKind.NONE),
         ([(Verdict.FAILED, math.nan)] * 3, DoubtKind.NONE),
         ([FAULT, (Verdict.FAILED, math.nan), FAULT], DoubtKind.REFUSED),

@@ -113,11 +113,6 @@ def coil_time_constant_of(parameters: Array) -> float:
     return float(parameters[-1]) if is_extended(parameters) else 0.0
 
 
-def name_of_law(parameters: Array) -> str:
-    """Name in ``MODELS`` of the law that parameters (16,) or (20,) belong to."""
-    return EXTENDED_MODEL if is_extended(parameters) else "sigmoid"
-
-
 def without_extension(sixteen: Array) -> Array:
     """Parameters (20,) of the extended law that give the force of these (16,)."""
     return np.concatenate((sixteen, np.zeros(len(EXTENDED_NAMES) - SIGMOID_COUNT)))
