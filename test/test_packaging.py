@@ -133,7 +133,7 @@ KEYS = {
 }
 """Keys of rosdep for what is no ROS package; those are called like the modules they hold."""
 
-OPTIONAL = {"cma"}
+OPTIONAL = {"cma", "nptdms", "openpyxl"}
 """What is used where it is installed."""
 
 BROUGHT_BY_ROSBAGS = {"lz4", "backports"}
