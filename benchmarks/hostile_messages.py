@@ -337,7 +337,7 @@ def _results() -> Iterator[HostileMessage]:
     for field, value in {
         **dict.fromkeys(("id", "model", "source"), text),
         **dict.fromkeys(("names", "units"), texts),
-        **dict.fromkeys(("values", "standard_errors"), numbers),
+        **dict.fromkeys(("values", "standard_errors", "discrepancies"), numbers),
         "observable": flags,
     }.items():
         message = DamperParameters(**{**usual, field: value})
@@ -345,7 +345,9 @@ def _results() -> Iterator[HostileMessage]:
     for field, value in {
         **dict.fromkeys(("method", "reason", "parameter_set"), text),
         "coefficient_names": texts,
-        **dict.fromkeys(("coefficients", "coefficient_standard_errors"), numbers),
+        **dict.fromkeys(
+            ("coefficients", "coefficient_standard_errors", "coefficient_discrepancies"), numbers
+        ),
     }.items():
         report = FitReport(**{"confirms": True, field: value})
         yield HostileMessage(f"a report with 1 MB of {field}", report, "damper/fit_report")

@@ -21,6 +21,9 @@ DEFAULT_MODEL = "sigmoid"
 """The law that is meant where none is named."""
 
 
+_ENTRIES = ("value", "unit", "standard_error", "discrepancy", "observable")
+"""What a file may say of a parameter."""
+
 _LONGEST_NAME = 200
 """Characters of an id or a source; ours have at most some thirty."""
 
@@ -54,6 +57,9 @@ class ParameterSet:
 
     ``values`` and ``standard_errors`` have shape (p,), in the order and the units of the
     parameters of ``model``, a name in ``MODELS``; a standard error is NaN where it is unknown.
+    ``discrepancies`` (p,) are the part of the standard errors that comes from what the law cannot
+    follow, NaN where that is not known: from window to window of the same motion a value scatters
+    by the root of the difference of their squares.
     ``observable`` (p,) tells which parameters the data determined (the others kept the value of
     the start). ``peak_velocity_range`` [m/s] and ``current_range`` [A] span the data that were
     used; ``nrmse`` is RMSE/std of the force; ``stamp_ns`` is the time of the last sample used.
@@ -76,6 +82,7 @@ class ParameterSet:
     stamp_ns: int = 0
     model: str = DEFAULT_MODEL
     largest_force: float = math.nan
+    discrepancies: Array = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
         model = known_model(self.model)
@@ -85,6 +92,7 @@ class ParameterSet:
             ("values", float, None),
             ("standard_errors", float, math.nan),
             ("observable", bool, False),
+            ("discrepancies", float, math.nan),
         ):
             given = getattr(self, name)
             array = np.full(count, unknown) if given is _UNKNOWN else np.array(given, dtype=dtype)
@@ -113,6 +121,9 @@ class ParameterSet:
                 )
             if error < 0.0:
                 raise ParameterError(f"the standard error of {name} is {error}: it is negative")
+        for name, discrepancy in zip(names, self.discrepancies, strict=True):
+            if discrepancy < 0.0:
+                raise ParameterError(f"the discrepancy of {name} is {discrepancy}: it is negative")
         for name, low_high in (
             ("peak_velocity_range", self.peak_velocity_range),
             ("current_range", self.current_range),
@@ -173,21 +184,23 @@ class ParameterSet:
             "id": self.set_id,
             "source": self.source,
             "stamp_ns": int(self.stamp_ns),
-            "nrmse": None if math.isnan(self.nrmse) else float(self.nrmse),
+            "nrmse": _or_none(self.nrmse),
             "peak_velocity_range": [float(x) for x in self.peak_velocity_range],
             "current_range": [float(x) for x in self.current_range],
-            "largest_force": None if math.isnan(self.largest_force) else float(self.largest_force),
+            "largest_force": _or_none(self.largest_force),
             "parameters": {
                 name: {
                     "value": float(value),
                     "unit": units[name],
-                    "standard_error": None if math.isnan(error) else float(error),
+                    "standard_error": _or_none(error),
+                    "discrepancy": _or_none(discrepancy),
                     "observable": bool(observable),
                 }
-                for name, value, error, observable in zip(
+                for name, value, error, discrepancy, observable in zip(
                     self.law.parameter_names,
                     self.values,
                     self.standard_errors,
+                    self.discrepancies,
                     self.observable,
                     strict=True,
                 )
@@ -274,14 +287,12 @@ class ParameterSet:
         missing = [name for name in names if name not in entries and defaults[name] is None]
         if missing:
             raise ParameterError(f"parameter {', '.join(missing)} is missing: give its value")
-        values, errors, observable = [], [], []
+        values, errors, observable, discrepancies = [], [], [], []
         for name in names:
             entry = entries.get(name, defaults[name])
             if not isinstance(entry, dict):
                 entry = {"value": entry}
-            stray = [
-                str(k) for k in entry if k not in ("value", "unit", "standard_error", "observable")
-            ]
+            stray = [str(key) for key in entry if key not in _ENTRIES]
             if stray:
                 raise ParameterError(
                     f"parameter {name} has unknown entries {', '.join(stray)}: remove them"
@@ -291,15 +302,12 @@ class ParameterSet:
                     f"parameter {name} is given in {entry['unit']}: convert it to {units[name]}"
                 )
             values.append(_number(entry.get("value"), f"parameter {name}"))
-            error = entry.get("standard_error")
-            errors.append(
-                math.nan if error is None else _number(error, f"standard error of {name}")
-            )
+            errors.append(_or_nan(entry.get("standard_error"), f"standard error of {name}"))
+            discrepancies.append(_or_nan(entry.get("discrepancy"), f"discrepancy of {name}"))
             flag = entry.get("observable", False)
             if not isinstance(flag, bool):
                 raise ParameterError(f"observable of {name} is {_shown(flag)}: give true or false")
             observable.append(flag)
-        nrmse, largest_force = document.get("nrmse"), document.get("largest_force")
         stamp = document.get("stamp_ns", 0)
         if isinstance(stamp, bool) or not isinstance(stamp, int):
             raise ParameterError("stamp_ns must be a whole number of nanoseconds")
@@ -315,12 +323,11 @@ class ParameterSet:
             current_range=_range(
                 document.get("current_range", [-math.inf, math.inf]), "current_range"
             ),
-            nrmse=math.nan if nrmse is None else _number(nrmse, "nrmse"),
+            nrmse=_or_nan(document.get("nrmse"), "nrmse"),
             stamp_ns=stamp,
             model=model,
-            largest_force=(
-                math.nan if largest_force is None else _number(largest_force, "largest_force")
-            ),
+            largest_force=_or_nan(document.get("largest_force"), "largest_force"),
+            discrepancies=np.array(discrepancies),
         )
 
 
@@ -357,6 +364,16 @@ def _number(value: Any, what: str) -> float:
         return float(value)
     except OverflowError as error:
         raise ParameterError(f"{what} is beyond what a number can hold") from error
+
+
+def _or_nan(value: Any, what: str) -> float:
+    """A number that may be left out, or null: NaN."""
+    return math.nan if value is None else _number(value, what)
+
+
+def _or_none(value: float) -> float | None:
+    """The same back, for a file."""
+    return None if math.isnan(value) else float(value)
 
 
 def _range(value: Any, what: str) -> tuple[float, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 from sensor_msgs.msg import Temperature
@@ -23,6 +25,7 @@ def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> Da
         units=list(parameters.law.units.values()),
         values=to_field(parameters.values),
         standard_errors=to_field(parameters.standard_errors),
+        discrepancies=to_field(parameters.discrepancies),
         observable=parameters.observable.tolist(),
         source=parameters.source,
         node=node,
@@ -49,6 +52,7 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
     return ParameterSet(
         values=np.array(message.values),
         standard_errors=np.array(message.standard_errors),
+        discrepancies=np.array(message.discrepancies or [math.nan] * len(law.parameter_names)),
         observable=np.array(message.observable, dtype=bool),
         set_id=message.id,
         source=message.source,
@@ -80,6 +84,7 @@ def report_message(report: Report, duration: float, frame_id: str) -> FitReport:
         parameter_set=report.set_id,
         force_scale=report.scale.value,
         force_scale_standard_error=report.scale.standard_error,
+        force_scale_discrepancy=report.scale.discrepancy,
         peak_velocity=report.peak_velocity,
         amplitude=report.amplitude,
         frequency=report.frequency,
@@ -88,6 +93,7 @@ def report_message(report: Report, duration: float, frame_id: str) -> FitReport:
         coefficient_names=list(report.coefficient_names),
         coefficients=to_field(report.coefficients),
         coefficient_standard_errors=to_field(report.coefficient_errors),
+        coefficient_discrepancies=to_field(report.coefficient_discrepancies),
     )
 
 

@@ -28,13 +28,16 @@ _MEDIAN_SQUARE = 0.4549
 class ForceScale:
     """Force against the baseline, 1 = unchanged; NaN where there is no baseline to compare with.
 
-    ``misfit``: in a motion that is no steady sine, root mean square of what the baseline cannot
-    follow, over that of the force; else NaN.
+    ``standard_error`` is that from window to window of the same motion; ``discrepancy``: what
+    another motion or another law may say besides, as far as that is known. ``misfit``: in a motion
+    that is no steady sine, root mean square of what the baseline cannot follow, over that of the
+    force; else NaN.
     """
 
     value: float = math.nan
     standard_error: float = math.nan
     misfit: float = math.nan
+    discrepancy: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,12 @@ def force_scale(model: Model, window: Window, fit: WindowFit, baselines: Baselin
     if not steady:
         return _measured_scale(reference, window.force[settled])
     present = model.window_force(window, fit.parameters)[settled]
-    return scale_between(reference, present, problem.jacobian(fit.scales)[settled], fit.covariance)
+    jacobian = problem.jacobian(fit.scales)[settled]
+    scale = scale_between(reference, present, jacobian, fit.covariance)
+    if fit.discrepancy is None:
+        return scale
+    besides = scale_between(reference, present, jacobian, fit.discrepancy).standard_error
+    return replace(scale, discrepancy=besides)
 
 
 def _measured_scale(reference: Array, measured: Array) -> ForceScale:
@@ -158,7 +166,7 @@ def _measured_scale(reference: Array, measured: Array) -> ForceScale:
     noise = NoiseModel.of(measured - value * reference)
     variance = float(noise.score_covariance(reference[:, np.newaxis])[0, 0]) / power**2
     misfit = math.sqrt(noise.variance * reference.size / power)
-    return ForceScale(value, math.sqrt(max(variance, 0.0)), misfit)
+    return ForceScale(value, math.sqrt(max(variance, 0.0)), misfit, misfit)
 
 
 def with_strength(

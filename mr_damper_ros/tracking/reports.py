@@ -21,7 +21,8 @@ class Report:
     ``reason`` puts the ``verdict`` into words. ``confirms``: the samples up to the stamp fit the
     set of ``set_id``, which is in use after this report. ``temperature`` is the measured one;
     where there is none, ``fluid`` is what the force tells of it, once a map of force over
-    temperature has been learnt at the operating point.
+    temperature has been learnt at the operating point. ``coefficient_errors`` are those from window
+    to window, ``coefficient_discrepancies`` what another motion or law may say besides.
     """
 
     window_start_ns: int
@@ -44,6 +45,7 @@ class Report:
     coefficient_names: tuple[str, ...] = ()
     coefficients: Array = field(default_factory=lambda: np.empty(0))
     coefficient_errors: Array = field(default_factory=lambda: np.empty(0))
+    coefficient_discrepancies: Array = field(default_factory=lambda: np.empty(0))
     global_due: bool = False
     fluid: FluidTemperature = field(default_factory=FluidTemperature)
 
@@ -59,10 +61,12 @@ def report_of_window(
     """The report of a window; ``set_id`` names the set in use after it."""
     raw, fit, evidence, summary = task.window, result.fit, result.evidence, result.summary
     names = task.model.coefficient_names
-    coefficients = errors = np.full(len(names), math.nan)
+    coefficients = errors = discrepancies = np.full(len(names), math.nan)
     if fit:
         coefficients = fit.coefficients
-        errors = np.sqrt(np.diag(fit.coefficient_covariance))
+        errors = _errors(fit.coefficient_covariance)
+        if fit.coefficient_discrepancy is not None:
+            discrepancies = _errors(fit.coefficient_discrepancy)
     verdict = judgement.verdict
     return Report(
         window_start_ns=raw.start_ns,
@@ -85,8 +89,14 @@ def report_of_window(
         coefficient_names=names,
         coefficients=coefficients,
         coefficient_errors=errors,
+        coefficient_discrepancies=discrepancies,
         global_due=global_due,
     )
+
+
+def _errors(covariance: Array) -> Array:
+    # Rounding may leave a variance that is as good as zero below it.
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def report_of_global(

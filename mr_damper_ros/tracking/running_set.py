@@ -92,6 +92,10 @@ def set_of_window(
     places, found = model.fitted_errors(fit.scales, fit.whole_covariance)
     errors[places] = found
     observable[places] = np.isfinite(found)
+    discrepancies = running.discrepancies.copy()
+    discrepancies[places] = math.nan
+    if fit.discrepancy is not None:
+        discrepancies[places] = model.fitted_errors(fit.scales, fit.discrepancy)[1]
     # The law as it was known led to the force here: then it goes on to hold where it held.
     agrees = abs(evidence.force_change) <= _AGREES
     velocity_range, current_range = summary.peak_velocity_range, summary.current_range
@@ -120,6 +124,7 @@ def set_of_window(
         stamp_ns=stamp_ns,
         model=model.name,
         largest_force=largest_force,
+        discrepancies=discrepancies,
     )
 
 
@@ -140,7 +145,10 @@ def set_of_change(
     fitted[places] = found
     # The other parameters keep what is known of them.
     changed = model.strength_indices
-    errors[changed] = np.hypot(errors[changed] * (1.0 + evidence.force_change), fitted[changed])
+    factor = abs(1.0 + evidence.force_change)
+    errors[changed] = np.hypot(errors[changed] * factor, fitted[changed])
+    discrepancies = running.discrepancies.copy()
+    discrepancies[changed] *= factor
     return replace(
         running,
         values=fit.parameters,
@@ -150,6 +158,7 @@ def set_of_change(
         nrmse=evidence.nrmse_after,
         stamp_ns=stamp_ns,
         largest_force=_larger(summary.largest_force, running.largest_force),
+        discrepancies=discrepancies,
     )
 
 

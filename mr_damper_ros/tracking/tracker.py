@@ -285,7 +285,8 @@ class WindowTracker:
         )
         report = report_of_window(task, result, judgement, set_id, global_due=self._global_is_due())
         # One factor says nothing of the coefficients' own errors.
-        return replace(report, coefficient_errors=np.full_like(report.coefficients, math.nan))
+        unknown = np.full_like(report.coefficients, math.nan)
+        return replace(report, coefficient_errors=unknown, coefficient_discrepancies=unknown)
 
     def _global_is_due(self) -> bool:
         period, points = self._settings.global_period, self._reservoir.operating_points

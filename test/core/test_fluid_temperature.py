@@ -163,6 +163,14 @@ def test_the_standard_errors_are_true() -> None:
     assert np.std(deviations) == pytest.approx(1.0, abs=SPREAD_ERROR)
 
 
+def test_the_error_of_the_temperature_holds_the_scatter_about_the_map() -> None:
+    """Though the scales of the windows claim to be ten times as good as they are."""
+    celsius, scales, errors = observed()
+    found = fitted(celsius, scales, 0.1 * errors)
+    told = found.temperature(ForceScale(found.scale(50.0).value, 0.1 * ERROR))
+    assert told.standard_error >= found.scatter / abs(found.slope(50.0))
+
+
 def test_the_exponential_law_needs_two_coefficients_and_a_bent_one_three() -> None:
     assert fitted(*observed()).coefficients.size == 2
     assert fitted(*observed(bend=6e-5)).coefficients.size == 3

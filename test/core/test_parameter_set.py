@@ -49,6 +49,7 @@ def parameter_sets(draw: st.DrawFn) -> ParameterSet:
         nrmse=draw(st.one_of(st.floats(0.0), st.just(math.nan))),
         stamp_ns=draw(st.integers(-STAMP_LIMIT, STAMP_LIMIT - 1)),
         largest_force=draw(st.one_of(FINITE.map(abs), st.just(math.nan))),
+        discrepancies=one_for_each(st.one_of(st.floats(0.0), st.just(math.nan))),
     )
 
 
@@ -60,6 +61,10 @@ def test_text_and_back_is_exact(original: ParameterSet) -> None:
         np.testing.assert_array_equal(
             getattr(read, field.name), getattr(original, field.name), err_msg=field.name
         )
+
+
+def test_a_file_that_tells_no_discrepancies_leaves_them_unknown() -> None:
+    assert np.isnan(ParameterSet.from_yaml(by_hand()).discrepancies).all()
 
 
 def test_unknown_standard_errors_and_nrmse_stay_unknown() -> None:
@@ -190,6 +195,7 @@ UNCAUGHT = {
     "an integer beyond floating point": (with_parameter("k6", 10**400), "k6"),
     "observable as text": (with_parameter("k6", {"value": 1.0, "observable": "no way"}), "k6"),
     "a negative standard error": (with_parameter("k6", {"value": 1.0, "standard_error": -2}), "k6"),
+    "a negative discrepancy": (with_parameter("k6", {"value": 1.0, "discrepancy": -2}), "k6"),
     "a name given twice": (by_hand().replace("  a0: 3\n", "  a0: 3\n  a0: 4\n"), "a0"),
 }
 
@@ -208,7 +214,7 @@ def test_a_value_out_of_its_bounds_is_refused(share: float) -> None:
         ParameterSet(values, model="bouc_wen")
 
 
-@pytest.mark.parametrize("name", ["values", "standard_errors", "observable"])
+@pytest.mark.parametrize("name", ["values", "standard_errors", "observable", "discrepancies"])
 def test_a_wrong_number_of_values_is_refused(name: str) -> None:
     arrays = {"values": LITERATURE, name: np.ones(15)}
     with pytest.raises(ParameterError, match=rf"{name} of .* must hold 16 numbers.*\(15,\)"):

@@ -16,6 +16,9 @@ from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
+MOSTLY = 0.7
+"""Of the error; noise of 5.5 N would average out, a misfit of 42 N does not."""
+
 TRUE = ParameterSet(known.PLAUSIBLE, set_id="true")
 WEAK = ParameterSet(
     known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0), set_id="weak"
@@ -72,6 +75,38 @@ def test_a_window_that_is_no_good_confirms_nothing(spoilt: RawWindow, verdict: V
     assert not report.confirms
     assert report.reason
     assert report.set_id == "window-1"
+
+
+def with_misfit(raw: RawWindow) -> RawWindow:
+    """A force in which something repeats with every cycle of 1 Hz that the law does not follow."""
+    time = 1e-9 * raw.start_ns + raw.period * np.arange(raw.force.size)
+    return replace(raw, force=raw.force + 60.0 * np.sin(2.0 * np.pi * 7.0 * time))
+
+
+@pytest.fixture(scope="module")
+def misfitted() -> tuple[Report, ParameterSet]:
+    made = tracker(WEAK)
+    run = known.run(samples=3000)
+    reports = [followed(made, with_misfit(known.raw_window(run, number=n))) for n in range(2)]
+    return reports[-1], made.parameters
+
+
+def test_a_misfit_that_repeats_is_told_apart_from_what_scatters(
+    misfitted: tuple[Report, ParameterSet],
+) -> None:
+    report, _ = misfitted
+    assert np.all(report.coefficient_discrepancies > report.coefficient_errors)
+    assert report.scale.discrepancy > report.scale.standard_error
+
+
+def test_the_set_knows_how_much_of_its_errors_is_misfit(
+    misfitted: tuple[Report, ParameterSet],
+) -> None:
+    _, found = misfitted
+    seen = found.observable
+    assert np.all(found.discrepancies[seen] < found.standard_errors[seen])
+    assert np.all(found.discrepancies[seen] > MOSTLY * found.standard_errors[seen])
+    assert np.isnan(found.discrepancies[~seen]).all()
 
 
 def test_a_fit_that_explains_too_little_confirms_nothing() -> None:

@@ -121,6 +121,7 @@ def test_a_parameter_set_passes_through_its_message_unchanged(model: ForceModel)
         model=model.name,
         values=np.clip(np.arange(1.0, count + 1.0), *model.bounds),
         standard_errors=np.linspace(0.1, 1.6, count),
+        discrepancies=np.linspace(0.05, 0.8, count),
         observable=np.arange(count) % 2 == 0,
     )
     message = parameters_message(original, "damper", "/test")
