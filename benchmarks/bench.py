@@ -24,6 +24,8 @@ from benchmarks import (
     kinematics,
     noise_limit,
     repeated_evolution,
+    reversal_jump,
+    step_current,
     switched_current,
     utfsm_extended,
     utfsm_left_out,
@@ -67,6 +69,8 @@ FULL: dict[str, Measure] = {
     "drift": drift.figures,
     "force_step": force_step.figures,
     "switched_current": switched_current.figures,
+    "step_current": step_current.figures,
+    "reversal_jump": reversal_jump.figures,
     "cold_start": cold_start.figures,
     "utfsm_sixteen": utfsm_sixteen.figures,
     "utfsm_extended": utfsm_extended.figures,
@@ -79,6 +83,7 @@ FULL: dict[str, Measure] = {
     "faults": faults.figures,
     "healthy": healthy.figures,
     "streaming_load": _of_nodes("streaming_load"),
+    "single_sample": _of_nodes("single_sample"),
     "lossy_link": _of_nodes("lossy_link"),
     "hostile_messages": _of_nodes("hostile_messages"),
 }
@@ -94,7 +99,9 @@ QUICK: dict[str, Measure] = {
     "faults": lambda: faults.figures(SCENARIOS[::8], ("viscous_tanh",)),
     "healthy": lambda: healthy.figures(healthy.PROGRAMMES[2:5], ("viscous_tanh",)),
     "switched_current": lambda: switched_current.figures(30.0, switched_current.CASES[:1]),
+    "step_current": lambda: step_current.figures(step_current.CASES[:1]),
     "streaming_load": _of_nodes("streaming_load", duration=30.0, latency_duration=30.0),
+    "single_sample": _of_nodes("single_sample", duration=15.0, overload_duration=8.0),
     "lossy_link": _of_nodes("lossy_link", duration=20.0),
 }
 """Shorter versions of the long ones, for development: their figures are not the real ones."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from benchmarks.dampers import window_of
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.signals.recording import Recording
 
 NONE = "MR_DAMPER_DATA is not set to a folder that holds utfsm."
 _COLUMNS = "time:s,displacement:mm,velocity:mm/s,force:N"
@@ -22,22 +23,30 @@ def folder() -> Path | None:
     return path if place and path.is_dir() else None
 
 
-def processed_motions(utfsm: Path) -> dict[str, list[Window]]:
-    """The sinusoid records in ``processed``, whole, ramps included, by amplitude and frequency.
+def processed_records(utfsm: Path) -> list[Recording]:
+    """The sinusoid records in ``processed``, whole, ramps included.
 
-    Both are in the name, and so is the current. Raises ValueError for a name that tells none.
+    Amplitude, frequency and current are in the name. Raises ValueError for one that tells none.
     """
+    return [_processed(path)[1] for path in sorted((utfsm / "processed").glob("*.txt"))]
+
+
+def processed_motions(utfsm: Path) -> dict[str, list[Window]]:
+    """The same as windows, by amplitude and frequency."""
     motions: dict[str, list[Window]] = {}
     for path in sorted((utfsm / "processed").glob("*.txt")):
-        told = _NAME.match(path.stem)
-        if told is None:
-            raise ValueError(f"{path.name}: the name does not end with a current, such as 0x25A")
-        current = float(told[2].replace("x", "."))
-        window = window_of(read_record(path, _COLUMNS, current=current))
-        motions.setdefault(told[1], []).append(window)
+        motion, record = _processed(path)
+        motions.setdefault(motion, []).append(window_of(record))
     return motions
 
 
 def processed_windows(utfsm: Path) -> list[Window]:
     """All of them."""
     return [window for windows in processed_motions(utfsm).values() for window in windows]
+
+
+def _processed(path: Path) -> tuple[str, Recording]:
+    told = _NAME.match(path.stem)
+    if told is None:
+        raise ValueError(f"{path.name}: the name does not end with a current, such as 0x25A")
+    return told[1], read_record(path, _COLUMNS, current=float(told[2].replace("x", ".")))

@@ -3,40 +3,32 @@
 from __future__ import annotations
 
 import os
-import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from mr_damper_msgs.msg import FitReport, MtsSamples, PredictedForce, SupplyCurrent
+from mr_damper_msgs.msg import FitReport, MtsSamples, PredictedForce
 
-from benchmarks import relay
 from benchmarks.figure import Figure
 from benchmarks.processes import ProfiledDomain, start_node
-from mr_damper_ros.models.parameter_set import ParameterSet
+from benchmarks.side_by_side import CURRENT, SideBySide, blocks_of
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import current_message, samples_message
 from mr_damper_ros.nodes.observer import Observer
-from mr_damper_ros.nodes.spinning import make_executor
 from mr_damper_ros.processes.programs import PATIENCE, Program
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import SampleBlock
 
 DURATION = 600.0
 LATENCY_DURATION = 120.0
 CORES = 2
 
-AMPLITUDE, FREQUENCY, CURRENT = 0.005, 1.0, 1.5
-"""Motion [m], [Hz] and current [A] of the latency's stream: a run of the thesis."""
+AMPLITUDE, FREQUENCY = 0.005, 1.0
+"""Motion [m], [Hz] of the latency's stream: a run of the thesis."""
 
 SETTLED = 3.0
 """Seconds of the stream after which the predictions are valid."""
@@ -195,121 +187,30 @@ class Latencies:
         return float(np.quantile(self.model, quantile) / np.quantile(self.relay, quantile))
 
 
-class _Route:
-    """One of the two ways for a block: the topic it is sent on, and when its answers came."""
-
-    def __init__(self, node: Any, samples_topic: str, force_topic: str) -> None:
-        self._node = node
-        self._force_topic = force_topic
-        self._sent: dict[int, float] = {}
-        self.latencies: list[float] = []
-        self.valid = 0
-        self._publisher = node.create_publisher(MtsSamples, samples_topic, quality.stream())
-        node.create_subscription(PredictedForce, force_topic, self._hear, quality.stream())
-
-    @property
-    def connected(self) -> bool:
-        return bool(
-            self._publisher.get_subscription_count()
-            and self._node.count_publishers(self._force_topic)
-        )
-
-    def send(self, block: SampleBlock) -> None:
-        message = samples_message(block, "damper")
-        self._sent[block.sequence] = time.monotonic()
-        self._publisher.publish(message)
-
-    def _hear(self, message: PredictedForce) -> None:
-        now = time.monotonic()
-        self.valid += message.valid
-        self.latencies.append(now - self._sent.pop(message.seq))
-
-
 def measure_latency(sample_rate: float, block_size: int, duration: float) -> Latencies:
-    """Send each block to the model and to the relay, in turn, each in the other's pause.
-
-    The supply current comes between two blocks: it is a device of its own.
-    """
-    with ExitStack() as stack:
-        domain = stack.enter_context(closing(ProfiledDomain()))
-        folder = stack.enter_context(tempfile.TemporaryDirectory())
-        file = Path(folder) / "parameters.yaml"
-        known = ParameterSet(
-            THESIS_28_CELSIUS,
-            set_id=relay.PARAMETER_SET,
-            peak_velocity_range=(0.0, 0.1),
-            current_range=(0.0, 2.0),
-        )
-        file.write_text(known.to_yaml(), encoding="utf-8")
-        for process in (
-            Program([sys.executable, relay.__file__], domain.environment),
-            start_node("model", domain, parameter_file=file),
-        ):
-            stack.callback(process.close)
-        os.environ.update(domain.environment)
-        context = rclpy.Context()
-        context.init(domain_id=domain.number)
-        stack.callback(context.try_shutdown)
-        node = rclpy.create_node("driver", context=context)
-        stack.callback(node.destroy_node)
-        executor = make_executor(context)
-        executor.add_node(node)
-        stack.callback(executor.shutdown)
-        supply = node.create_publisher(SupplyCurrent, "supply/current", quality.stream())
-        model = _Route(node, "mts/samples", "damper/predicted_force")
-        bare = _Route(node, relay.SAMPLES_TOPIC, relay.FORCE_TOPIC)
-
-        def spin_until(due: float, done: Callable[[], bool] = lambda: False) -> None:
-            while (left := due - time.monotonic()) > 0.0 and not done():
-                executor.spin_once(timeout_sec=min(left, 0.1))
-
-        spin_until(
-            time.monotonic() + PATIENCE,
-            lambda: model.connected and bare.connected and supply.get_subscription_count() > 0,
-        )
-        quarter = 0.25 * block_size / sample_rate
-        start = time.monotonic() + 1.0
-        # A block is sent once its last sample has been taken.
-        taken_ns = time.time_ns() + round((1.0 - 4.0 * quarter) * NANOSECONDS)
-        blocks = _blocks(sample_rate, block_size, duration, taken_ns)
-        for number, block in enumerate(blocks):
-            due = start + 4.0 * quarter * number
-            spin_until(due - quarter)
-            if number % 10 == 0:
-                supply.publish(current_message(block.start_ns, CURRENT, "damper"))
-            routes = (model, bare) if number % 2 else (bare, model)
-            for place, route in enumerate(routes):
-                spin_until(due + 2.0 * quarter * place)
-                route.send(block)
-        spin_until(
-            time.monotonic() + PATIENCE,
-            lambda: min(len(model.latencies), len(bare.latencies)) == len(blocks),
-        )
+    """Send each block to the model and to the relay, in turn, each in the other's pause."""
+    with SideBySide() as both:
+        blocks = sine_blocks(sample_rate, block_size, duration)
+        both.send(blocks)
         settled = round(SETTLED * sample_rate / block_size)
-        if model.valid < len(blocks) - settled:
+        if both.model.valid < len(blocks) - settled:
             raise RuntimeError("the model's predictions are not valid: latency is of no use")
-        return Latencies(np.array(model.latencies[settled:]), np.array(bare.latencies[settled:]))
+        return Latencies(
+            *(
+                np.array(list(route.latencies.values())[settled:])
+                for route in (both.model, both.relay)
+            )
+        )
 
 
-def _blocks(
-    sample_rate: float, block_size: int, duration: float, start_ns: int
-) -> list[SampleBlock]:
-    """A sine, in blocks."""
+def sine_blocks(sample_rate: float, block_size: int, duration: float) -> list[SampleBlock]:
+    """A sine with the force of the thesis, in blocks; their stamps count from 0."""
     omega = 2.0 * np.pi * FREQUENCY
     time_s = np.arange(round(duration * sample_rate / block_size) * block_size) / sample_rate
     u = AMPLITUDE * np.sin(omega * time_s)
     v = AMPLITUDE * omega * np.cos(omega * time_s)
     measured = force(THESIS_28_CELSIUS, u, v, -(omega**2) * u, CURRENT)
-    return [
-        SampleBlock(
-            start_ns=start_ns + round(first / sample_rate * NANOSECONDS),
-            sequence=first,
-            period=1.0 / sample_rate,
-            displacement=u[first : first + block_size],
-            force=measured[first : first + block_size],
-        )
-        for first in range(0, u.size, block_size)
-    ]
+    return blocks_of(u, measured, 1.0 / sample_rate, block_size)
 
 
 def figures(

@@ -59,6 +59,7 @@ class CausalDifferentiator:
                 f"{lowest:g} to {highest:g} Hz"
             )
         self._decays, self._responses = _observer(self._period, bandwidth)
+        self._closed, self._gain = self._decays[:, 0].copy(), self._responses[:, 0, 0].copy()
 
     def reset(self) -> None:
         """Forget the past: the next sample is the first."""
@@ -76,6 +77,8 @@ class CausalDifferentiator:
         if self._seen == 0:
             # The motion is counted from its first sample: no step at the start.
             self._origin = float(displacement[0])
+        if displacement.size == 1:
+            return self._follow_one(float(displacement[0]))
         centred = np.asarray(displacement, dtype=float) - self._origin
         outputs = np.empty((_ORDER, centred.size))
         for first in range(0, centred.size, _STRETCH):
@@ -86,6 +89,13 @@ class CausalDifferentiator:
             self._state = states[:, -1]
         self._seen += centred.size
         return outputs[0] + self._origin, outputs[1], outputs[2]
+
+    def _follow_one(self, displacement: float) -> tuple[Array, Array, Array]:
+        self._state = state = self._closed @ self._state + self._gain * (
+            displacement - self._origin
+        )
+        self._seen += 1
+        return state[0:1] + self._origin, state[1:2], state[2:3]
 
 
 class NoiseGains(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
 from mr_damper_ros.kinematics.sine import Sine, fit_sine
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, span_of
 from mr_damper_ros.signals.white_noise import white_noise
 
 SINE_TOLERANCE = 2e-3
@@ -59,9 +59,10 @@ class Motion:
         and nowhere else: between the ends of that range.
         """
         v_m = self.peak_velocity
-        if v_m.min() >= low and v_m.max() <= high:
+        lowest, highest = span_of(v_m)
+        if lowest >= low and highest <= high:
             return self
-        return replace(self, peak_velocity=np.clip(v_m, low, high))
+        return replace(self, peak_velocity=v_m.clip(low, high))
 
     def part(self, chosen: slice | np.ndarray) -> Motion:
         """The chosen samples: a slice, a mask of shape (n,) or places."""

@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 from mr_damper_ros.kinematics.rest_watch import RestWatch
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, span_of
 
 _HALF_CYCLES = 4
 """A random motion turns at irregular times: so many of its half-cycles tell how slowly."""
@@ -64,7 +64,7 @@ class MotionCentre:
         return centre
 
     def _follow(self, displacement: Array) -> float:
-        low, high = float(displacement.min()), float(displacement.max())
+        low, high = span_of(displacement)
         if not self._counts or self._counts[-1] >= self._length:
             self._counts.append(0)
             self._lows.append(low)

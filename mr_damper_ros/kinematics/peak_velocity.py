@@ -101,6 +101,7 @@ class PeakVelocity:
         self._count = 0
         # Of the whole half-cycles; it changes with them, not with every block.
         self._whole_time_scale: float | None = None
+        self._whole_root_mean_square: float | None = None
         self.known_from: int | None = None
 
     @property
@@ -111,6 +112,8 @@ class PeakVelocity:
     @property
     def root_mean_square(self) -> float:
         """Of the peak velocity [m/s] over the latest half-cycles."""
+        if self._whole_root_mean_square is not None:
+            return self._whole_root_mean_square
         parts = self._known
         squares = 2.0 * sum(part.squared_velocity for part in parts)
         return math.sqrt(squares / max(sum(part.count for part in parts), 1))
@@ -125,7 +128,26 @@ class PeakVelocity:
         """Peak velocity [m/s] at the next samples of the velocity [m/s] and of the acceleration
         [m/s²], shape (n,).
         """  # noqa: D205
+        if velocity.size == 1 and self._whole_time_scale is not None:
+            return np.hypot(velocity, acceleration * self._follow_one(velocity, acceleration))
         return np.hypot(velocity, acceleration * self.follow_time_scale(velocity, acceleration))
+
+    def _follow_one(self, velocity: Array, acceleration: Array) -> float:
+        """As :meth:`follow_time_scale`, of one sample once whole half-cycles are known."""
+        assert self._whole_time_scale is not None
+        v = float(velocity[0])
+        speed = abs(v)
+        self._sense = self._sense or float(np.sign(v))
+        before = max(self._highest, self._present.highest, speed)
+        if self._sense * v < -_TURNED * before:
+            self._sense = -self._sense
+            self._finish()
+        time_scale = self._whole_time_scale
+        self._present.add(speed, velocity, acceleration)
+        self._count += 1
+        if self._present.count == self._longest:
+            self._finish()
+        return time_scale
 
     def follow_time_scale(self, velocity: Array, acceleration: Array) -> Array:
         """Inverse angular frequency [s] at the next samples, shape (n,), as :meth:`follow`."""
@@ -188,6 +210,8 @@ class PeakVelocity:
             # As _root_of_ratio, of two numbers.
             usable = acceleration > 0.0 and math.isfinite(velocity) and math.isfinite(acceleration)
             self._whole_time_scale = math.sqrt(velocity / acceleration) if usable else 0.0
+            self._whole_root_mean_square = None
+            self._whole_root_mean_square = self.root_mean_square
         if self.known_from is None and len(self._finished) == HALF_CYCLES:
             self.known_from = self._count
 

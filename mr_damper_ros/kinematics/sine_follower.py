@@ -37,6 +37,15 @@ _PARTS = 256
 _FIRST_STEPS = 8
 """Corrections of the frequency after a new start; one per block keeps it afterwards."""
 
+_NO_SINE = 0.25
+"""Part of the amplitude; a motion that leaves so much is no sine, nor will it be one at once."""
+
+_TRIED = 3
+"""Corrections of the frequency after which that shows ..."""
+
+_PATIENCE = 0.2
+"""... and cycles until it is worth while to try again: a try takes as long as many predictions."""
+
 _LARGEST_STEP = 0.1
 """The frequency is corrected by at most this part of itself per block."""
 
@@ -117,17 +126,21 @@ class SineFollower:
         # Time counts back from the newest sample.
         time: Array = self._period * np.arange(1.0 - recent.size, 1.0, stride)
         points = recent[::stride]
-        for _ in range(steps):
+        for step in range(1, steps + 1):
             weights, residual = self._fit(time, points)
-        amplitude = math.hypot(weights[0], weights[1])
+            amplitude = math.hypot(weights[0], weights[1])
+            left = math.sqrt(float(residual @ residual) / residual.size)
+            hopeless = step >= _TRIED and left > _NO_SINE * amplitude
+            if hopeless:
+                break
         self._allowed = max(
             SINE_TOLERANCE * amplitude / math.sqrt(2.0),
             _NOISE_FACTOR * white_noise(recent[-_NOISE_SAMPLES:]),
         )
-        if math.sqrt(float(residual @ residual) / residual.size) > self._allowed:
+        if left > self._allowed:
             # Perhaps the frequency has been lost: start again from the reversals.
             self._omega = 0.0
-            self._wait = round(cycle / _FITS_PER_CYCLE)
+            self._wait = round(cycle * (_PATIENCE if hopeless else 1.0 / _FITS_PER_CYCLE))
             return
         self._weights = weights
 

@@ -6,6 +6,8 @@ whose current follows the supply's.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
@@ -99,6 +101,20 @@ class FirstOrderLag:
             before = result[-1] / -np.expm1(-passed[-1])
             result += np.multiply.outer(np.exp(-passed), before)
         return np.asarray(result)
+
+
+def one_sample_later(
+    value: float, time_constant: float, period: float, before: float, late: float, constant: float
+) -> float:
+    """The lagged signal at one sample, in plain numbers; see :class:`FirstOrderLag`.
+
+    ``before``, ``late`` and ``constant`` [s]: signal, lagged signal and time constant of the sample
+    before.
+    """
+    tau = min(max(0.5 * (constant + time_constant), _SHORTEST * period), _LONGEST * period)
+    ratio = period / tau
+    decay, mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
+    return (mean - decay) * before + (1.0 - mean) * value + decay * late
 
 
 def _one_earlier(values: Array) -> Array:

@@ -66,7 +66,9 @@ class ForceStream:
                 f"model '{self.model.name}' has {count} parameters "
                 f"({', '.join(self.model.parameter_names)}): got shape {values.shape}"
             )
-        amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
+        amperes = np.asarray(current, dtype=float)
+        if amperes.shape != motion.velocity.shape:
+            amperes = np.broadcast_to(amperes, motion.velocity.shape)
         with np.errstate(over="ignore", invalid="ignore"):
             force, state = self.model.follow(values, motion, amperes, self._period, self._state)
         return Ahead(force, motion, amperes, state)

@@ -14,7 +14,7 @@ import numpy as np
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, span_of
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
 
@@ -152,7 +152,8 @@ def doubt_of_current_range(current: Array, parameters: ParameterSet, margin: flo
     """Whether the parameters hold for currents (n,) [A]."""
     low, high = parameters.current_range
     allowed = current_allowance(parameters.current_range, margin)
-    if low - allowed <= current.min() and current.max() <= high + allowed:
+    lowest, highest = span_of(current)
+    if low - allowed <= lowest and highest <= high + allowed:
         return NO_DOUBT
     return Doubt(
         DoubtKind.OUT_OF_RANGE,
@@ -178,7 +179,8 @@ def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doub
     largest = parameters.largest_force
     if math.isnan(largest):
         return NO_DOUBT
-    reached = max(float(force.max()), -float(force.min()))
+    lowest, highest = span_of(force)
+    reached = max(highest, -lowest)
     if reached <= (1.0 + margin) * largest:
         return NO_DOUBT
     return Doubt(
@@ -243,5 +245,7 @@ def doubt_of_parameters_age(
 
 def middle(values: Array) -> float:
     """Upper median: of a few values in a tenth of the time that NumPy's median takes."""
+    if values.size == 1:
+        return float(values[0])
     half = values.size // 2
     return float(np.partition(values, half)[half])

@@ -23,6 +23,7 @@ from benchmarks import (
     noise_limit,
     recordings,
     repeated_evolution,
+    step_current,
     switched_current,
     utfsm_left_out,
     utfsm_sixteen,
@@ -58,6 +59,7 @@ KEYS = [
     *("misfit_error_ratio", "scale_chi2", "ar1_error_ratio", "needless_exchanges"),
     *("switched_accepted", "switched_nrmse", "switched_nrmse_ratio"),
     *("switched_drift_scale_error_p95_percent", "cold_start_windows", "cold_start_largest_force"),
+    *("step_current_nrmse_ratio", "step_current_nrmse", "reversal_jump", "reversal_jump_smoothed"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)
@@ -159,6 +161,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "noise_limit": lambda: noise_limit.figures(2, 1000),
         "honest_errors": lambda: honest_errors.figures(6, 2, 8),
         "switched_current": lambda: switched_current.figures(22.0, switched_current.CASES[:1]),
+        "step_current": lambda: step_current.figures(step_current.CASES[:1], (0.2, 1.0), (0.2,)),
         "drift": lambda: drift.figures(8.0),
         "force_step": lambda: force_step.figures((0.5,)),
         "kinematics": lambda: kinematics.figures(1),
@@ -170,6 +173,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         # These need ROS: test/ros/test_node_benchmarks.py.
         "streaming_load": list,
+        "single_sample": list,
         "lossy_link": list,
         "hostile_messages": list,
         "jitter": lambda: jitter.figures(8.0, (10,)),

@@ -10,7 +10,7 @@ from contextlib import closing
 
 import pytest
 
-from benchmarks import lossy_link, streaming_load
+from benchmarks import lossy_link, single_sample, streaming_load
 from benchmarks.network import LossyLink, NetworkError
 from benchmarks.streaming_load import Counter
 
@@ -25,6 +25,15 @@ def test_every_key_of_the_load_is_measured_once() -> None:
         *("cpu_model_percent", "cpu_identifier_percent"),
     ]
     assert all(isinstance(figure.value, (int, float)) for figure in figures)
+
+
+def test_every_key_of_single_samples_is_measured_once() -> None:
+    figures = single_sample.figures(duration=4.0, overload_duration=1.0)
+    assert [figure.key for figure in figures] == [
+        *("single_sample_lost", "single_sample_p99_ratio", "single_sample_cpu_ratio"),
+        "stale_valid",
+    ]
+    assert all(figure.note for figure in figures)
 
 
 def test_a_missing_block_is_counted() -> None:

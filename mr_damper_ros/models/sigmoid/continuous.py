@@ -7,6 +7,7 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.sigmoid.law import Coefficients
+from mr_damper_ros.models.sigmoid.one_sample import follow_one, follow_one_extended
 from mr_damper_ros.models.sigmoid.reversal import REVERSAL_MEMORY, branch_along
 from mr_damper_ros.models.sigmoid.sigmoid_model import ExtendedSigmoidModel, SigmoidModel
 from mr_damper_ros.signals.arrays import Array
@@ -16,6 +17,16 @@ class ContinuousSigmoidModel(SigmoidModel):
     """The sixteen-parameter law without its jumps."""
 
     turning = REVERSAL_MEMORY
+
+    def follow(
+        self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N] of the law; remembered is the branch."""
+        if motion.velocity.size == parameters.ndim == 1:
+            found = follow_one(parameters, motion, current, state)
+            if found is not None:
+                return found
+        return super().follow(parameters, motion, current, period, state)
 
     def _turned(
         self, coefficients: Coefficients, motion: Motion, state: State | None
@@ -27,6 +38,16 @@ class ContinuousExtendedModel(ExtendedSigmoidModel):
     """The extended law without its jumps."""
 
     turning = REVERSAL_MEMORY
+
+    def follow(
+        self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N]; remembered are the branch and what the lags remember."""
+        if motion.velocity.size == parameters.ndim == 1:
+            found = follow_one_extended(parameters, motion, current, period, state)
+            if found is not None:
+                return found
+        return super().follow(parameters, motion, current, period, state)
 
     def _turned(
         self, coefficients: Coefficients, motion: Motion, state: State | None

@@ -66,13 +66,13 @@ _GROWTH_AND_DECAY = np.array([[1.0], [-1.0]])
 
 SCALE_INDICES = np.array([_INDEX[name] for name in SCALE_PARAMETER_NAMES])
 
-_COEFFICIENT_LIMIT = 1e100
+COEFFICIENT_LIMIT = 1e100
 """Coefficients and inputs saturate here, so that no product of them overflows to infinity."""
 
-_EXPONENT_LIMIT = 230.0
+EXPONENT_LIMIT = 230.0
 """exp(230) is about 1e100: beyond it every coefficient has reached its limit anyway."""
 
-_SMALL_ARGUMENT = 1e-6
+SMALL_ARGUMENT = 1e-6
 """Below it tanh(x)/x is 1 to twelve digits, and what is computed of its slope is rounding."""
 
 
@@ -94,7 +94,7 @@ class Coefficients(NamedTuple):
 
 
 def _exp(exponent: Array) -> Array:
-    return np.exp(exponent.clip(-_EXPONENT_LIMIT, _EXPONENT_LIMIT))
+    return np.exp(exponent.clip(-EXPONENT_LIMIT, EXPONENT_LIMIT))
 
 
 def _sigma(x: Array) -> Array:
@@ -108,7 +108,7 @@ def _sigma_derivative(x: Array) -> Array:
 
 def _saturated(x: Array) -> Array:
     # The method: np.clip takes twice the time, which counts for blocks of a few samples.
-    return x.clip(-_COEFFICIENT_LIMIT, _COEFFICIENT_LIMIT)
+    return x.clip(-COEFFICIENT_LIMIT, COEFFICIENT_LIMIT)
 
 
 def _checked(parameters: ArrayLike) -> Array:
@@ -230,12 +230,12 @@ def _half_argument(c: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
 
 def _tanh_ratio(x: Array) -> Array:
     """tanh(x)/x, 1 at 0."""
-    return np.where(np.abs(x) < _SMALL_ARGUMENT, 1.0, _divided(np.tanh(x), x))
+    return np.where(np.abs(x) < SMALL_ARGUMENT, 1.0, _divided(np.tanh(x), x))
 
 
 def _divided(dividend: Array, divisor: Array) -> Array:
     """The quotient, 0 where the divisor is next to it."""
-    small = np.abs(divisor) < _SMALL_ARGUMENT
+    small = np.abs(divisor) < SMALL_ARGUMENT
     return np.where(small, 0.0, dividend / np.where(small, 1.0, divisor))
 
 

@@ -22,7 +22,7 @@ from mr_damper_ros.signals.arrays import Array
 REVERSAL_MEMORY = 2
 """Arrays of the state: the last velocity [m/s] and the last branch."""
 
-_NARROWEST = 1e-9
+NARROWEST = 1e-9
 """A play [m/s] that is narrower is none."""
 
 
@@ -41,7 +41,7 @@ def branch_along(
     else:
         last, branch = before[0].flat[0], before[1]
     changes = np.diff(velocity, prepend=last)
-    steps = np.broadcast_to(changes / np.maximum(np.abs(half_width), _NARROWEST), shape)
+    steps = np.broadcast_to(changes / np.maximum(np.abs(half_width), NARROWEST), shape)
     rising = changes >= 0.0
     found = np.empty(shape)
     # Up to where the velocity turns it goes one way only.

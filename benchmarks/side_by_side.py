@@ -1,0 +1,232 @@
+"""The model node beside a bare relay: both get the same blocks, each in the other's pause."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from mr_damper_msgs.msg import MtsSamples, PredictedForce, SupplyCurrent
+
+from benchmarks import relay
+from benchmarks.processes import ProfiledDomain, start_node
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.messages import current_message, samples_message
+from mr_damper_ros.nodes.spinning import make_executor
+from mr_damper_ros.processes.programs import PATIENCE, Program
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+
+CURRENT = 1.5
+"""[A]."""
+
+_CURRENT_EVERY = 0.1
+_SILENT = 3.0
+"""Seconds without an answer after which no more is waited for."""
+
+_BUSY = "while True: pass"
+
+
+def blocks_of(displacement: Array, force: Array, period: float, size: int) -> list[SampleBlock]:
+    """A stream in blocks, whose stamps count from 0."""
+    return [
+        SampleBlock(
+            round(first * period * NANOSECONDS),
+            first,
+            period,
+            displacement[first : first + size],
+            force[first : first + size],
+        )
+        for first in range(0, displacement.size - size + 1, size)
+    ]
+
+
+class Route:
+    """One of the two ways for a block: the topic it is sent on, and what its answers were.
+
+    By number of the first sample: ``latencies`` [s] from a block's publication, ``ages`` [s] of its
+    last sample, both at the arrival. ``valid`` answers are counted, and named in ``valid_ones``.
+    """
+
+    def __init__(self, node: Any, samples_topic: str, force_topic: str) -> None:
+        self._node = node
+        self._force_topic = force_topic
+        self._sent: dict[int, float] = {}
+        self.latencies: dict[int, float] = {}
+        self.ages: dict[int, float] = {}
+        self.valid_ones: set[int] = set()
+        self._publisher = node.create_publisher(MtsSamples, samples_topic, quality.stream())
+        node.create_subscription(PredictedForce, force_topic, self._hear, quality.stream())
+
+    @property
+    def connected(self) -> bool:
+        """Whether somebody takes the blocks and answers."""
+        return bool(
+            self._publisher.get_subscription_count()
+            and self._node.count_publishers(self._force_topic)
+        )
+
+    @property
+    def subscribers(self) -> int:
+        """Nodes that take the blocks."""
+        return int(self._publisher.get_subscription_count())
+
+    @property
+    def valid(self) -> int:
+        """Valid answers."""
+        return len(self.valid_ones)
+
+    @property
+    def lost(self) -> int:
+        """Blocks without an answer."""
+        return len(self._sent)
+
+    def send(self, block: SampleBlock) -> None:
+        """Publish a block."""
+        message = samples_message(block, "damper")
+        self._sent[block.sequence] = time.monotonic()
+        self._publisher.publish(message)
+
+    def _hear(self, message: PredictedForce) -> None:
+        now, clock = time.monotonic(), time.time()
+        number = message.seq
+        sent = self._sent.pop(number, None)
+        if sent is None:
+            return
+        self.latencies[number] = now - sent
+        taken = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self.ages[number] = clock - taken - len(message.force) * message.period
+        if message.valid:
+            self.valid_ones.add(number)
+
+
+class SideBySide:
+    """A model, a relay and, if asked for, an identifier; blocks are sent from this process.
+
+    ``cores``: where these run, with so many programs that are always ``busy``; None: anywhere.
+    """
+
+    def __init__(
+        self, *, identifier: bool = False, cores: Sequence[int] | None = None, busy: int = 0
+    ) -> None:
+        with ExitStack() as stack:
+            domain = stack.enter_context(closing(ProfiledDomain()))
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            file = Path(folder) / "parameters.yaml"
+            known = ParameterSet(
+                THESIS_28_CELSIUS,
+                set_id=relay.PARAMETER_SET,
+                peak_velocity_range=(0.0, 0.1),
+                current_range=(0.0, 2.0),
+            )
+            file.write_text(known.to_yaml(), encoding="utf-8")
+            with on_cores(cores):
+                self._relay = Program([sys.executable, relay.__file__], domain.environment)
+                stack.callback(self._relay.close)
+                self._model = start_node("model", domain, parameter_file=file)
+                stack.callback(self._model.close)
+            if identifier:
+                stack.callback(start_node("identifier", domain, parameter_file=file).close)
+            os.environ.update(domain.environment)
+            context = rclpy.Context()
+            context.init(domain_id=domain.number)
+            stack.callback(context.try_shutdown)
+            node = rclpy.create_node("driver", context=context)
+            stack.callback(node.destroy_node)
+            self._executor = make_executor(context)
+            self._executor.add_node(node)
+            stack.callback(self._executor.shutdown)
+            self._supply = node.create_publisher(SupplyCurrent, "supply/current", quality.stream())
+            self.model = Route(node, "mts/samples", "damper/predicted_force")
+            self.relay = Route(node, relay.SAMPLES_TOPIC, relay.FORCE_TOPIC)
+            everybody = 2 if identifier else 1
+            self._spin_until(
+                time.monotonic() + PATIENCE,
+                lambda: (
+                    self.model.connected
+                    and self.relay.connected
+                    and self.model.subscribers >= everybody
+                    and self._supply.get_subscription_count() >= everybody
+                ),
+            )
+            with on_cores(cores):
+                for _ in range(busy):
+                    stack.callback(Program([sys.executable, "-c", _BUSY]).close)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> SideBySide:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def cpu_seconds(self) -> tuple[float, float]:
+        """Processor time [s] of the model and of the relay so far."""
+        return self._model.cpu_seconds, self._relay.cpu_seconds
+
+    def send(self, blocks: Sequence[SampleBlock]) -> None:
+        """Send all blocks at their time, and wait for the answers.
+
+        The supply current comes between two blocks: it is a device of its own.
+        """
+        length = blocks[0].sample_count * blocks[0].period
+        start = time.monotonic() + 1.0
+        # A block is sent once its last sample has been taken.
+        taken_ns = time.time_ns() + round((1.0 - length) * NANOSECONDS)
+        currents = max(round(_CURRENT_EVERY / length), 1)
+        for number, block in enumerate(blocks):
+            stamped = replace(block, start_ns=taken_ns + block.start_ns)
+            due = start + length * number
+            if number % currents == 0:
+                self._spin_until(due - 0.25 * length)
+                self._supply.publish(current_message(stamped.start_ns, CURRENT, "damper"))
+            routes = (self.model, self.relay) if number % 2 else (self.relay, self.model)
+            for place, route in enumerate(routes):
+                self._spin_until(due + 0.5 * length * place)
+                route.send(stamped)
+        self._wait_for_answers()
+
+    def _wait_for_answers(self) -> None:
+        last, before = time.monotonic(), self._answers
+        while self.model.lost + self.relay.lost > 0 and time.monotonic() - last < _SILENT:
+            self._spin_until(time.monotonic() + 0.1)
+            if self._answers > before:
+                last, before = time.monotonic(), self._answers
+
+    @property
+    def _answers(self) -> int:
+        return len(self.model.latencies) + len(self.relay.latencies)
+
+    def _spin_until(self, due: float, done: Callable[[], bool] = lambda: False) -> None:
+        while (left := due - time.monotonic()) > 0.0 and not done():
+            self._executor.spin_once(timeout_sec=min(left, 0.1))
+
+
+@contextmanager
+def on_cores(cores: Sequence[int] | None) -> Iterator[None]:
+    """What is started meanwhile runs on these cores alone; None: on any."""
+    if cores is None:
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
