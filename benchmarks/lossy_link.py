@@ -49,8 +49,9 @@ def measure(duration: float, loss: float = LOSS, delay: float = DELAY) -> tuple[
             observer = stack.enter_context(closing(Observer(environment=domain.environment)))
         tally = Tally(observer)
         with link.inside("right"):
-            for name in ("identifier", "model"):
-                stack.enter_context(closing(start_node(name, domain)))
+            stack.enter_context(closing(start_node("identifier", domain)))
+            # What was sent again comes late; here every block's force is to come, late or not.
+            stack.enter_context(closing(start_node("model", domain, newest_first=False)))
         observer.wait_for_publishers("damper/predicted_force")
         observer.wait_for_publishers("damper/fit_report")
         with link.inside("left"):

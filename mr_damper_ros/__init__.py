@@ -18,8 +18,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from mr_damper_ros.estimation.law_choice import LawChoice
     from mr_damper_ros.interface.fit_result import Identification
     from mr_damper_ros.interface.identification import identify
+    from mr_damper_ros.interface.law_comparison import choose_law
     from mr_damper_ros.interface.recorded_stream import follow
     from mr_damper_ros.interface.validation import Validation, validate
     from mr_damper_ros.io.bag_reader import read_bag
@@ -37,6 +39,7 @@ __all__ = [
     "MODELS",
     "ForcePredictor",
     "Identification",
+    "LawChoice",
     "ParameterSet",
     "PredictorSettings",
     "Recording",
@@ -44,6 +47,7 @@ __all__ = [
     "TrackerSettings",
     "Validation",
     "WindowTracker",
+    "choose_law",
     "follow",
     "identify",
     "read_bag",
@@ -57,6 +61,7 @@ _HOMES = {
     "MODELS": "models",
     "ForcePredictor": "tracking.predictor",
     "Identification": "interface.fit_result",
+    "LawChoice": "estimation.law_choice",
     "ParameterSet": "models.parameter_set",
     "PredictorSettings": "tracking.predictor",
     "Recording": "signals.recording",
@@ -64,6 +69,7 @@ _HOMES = {
     "TrackerSettings": "tracking.tracker_settings",
     "Validation": "interface.validation",
     "WindowTracker": "tracking.tracker",
+    "choose_law": "interface.law_comparison",
     "follow": "interface.recorded_stream",
     "identify": "interface.identification",
     "read_bag": "io.bag_reader",

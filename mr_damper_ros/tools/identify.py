@@ -12,6 +12,7 @@ from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.interface.findings import Findings, searches
 from mr_damper_ros.interface.fit_result import MOST_LEFT
 from mr_damper_ros.interface.identification import identify
+from mr_damper_ros.interface.law_comparison import choose_law
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.whole_files import write_text
@@ -27,6 +28,9 @@ from mr_damper_ros.tools.progress import ProgressLine
 
 EXPLAINS_TOO_LITTLE = 3
 """Exit code where the set found leaves more of the force than a reader would accept."""
+
+AUTO = "auto"
+"""In place of a law's name: the one that the bags support."""
 
 _DEFAULTS = EvolutionSettings()
 
@@ -48,10 +52,11 @@ def _parser() -> argparse.ArgumentParser:
     add_run_options(parser)
     parser.add_argument(
         "--model",
-        choices=tuple(MODELS),
+        choices=(*MODELS, AUTO),
         default=DEFAULT_MODEL,
         help="force law (default %(default)s); sigmoid_lag: with the lag of the force, a stiffness "
-        "and an offset as well",
+        "and an offset as well; auto: the simplest of those that predict best what was left out "
+        "of the bags, with a table of all",
     )
     parser.add_argument(
         "--method",
@@ -131,9 +136,20 @@ def _parser() -> argparse.ArgumentParser:
 
 def _identify(options: argparse.Namespace) -> int:
     with ProgressLine() as progress:
+        model = options.model
+        if model == AUTO:
+            choice = choose_law(
+                options.bags,
+                seed=options.seed,
+                workers=options.workers,
+                accept_doubtful=options.accept_doubtful,
+                report=progress,
+            )
+            model = choice.chosen.model
+            print(f"{choice}\n")
         result = identify(
             options.bags,
-            model=options.model,
+            model=model,
             method=options.method,
             start=options.start,
             seed=options.seed,

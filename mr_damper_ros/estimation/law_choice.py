@@ -1,0 +1,286 @@
+"""Which force law the data support: each is judged on motions that it was not fitted to.
+
+Cross-validation over motions: runs of about the same peak velocity are left out together, at all
+their currents. Where there are fewer than three motions, over runs; where there are fewer than
+five runs, over segments of them, for too few would be left to tell how the force depends on the
+current. Among the laws that are not worse than the best one by more than
+one standard error of the difference, nor by what nobody would notice, that with the fewest
+parameters is chosen (the rule of one standard error: Breiman et al., Classification and Regression
+Trees, 1984, section 3.4.3, here on the differences, since some motions are harder than others for
+every law).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.estimation.differential_evolution import (
+    EvolutionSettings,
+    GlobalProgress,
+    Report,
+)
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import known_model
+from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.signals.arrays import Array
+
+MOST_FOLDS = 5
+FEWEST_FOLDS = 3
+_FEWEST_RUNS = 5
+
+_PREDICTS = 0.3
+"""A law that leaves more than this NRMSE on what it has not seen does not predict it."""
+
+_UNNOTICED = 0.01
+"""Part of the best law's error by which another may be behind, however sure that is."""
+
+_SAME_MOTION = 1.1
+"""Peak velocities up to this times the lowest of them count as one motion."""
+
+_SHORTEST_SEGMENT = 200
+"""Samples that a segment of a run has at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """What is fitted, and the places of windows that the fit has not seen."""
+
+    training: tuple[Window, ...]
+    judged: tuple[tuple[Window, slice], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class LawTrial:
+    """A law and its NRMSE on what was left out, fold by fold, shape (k,); infinite: no fit."""
+
+    model: str
+    errors: Array
+
+    @property
+    def nrmse(self) -> float:
+        """Mean over the folds [1]."""
+        return float(np.mean(self.errors))
+
+    @property
+    def parameter_count(self) -> int:
+        """Number of the law's parameters: what makes it simple."""
+        return len(MODELS[self.model].parameters)
+
+    def behind(self, other: LawTrial) -> tuple[float, float]:
+        """By how much the mean error is larger than another law's [1], and its standard error."""
+        if not math.isfinite(self.nrmse):
+            return math.inf, 0.0
+        difference = self.errors - other.errors
+        error = float(np.std(difference, ddof=1)) / math.sqrt(len(difference))
+        return float(np.mean(difference)), error
+
+
+@dataclass(frozen=True, eq=False)
+class LawChoice:
+    """The laws tried, the best first; ``left_out``: what each fold leaves out, in a word."""
+
+    trials: tuple[LawTrial, ...]
+    left_out: str
+
+    @property
+    def best(self) -> LawTrial:
+        """The law with the lowest error on what was left out."""
+        return self.trials[0]
+
+    @property
+    def chosen(self) -> LawTrial:
+        """The simplest law that is as good as the best one, by the rule above."""
+        good = [trial for trial in self.trials if self._is_as_good(trial)]
+        return min(good, key=lambda trial: (trial.parameter_count, trial.nrmse))
+
+    def _is_as_good(self, trial: LawTrial) -> bool:
+        behind, error = trial.behind(self.best)
+        return behind <= max(error, _UNNOTICED * self.best.nrmse)
+
+    def __str__(self) -> str:
+        count = len(self.best.errors)
+        lines = [
+            f"NRMSE on {self.left_out} that were left out ({count} parts, each predicted by the "
+            "set of the others):",
+            f"{'law':<22} {'parameters':>10} {'NRMSE':>8} {'behind the best':>20}",
+        ]
+        for trial in self.trials:
+            name = f"{trial.model:<22} {trial.parameter_count:>10}"
+            if not math.isfinite(trial.nrmse):
+                lines.append(f"{name} {'no fit':>8}")
+                continue
+            behind, error = trial.behind(self.best)
+            told = "" if trial is self.best else f"{behind:+.2%} ± {error:.2%}"
+            lines.append(f"{name} {trial.nrmse:>8.2%} {told:>20}".rstrip())
+        return "\n".join([*lines, self._verdict()])
+
+    def _verdict(self) -> str:
+        if self.best.nrmse > _PREDICTS:
+            return (
+                f"NO LAW PREDICTS WHAT WAS LEFT OUT: {self.chosen.model} is taken, but the choice "
+                "says little; give runs at more amplitudes, frequencies and currents."
+            )
+        if self.chosen is self.best:
+            return f"The data support {self.best.model}."
+        return (
+            f"The data support {self.chosen.model}: {self.best.model}, with more parameters, is "
+            "not better by more than one standard error, or not by anything that counts."
+        )
+
+
+def cross_validate(
+    runs: Sequence[Sequence[Window]],
+    models: Sequence[str] = tuple(MODELS),
+    settings: EvolutionSettings | None = None,
+    report: Report | None = None,
+    processes: ProcessPool | None = None,
+) -> LawChoice:
+    """Compare force laws by cross-validation over the runs, each the windows of one.
+
+    ``models`` are names of laws; ``settings`` those of the global identification; ``report`` hears
+    of the progress, and may stop: the laws that are finished are then compared. The result does not
+    depend on the number of ``processes``.
+
+    Raises ValueError where there is too little to leave a part out, for an unknown law, and where
+    it was stopped before any law was finished.
+    """
+    left_out, parts = folds(runs)
+    tasks = [
+        _Trial(known_model(name).name, fold, settings or EvolutionSettings())
+        for name in models
+        for fold in parts
+    ]
+    follow = _told_to(report, len(tasks)) if report is not None else None
+    found = (processes or ProcessPool()).map(_left_out_error, tasks, follow)
+    trials = []
+    for place, name in enumerate(models):
+        errors = found[place * len(parts) : (place + 1) * len(parts)]
+        finished = [error for error in errors if error is not None and not math.isnan(error)]
+        if len(finished) == len(parts):
+            trials.append(LawTrial(name, np.array(finished)))
+    if not any(math.isfinite(trial.nrmse) for trial in trials):
+        raise ValueError(
+            "no law was compared: the comparison was stopped before the first was finished, or "
+            "none can be fitted to these runs"
+        )
+    return LawChoice(tuple(sorted(trials, key=lambda trial: trial.nrmse)), left_out)
+
+
+def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:
+    """What is left out, "motions", "runs" or "segments", and the folds, three to five.
+
+    Raises ValueError where the runs are too few and too short.
+    """
+    motions = _motions(runs)
+    if len(motions) >= FEWEST_FOLDS:
+        return "motions", _folds_of_groups(motions)
+    if len(runs) >= _FEWEST_RUNS:
+        return "runs", _folds_of_groups([[run] for run in runs])
+    return "segments", _folds_of_segments([window for run in runs for window in run])
+
+
+def _motions(runs: Sequence[Sequence[Window]]) -> list[list[Sequence[Window]]]:
+    """Runs of about the same peak velocity together, by rising peak velocity."""
+    motions: list[list[Sequence[Window]]] = []
+    lowest = 0.0
+    for speed, run in sorted(((_speed(run), run) for run in runs), key=lambda pair: pair[0]):
+        if not motions or speed > _SAME_MOTION * lowest:
+            motions.append([])
+            lowest = speed
+        motions[-1].append(run)
+    return motions
+
+
+def _speed(run: Sequence[Window]) -> float:
+    return max(window.operating_point[0] for window in run)
+
+
+def _folds_of_groups(groups: Sequence[Sequence[Sequence[Window]]]) -> list[Fold]:
+    count = min(len(groups), MOST_FOLDS)
+    dealt = [
+        [window for group in groups[place::count] for run in group for window in run]
+        for place in range(count)
+    ]
+    return [
+        Fold(
+            training=tuple(w for other in dealt if other is not part for w in other),
+            judged=tuple((window, slice(None)) for window in part),
+        )
+        for part in dealt
+    ]
+
+
+def _folds_of_segments(windows: Sequence[Window]) -> list[Fold]:
+    """Each leaves out a part of every window: the first, the second and so on."""
+    shortest = min(window.sample_count for window in windows)
+    count = min(MOST_FOLDS, shortest // _SHORTEST_SEGMENT)
+    if count < FEWEST_FOLDS:
+        raise ValueError(
+            f"a comparison of laws needs {_FEWEST_RUNS} runs, or runs of "
+            f"{FEWEST_FOLDS * _SHORTEST_SEGMENT} samples that parts can be left out of, and the "
+            f"shortest stretch has {shortest}: give more or longer runs, or name the law"
+        )
+    result = []
+    for place in range(count):
+        training: list[Window] = []
+        judged = []
+        for window in windows:
+            edges = np.linspace(0, window.sample_count, count + 1).astype(int).tolist()
+            begin, end = edges[place], edges[place + 1]
+            if begin > 0:
+                training.append(window.part(slice(0, begin)))
+            if end < window.sample_count:
+                training.append(window.part(slice(end, None)))
+            judged.append((window, slice(begin, end)))
+        result.append(Fold(tuple(training), tuple(judged)))
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    model: str
+    fold: Fold
+    settings: EvolutionSettings
+
+
+def _left_out_error(trial: _Trial, tell: Tell) -> float:
+    """NRMSE [1] on what was left out; infinite where there is no fit, NaN where it was stopped."""
+    law, fold = MODELS[trial.model], trial.fold
+
+    def report(progress: GlobalProgress) -> bool:
+        return tell((trial.model, progress.generation / max(progress.generations, 1)))
+
+    try:
+        start = law.initial_values()[0]
+        fit = identify_global(law, fold.training, start, trial.settings, report)
+    except ValueError:
+        return math.inf
+    if fit.stopped:
+        return math.nan
+    found = fit.parameter_set
+    squares = []
+    for window, places in fold.judged:
+        # As in a prediction: the peak velocity within the range that was fitted.
+        force = law.window_force(window.held_within(*found.peak_velocity_range), found.values)
+        residual = (force - window.force)[places]
+        squares.append(float(np.mean(residual**2) / np.var(window.force)))
+    error = math.sqrt(float(np.mean(squares)))
+    return error if math.isfinite(error) else math.inf
+
+
+def _told_to(report: Report, count: int) -> Callable[[int, tuple[str, float]], bool]:
+    done: dict[int, float] = {}
+
+    def hear(place: int, news: tuple[str, float]) -> bool:
+        model, part = news
+        done[place] = part
+        stage = f"comparing laws, {model}, {sum(done.values()) / count:.0%} done"
+        return report(GlobalProgress(stage, 0, 0, math.inf, math.inf))
+
+    return hear

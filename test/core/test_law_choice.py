@@ -1,0 +1,129 @@
+"""The choice of a law by what it predicts that it was not fitted to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.estimation.law_choice import LawChoice, LawTrial, cross_validate, folds
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.signals.arrays import Array
+
+PERIOD = 2e-3
+NOISE = 5.0
+"""Standard deviation of the force's noise [N]."""
+
+CHEAP = ("bingham", "hyperbolic_tangent")
+
+
+def run(values: Array, model: str, amplitude: float, seed: int = 0, samples: int = 1000) -> Window:
+    """Two cycles of 1 Hz at 1 A of a damper of a law."""
+    time = PERIOD * np.arange(samples)
+    displacement = amplitude * np.sin(2.0 * np.pi * time)
+    still = Window.from_samples(displacement, displacement, np.ones(samples), PERIOD)
+    force = MODELS[model].window_force(still, values)
+    force = force + np.random.default_rng(seed).normal(0.0, NOISE, samples)
+    return Window.from_samples(displacement, force, np.ones(samples), PERIOD)
+
+
+def damper(model: str) -> Array:
+    """Usual values of a law at one current."""
+    return MODELS[model].starts(LoopReading(800.0, 300.0, 0.06, 0.01))[0]
+
+
+def trial(model: str, errors: Sequence[float]) -> LawTrial:
+    return LawTrial(model, np.array(errors))
+
+
+def test_motions_are_left_out_with_all_their_runs() -> None:
+    values = damper("bingham")
+    runs = [[run(values, "bingham", a, seed)] for a in (2e-3, 5e-3, 9e-3) for seed in (0, 1)]
+    left_out, parts = folds(runs)
+    assert left_out == "motions"
+    assert [len(part.training) for part in parts] == [4, 4, 4]
+    for part in parts:
+        speeds = {round(window.operating_point[0], 3) for window, _ in part.judged}
+        assert len(speeds) == 1
+
+
+def test_nothing_is_judged_on_what_it_was_fitted_to() -> None:
+    values = damper("bingham")
+    left_out, parts = folds([[run(values, "bingham", 5e-3)]])
+    assert left_out == "segments"
+    for part in parts:
+        ((whole, places),) = part.judged
+        trained = np.concatenate([window.force for window in part.training])
+        assert not np.isin(whole.force[places], trained).any()
+        assert len(trained) + len(whole.force[places]) == whole.sample_count
+
+
+def test_every_sample_is_judged_once() -> None:
+    values = damper("bingham")
+    runs = [[run(values, "bingham", a)] for a in (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3, 7e-3)]
+    _, parts = folds(runs)
+    judged = [id(window) for part in parts for window, _ in part.judged]
+    assert sorted(judged) == sorted(id(window) for (window,) in runs)
+
+
+def test_too_little_to_leave_out_is_refused() -> None:
+    short = run(damper("bingham"), "bingham", 5e-3, samples=500)
+    with pytest.raises(ValueError, match="needs 5 runs, or runs of 600 samples"):
+        folds([[short]])
+
+
+@pytest.mark.parametrize("truth", ["bingham", "hyperbolic_tangent"])
+def test_the_law_of_the_damper_is_chosen(truth: str) -> None:
+    values = damper(truth)
+    runs = [[run(values, truth, amplitude, samples=500)] for amplitude in (2e-3, 5e-3, 9e-3)]
+    assert cross_validate(runs, CHEAP).chosen.model == truth
+
+
+def test_the_simpler_law_is_taken_within_one_standard_error() -> None:
+    choice = LawChoice(
+        (trial("sigmoid", [0.10, 0.14, 0.12]), trial("bingham", [0.12, 0.13, 0.125])), "motions"
+    )
+    assert choice.best.model == "sigmoid"
+    assert choice.chosen.model == "bingham"
+
+
+def test_what_nobody_would_notice_does_not_count() -> None:
+    choice = LawChoice(
+        (trial("sigmoid", [0.1, 0.1, 0.1]), trial("bingham", [0.1001, 0.1001, 0.1001])), "motions"
+    )
+    assert choice.chosen.model == "bingham"
+
+
+def test_a_law_that_is_clearly_behind_is_not_taken() -> None:
+    choice = LawChoice(
+        (trial("sigmoid", [0.10, 0.14, 0.12]), trial("bingham", [0.15, 0.19, 0.175])), "motions"
+    )
+    assert choice.chosen.model == "sigmoid"
+
+
+def test_a_law_that_cannot_be_fitted_is_told_and_not_taken() -> None:
+    choice = LawChoice(
+        (trial("sigmoid", [0.1, 0.1, 0.1]), trial("bingham", [math.inf, 0.1, 0.1])), "motions"
+    )
+    assert choice.chosen.model == "sigmoid"
+    assert "no fit" in str(choice)
+
+
+def test_a_choice_that_says_little_says_so() -> None:
+    assert "NO LAW PREDICTS" in str(LawChoice((trial("bingham", [0.9, 1.1, 1.0]),), "runs"))
+
+
+def test_a_stopped_comparison_says_so() -> None:
+    runs = [[run(damper("bingham"), "bingham", amplitude)] for amplitude in (2e-3, 5e-3, 9e-3)]
+    with pytest.raises(ValueError, match="stopped before the first was finished"):
+        cross_validate(runs, ("sigmoid",), report=lambda progress: False)
+
+
+def test_an_unknown_law_is_refused() -> None:
+    runs = [[run(damper("bingham"), "bingham", amplitude)] for amplitude in (2e-3, 5e-3, 9e-3)]
+    with pytest.raises(ValueError, match="cubic"):
+        cross_validate(runs, ("cubic",))
