@@ -45,6 +45,9 @@ _MB = 1e6
 _SIZE = 1_000_000
 """Of the largest messages [B]."""
 
+_PARAMETER = 70
+"""Bytes of a parameter in a request: its name, and a field for each type of value."""
+
 _WATCHED = 0.5
 """Seconds for which a node is watched after a message, and at least after its last deafness."""
 
@@ -384,11 +387,11 @@ def _parameter_services() -> Iterator[HostileMessage]:
     }
     values = {
         "one parameter over and over": [
-            Parameter("frame_id", value=f"{number}") for number in range(_SIZE // 40)
+            Parameter("frame_id", value=f"{number}") for number in range(_SIZE // _PARAMETER)
         ],
         "a text of 1 MB": [Parameter("frame_id", value="x" * _SIZE)],
         "a name of 1 MB": [Parameter("x" * _SIZE, value=1.0)],
-        "many parameters": [Parameter(f"x{n}", value=1.0) for n in range(_SIZE // 40)],
+        "many parameters": [Parameter(f"x{n}", value=1.0) for n in range(_SIZE // _PARAMETER)],
         "1 MB of numbers": [Parameter("frame_id", value=[1.0] * (_SIZE // 8))],
     }
     for node in _NODES:

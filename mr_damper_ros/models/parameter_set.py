@@ -136,11 +136,7 @@ class ParameterSet:
                 f"largest_force is {self.largest_force}: give a size in newtons, or leave it out"
             )
         for what, text in (("id", self.set_id), ("source", self.source)):
-            if not text.isprintable() or len(text) > _LONGEST_NAME:
-                raise ParameterError(
-                    f"the {what} of the parameters is {text[:40]!a}: give at most "
-                    f"{_LONGEST_NAME} printable characters"
-                )
+            check_name(what, text)
         if not fits_a_stamp(self.stamp_ns):
             raise ParameterError(
                 "the stamp_ns of the parameters is beyond what a stamp can hold (January 2038): "
@@ -328,6 +324,15 @@ class ParameterSet:
             model=model,
             largest_force=_or_nan(document.get("largest_force"), "largest_force"),
             discrepancies=np.array(discrepancies),
+        )
+
+
+def check_name(what: str, text: str) -> None:
+    """Raises ParameterError where a message could not hold a text, or nobody could read it."""
+    if not text.isprintable() or len(text) > _LONGEST_NAME:
+        raise ParameterError(
+            f"the {what} of the parameters is {text[:40]!a}: give at most "
+            f"{_LONGEST_NAME} printable characters"
         )
 
 

@@ -34,6 +34,9 @@ _REPORTS = 10
 _POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
 """Errors of valid forces over the last seconds that deserve a warning, and an error."""
 
+_SHOWN = 100
+"""Characters of a name that are repeated: a message may hold a megabyte of them."""
+
 _HEAD_START = 1e-3
 """Seconds from a force to the rest of the work on its block: on a computer with no processor to
 spare who waits for the force may be put on this one, and would wait for that work, too."""
@@ -151,13 +154,15 @@ class ModelNode(Node):
         source = message.node or "a node that does not say its name"
         trusted = self._options.trusted_source
         if trusted and message.node != trusted:
-            self._refused_parameters = f"they come from {source}, and trusted_source is {trusted}"
+            self._refused_parameters = (
+                f"they come from {source[:_SHOWN]}, and trusted_source is {trusted}"
+            )
             return
         try:
             parameters = check_plausible(parameter_set(message))
         except ParameterError as error:
             self._refused_parameters = str(error)
-            self.get_logger().warning(f"parameters {message.id} are not used: {error}")
+            self.get_logger().warning(f"parameters {message.id[:_SHOWN]} are not used: {error}")
             return
         self._refused_parameters = ""
         self._parameters_from = source

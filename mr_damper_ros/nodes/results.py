@@ -9,7 +9,7 @@ from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, known_model
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, check_name, known_model
 from mr_damper_ros.nodes.messages import header, set_stamp, to_field, to_nanoseconds, to_stamp
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.reports import Report
@@ -44,6 +44,7 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
     Raises ParameterError, with a sentence, where the message cannot be used.
     """
     law = known_model(message.model)
+    check_name("name of the node", message.node)
     if tuple(message.names) != law.parameter_names:
         raise ParameterError(
             f"the parameters of model '{law.name}' must be {', '.join(law.parameter_names)}, "

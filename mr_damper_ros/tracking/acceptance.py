@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numpy as np
-
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.tracking.known_forces import KnownForce, KnownForces
-
-_NO_NOISE = 1e-4
-"""An NRMSE below this is better than any load cell: smaller ones are not told apart."""
+from mr_damper_ros.tracking.usual_residual import SeenResidual, UsualResiduals
 
 _OTHER_SHAPE = 0.3
 """Temperature and wear move the loop of a steady motion by less than this part of the force from
@@ -163,12 +158,13 @@ class Evidence:
 class AcceptanceHistory:
     """What a gatekeeper remembers.
 
-    ``residuals``: RMSE [N] and NRMSE of the newest good windows; ``refused_for_residual``:
-    refusals in a row since; ``pending_change``: relative change of the force that is to be
-    confirmed; ``forces`` known of the damper, and the ``level`` of the running set against them.
+    ``residuals``: RMSE [N] and NRMSE of the newest good windows, with the peak velocity [m/s] and
+    the current [A] where they were kept; ``refused_for_residual``: refusals in a row since;
+    ``pending_change``: relative change of the force that is to be confirmed; ``forces`` known of
+    the damper, and the ``level`` of the running set against them.
     """
 
-    residuals: tuple[tuple[float, float], ...] = ()
+    residuals: tuple[tuple[float, ...], ...] = ()
     refused_for_residual: int = 0
     pending_change: float | None = None
     forces: tuple[KnownForce, ...] = ()
@@ -178,7 +174,6 @@ class AcceptanceHistory:
 class Gatekeeper:
     """Accepts or refuses new sets, with the reason; remembers the usual residual."""
 
-    _MEMORY = 15
     _PATIENCE = 4
     """After so many refusals in a row for the residual the larger residual is the usual one, ..."""
     _PATIENCE_WHERE_KNOWN = 12
@@ -190,7 +185,7 @@ class Gatekeeper:
         """Go on from a history, or begin without one."""
         history = history or AcceptanceHistory()
         self._settings = settings
-        self._residuals = deque(history.residuals, maxlen=self._MEMORY)
+        self._usual = UsualResiduals(SeenResidual(*entry) for entry in history.residuals)
         self._refused_for_residual = history.refused_for_residual
         self._pending_change = history.pending_change
         self._forces = KnownForces(history.forces, history.level)
@@ -199,7 +194,7 @@ class Gatekeeper:
     def history(self) -> AcceptanceHistory:
         """What is remembered now."""
         return AcceptanceHistory(
-            tuple(self._residuals),
+            tuple(each.kept for each in self._usual.seen),
             self._refused_for_residual,
             self._pending_change,
             self._forces.known,
@@ -222,7 +217,8 @@ class Gatekeeper:
         """
         judgement = self._judge(evidence, force, holds, same_motion)
         if judgement.verdict.confirms:
-            self._residuals.append((evidence.rmse_after, evidence.nrmse_after))
+            point = () if force is None else force.operating_point
+            self._usual.add(SeenResidual(evidence.rmse_after, evidence.nrmse_after, *point))
         if force is not None and judgement.verdict.confirms:
             self._forces.follow(force)
         return judgement
@@ -262,10 +258,8 @@ class Gatekeeper:
         What it says leaves no trace: the next window judges again.
         """
         return bool(
-            self._residuals
-            and evidence.nrmse_after <= self._settings.maximum_nrmse
-            and self._excess(evidence.rmse_after, evidence.nrmse_after)
-            <= self._settings.residual_factor
+            self._usual
+            and self.is_usual(evidence.rmse_after, evidence.nrmse_after)
             and evidence.better
             and abs(evidence.force_change) <= self._settings.step_limit
             and not self._forces.changes_too_much(
@@ -281,30 +275,14 @@ class Gatekeeper:
         """Whether a residual, RMSE [N] and NRMSE, is that of samples to identify from."""
         if not nrmse <= self._settings.maximum_nrmse:
             return False
-        return not self._residuals or self._excess(rmse, nrmse) <= self._settings.residual_factor
-
-    def _excess(self, rmse: float, nrmse: float) -> float:
-        """Residual over the usual one.
-
-        A sensor's noise keeps its newtons, a model's error its share of the force: a disturbance
-        exceeds both.
-        """
-        usual_rmse, usual_nrmse = np.median(np.array(self._residuals), axis=0)
-        # A force without noise, as a simulation has it, leaves rounding: that is no measure.
-        spread = rmse / max(nrmse, _NO_NOISE)
-        return float(
-            min(
-                rmse / max(usual_rmse, _NO_NOISE * spread),
-                nrmse / max(usual_nrmse, _NO_NOISE),
-            )
-        )
+        return self._usual.excess(rmse, nrmse) <= self._settings.residual_factor
 
     def _judge(
         self, evidence: Evidence, force: KnownForce | None, holds: bool, same_motion: bool
     ) -> Judgement:
         settings = self._settings
         pending, self._pending_change = self._pending_change, None
-        if not np.isfinite(evidence.nrmse_after):
+        if not math.isfinite(evidence.nrmse_after):
             return Judgement(Verdict.POOR_FIT, "the fit has no finite error: the window is refused")
         if evidence.nrmse_after > settings.maximum_nrmse:
             return Judgement(
@@ -323,9 +301,10 @@ class Gatekeeper:
                 f"{beyond}: check the sensors and their clocks; where the damper is another one "
                 "now, call reset",
             )
-        known = bool(self._residuals)
+        known = bool(self._usual)
         if known:
-            excess = self._excess(evidence.rmse_after, evidence.nrmse_after)
+            point = None if force is None else force.operating_point
+            excess = self._usual.excess(evidence.rmse_after, evidence.nrmse_after, point)
             if excess > settings.residual_factor:
                 self._refused_for_residual += 1
                 # A known force with another residual: the sensor, not the damper.
@@ -342,7 +321,7 @@ class Gatekeeper:
                         "a disturbance or a sensor fault",
                     )
                 # It has lasted: the rig itself has become noisier.
-                self._residuals.clear()
+                self._usual.forget()
         self._refused_for_residual = 0
         # Where the running set was never identified, a set that was serves better.
         if not (evidence.better if holds else evidence.nrmse_after < evidence.nrmse_before):

@@ -21,7 +21,7 @@ _SAMPLE = 0.85
 _CHANCE = 3.0
 """... besides so many standard deviations of noise, which are no error of the prediction."""
 
-_LASTING = 0.75
+_LASTING = 1.0
 """Part of the allowed error that the root mean square over a cycle may reach."""
 
 _MOST_REMEMBERED = 1.5
@@ -52,26 +52,37 @@ class ForceWatch:
         self._square = 0.0
         self._wrong_now = False
         self._wrong = False
-        # Seconds for which it was neither.
-        self._right = 0.0
+        # Seconds for which the forces have been compared without a break.
+        self._compared = 0.0
 
     @property
     def holds(self) -> bool:
-        """Whether the predicted force has been right for the last cycle, by the measured one."""
-        return self._right >= self._time
+        """Whether the predicted force is right, and was over the last cycle, by the measured one.
+
+        A moment in which it was wrong is over with that moment: over the cycle its error counts.
+        """
+        return self._compared >= self._time and not (self._wrong or self._wrong_now)
+
+    @property
+    def allowed(self) -> float:
+        """Error [N] that a sample may have; infinite where no force is measured."""
+        peak = self._recent.peak
+        if self._limit == 0.0 or not peak > 0.0:
+            return math.inf
+        return _SAMPLE * self._limit * peak + _CHANCE * self._noise(peak)
 
     def forget_error(self) -> None:
         """Other parameters: the lasting error of those before says nothing of them.
 
         Where they were wrong these have to show first that they are not.
         """
-        self._square = (_LASTING * self._limit) ** 2 if self._wrong else 0.0
+        if self._wrong:
+            self._square = (_LASTING * self._limit) ** 2
         self._recent.forget_predicted()
-        self._right = 0.0
 
     def forget_moment(self) -> None:
         """The samples do not go on from where the force could be known, or were not judged."""
-        self._square = self._right = 0.0
+        self._square = self._compared = 0.0
         self._wrong_now = self._wrong = False
 
     def judge(self, predicted: Array, measured: Array) -> Doubt:
@@ -85,13 +96,11 @@ class ForceWatch:
         largest = self._follow(predicted, measured, peak)
         if not largest < math.inf:
             return Doubt(DoubtKind.WRONG, "the predicted force has no finite error")
-        doubt = (
+        return (
             self._doubt_of_sensor()
             or self._doubt_of_power()
             or self._doubt_of_error(largest, peak, measured)
         )
-        self._right = 0.0 if doubt else self._right + measured.size * self._period
-        return doubt
 
     def learn(self, predicted: Array, measured: Array, velocity: Array, half_cycle: float) -> None:
         """What only later samples need of these: forces [N] and velocity [m/s], shape (n,)."""
@@ -115,6 +124,7 @@ class ForceWatch:
         square = min(square, (_MOST_REMEMBERED * _LASTING * self._limit) ** 2)
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
+        self._compared += count * self._period
         return largest
 
     def _noise(self, peak: float) -> float:

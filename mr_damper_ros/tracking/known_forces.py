@@ -12,6 +12,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from mr_damper_ros.tracking.reservoir import OperatingPoint
+
 _SAME_VELOCITY = math.log(1.5)
 _SAME_CURRENT = 0.1
 """Forces are comparable within half again the peak velocity and this current [A]."""
@@ -34,6 +36,11 @@ class KnownForce:
     current: float
     size: float
     largest: float
+
+    @property
+    def operating_point(self) -> OperatingPoint:
+        """Peak velocity [m/s] and current [A]."""
+        return self.peak_velocity, self.current
 
 
 class KnownForces:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
-from mr_damper_ros.models.force_stream import Ahead, ForceStream
+from mr_damper_ros.models.force_stream import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array
@@ -18,7 +18,9 @@ from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, Uniform
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
+from mr_damper_ros.tracking.known_sets import KnownSet, KnownSets
 from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Foreseen, Reckoned
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
     Doubt,
@@ -59,46 +61,8 @@ class PredictorSettings(ValiditySettings):
     )
 
 
-class _ForceDoubt(NamedTuple):
-    """Whether the parameters hold for a motion and a current and give a possible force.
-
-    ``speed``: whether its peak velocity is one that was identified.
-    """
-
-    speed: Doubt
-    otherwise: Doubt
-
-
-@dataclass(frozen=True, eq=False)
-class _Reckoned:
-    """Force [N] of a motion at a current, whether it is finite, and why to doubt it."""
-
-    force: Array
-    finite: bool
-    doubt: _ForceDoubt
-
-
-@dataclass(eq=False)
-class _Foreseen:
-    """What was reckoned for the next samples if the sine goes on and the current [A] stays.
-
-    ``motion`` is that of the follower, of which ``first`` samples had come before; ``held`` is what
-    the force was reckoned for. ``count`` samples have been used since.
-    """
-
-    motion: Motion
-    first: int
-    held: Motion
-    current: float
-    ahead: Ahead
-    doubt: _ForceDoubt
-    count: int = 0
-
-    def use(self, came: int) -> Array:
-        """Force [N] of the samples up to that one of the motion."""
-        part = slice(self.count, came - self.first)
-        self.count = came - self.first
-        return self.ahead.force[part]
+_OF_THE_SET = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
+"""Doubts that another set may remove."""
 
 
 class ForcePredictor:
@@ -108,11 +72,13 @@ class ForcePredictor:
         self._settings = settings
         self._parameters: ParameterSet | None = None
         self._confirmed_ns: int | None = None
+        self._known = KnownSets(settings.velocity_margin, gradual=settings.gradual_reversal)
+        self._newest_doubt = NO_DOUBT
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
         self._sequence = UniformGrid(grid)
         self._motion: MotionFollower | None = None
         self._stream: ForceStream | None = None
-        self._foreseen: _Foreseen | None = None
+        self._foreseen: Foreseen | None = None
         self._freshness = Freshness(settings.max_age)
         self._verdicts = VerdictWatch()
         self._watch: ForceWatch | None = None
@@ -153,6 +119,8 @@ class ForcePredictor:
         self._verdicts.forget()
         self._parameters = parameters
         self._confirmed_ns = confirmed_ns
+        half_cycle = math.nan if self._motion is None else self._motion.half_cycle
+        self._known.add(KnownSet(parameters, confirmed_ns, half_cycle))
 
     def confirm(self, set_id: str, stamp_ns: int) -> None:
         """Take note that the set of this name fits the samples up to the stamp."""
@@ -187,8 +155,27 @@ class ForcePredictor:
         unlearned, self._unlearned = self._unlearned, None
         if unlearned is not None and self._watch is not None and self._motion is not None:
             self._watch.learn(*unlearned, self._motion.half_cycle)
+            if self._newest_doubt.kind in _OF_THE_SET and self._known.search_is_due():
+                self._take_another(self._watch)
 
-    def _foresee(self, follower: MotionFollower) -> _Foreseen | None:
+    def _take_another(self, watch: ForceWatch) -> None:
+        """Go on with a set that was for such a motion before, if the measured force says so."""
+        assert self._parameters is not None
+        present = KnownSet(self._parameters, self._confirmed_ns)
+        wrong = self._newest_doubt.kind is DoubtKind.WRONG
+        other = self._known.other_than(present, watch.allowed, wrong=wrong)
+        if other is not None:
+            self._known.use(other)
+        elif wrong and self._known.turns_otherwise(present):
+            other, self._known.gradual = present, not self._known.gradual
+        else:
+            return
+        self._foreseen = None
+        self._parameters, self._confirmed_ns = other.parameters, other.confirmed_ns
+        self._stream = self._known.settled_stream(other)
+        watch.forget_error()
+
+    def _foresee(self, follower: MotionFollower) -> Foreseen | None:
         """Force of the next samples, as far as it can be known already."""
         last, parameters, stream = self._sequence.last, self._parameters, self._stream
         motion, first = follower.foreseen, follower.came
@@ -205,7 +192,7 @@ class ForcePredictor:
         if not np.isfinite(ahead.force).all():
             return None
         doubt = self._doubt_of_force(rest, True, ahead.current, ahead.force)
-        return _Foreseen(motion, first, held, current, ahead, doubt)
+        return Foreseen(motion, first, held, current, ahead, doubt)
 
     def _came(self, block: SampleBlock) -> bool:
         """Whether a block came as foreseen."""
@@ -232,13 +219,13 @@ class ForcePredictor:
 
     def _doubt_of_force(
         self, motion: Motion, steady: bool, current: Array, force: Array
-    ) -> _ForceDoubt:
+    ) -> ForceDoubt:
         assert self._parameters is not None
         settings, parameters = self._settings, self._parameters
-        return _ForceDoubt(
-            doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin),
-            doubt_of_current_range(current, parameters, settings.current_margin)
-            or doubt_of_size(force, parameters, settings.force_margin),
+        return ForceDoubt(
+            doubt_of_current_range(current, parameters, settings.current_margin),
+            doubt_of_size(force, parameters, settings.force_margin)
+            or doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin),
         )
 
     def predict(self, block: SampleBlock, now_ns: int | None = None) -> Prediction:
@@ -270,11 +257,12 @@ class ForcePredictor:
             self._foreseen = None
             self._watch = ForceWatch(block.period, self._settings.maximum_error)
             self._unlearned = None
+            self._known.forget_samples()
         self._learn()
         motion = self._motion.follow(block.displacement)
         if self._foreseen is not None and self._came(block):
             force = self._foreseen.use(self._motion.came)
-            reckoned = _Reckoned(force, True, self._foreseen.doubt)
+            reckoned = Reckoned(force, True, self._foreseen.doubt, self._foreseen.current)
         else:
             self._go_on()
             missing = self._missing(block)
@@ -286,17 +274,18 @@ class ForcePredictor:
             self._stream = None
             sentence = f"the force of {self._parameters.set_id} is beyond what a number can hold"
             return self._invalid(block, Doubt(DoubtKind.NOT_FINITE, sentence), verdict.sentence)
+        self._newest_doubt = self._doubt(block, motion, reckoned)
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
             period=block.period,
             force=reckoned.force,
             set_id=self._parameters.set_id,
-            doubt=self._doubt(block, motion, reckoned) or stale,
+            doubt=self._newest_doubt or stale,
             continuity=verdict.sentence,
         )
 
-    def _doubt(self, block: SampleBlock, motion: Motion, reckoned: _Reckoned) -> Doubt:
+    def _doubt(self, block: SampleBlock, motion: Motion, reckoned: Reckoned) -> Doubt:
         """Why not to rely on the force of a block: what is known of the motion comes first."""
         assert self._motion is not None
         assert self._watch is not None
@@ -309,30 +298,32 @@ class ForcePredictor:
             return settling
         self._unlearned = (reckoned.force, block.force, motion.velocity)
         measured = self._watch.judge(reckoned.force, block.force)
+        half_cycle = self._motion.half_cycle
+        self._known.follow(motion, reckoned.current, block.force, block.period, half_cycle)
         settings, live = self._settings, self._freshness.live
         return (
             doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live)
             or doubt_of_parameters_age(self._confirmed_ns, block.end_ns, settings, live=live)
-            or reckoned.doubt.otherwise
-            # What has been right for a cycle of this motion holds for it, identified or not.
-            or (NO_DOUBT if self._watch.holds else reckoned.doubt.speed)
+            or reckoned.doubt.current
             or measured
-            or self._verdicts.doubt
+            # What has been right for a cycle of this motion holds for it, identified or not, and
+            # whatever the identifier says of windows that it could not fit.
+            or (NO_DOUBT if self._watch.holds else reckoned.doubt.motion or self._verdicts.doubt)
         )
 
-    def _reckon_block(self, motion: Motion, block: SampleBlock) -> _Reckoned:
+    def _reckon_block(self, motion: Motion, block: SampleBlock) -> Reckoned:
         assert self._parameters is not None
         assert self._motion is not None
         parameters, steady = self._parameters, self._motion.steady
         if self._stream is None:
-            law = parameters.law.continuous if self._settings.gradual_reversal else parameters.law
+            law = parameters.law.continuous if self._known.gradual else parameters.law
             self._stream = law.stream(block.period)
             self._begun_at = self._motion.reversals
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         held = motion.held_within(*parameters.peak_velocity_range)
         force = self._stream.follow(parameters.values, held, current)
         doubt = self._doubt_of_force(motion, steady, current, force)
-        return _Reckoned(force, bool(np.isfinite(force).all()), doubt)
+        return Reckoned(force, bool(np.isfinite(force).all()), doubt, current)
 
     def _missing(self, block: SampleBlock) -> Doubt:
         """What a prediction for a block lacks."""

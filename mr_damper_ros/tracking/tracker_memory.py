@@ -186,8 +186,9 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
     )
     yield min(*counts, history.refused_for_residual) >= 0, "a negative count"
     yield abs(memory.changed_ns) < _STAMP_LIMIT, "such a stamp"
-    numbers = [number for pair in history.residuals for number in pair]
-    yield all(map(math.isfinite, numbers)) and min(numbers, default=0.0) >= 0.0, "such a residual"
+    for residual in history.residuals:
+        sound = len(residual) in (2, 4) and all(map(math.isfinite, residual))
+        yield sound and min(residual[:3]) >= 0.0, "such a residual"
     yield len(memory.reservoir) == len(memory.reservoir_points), "a window without its point"
     for fit in memory.baselines:
         yield fit.parameters.shape == (parameter_count,), "another number of parameters"

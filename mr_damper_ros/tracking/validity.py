@@ -132,8 +132,9 @@ class ValiditySettings(CheckedSettings):
     maximum_error: float = option(
         0.2,
         "Error of the predicted force against the measured one, as a part of the latter's recent "
-        "peak, beyond which the force is marked invalid; three quarters where it lasts. 0: the "
-        "measured force is not looked at, for a rig that has no load cell.",
+        "peak, beyond which the force is marked invalid: that of a sample, and the root mean "
+        "square over a cycle. 0: the measured force is not looked at, for a rig that has no load "
+        "cell.",
         minimum=0.0,
         maximum=100.0,
     )

@@ -279,5 +279,35 @@ def test_one_set_for_all_that_is_worse_where_the_damper_is_now_is_refused() -> N
     assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.11)).verdict is Verdict.NO_BETTER
 
 
+# -- what is usual at an operating point ------------------------------------------------------
+
+
+def test_what_a_law_leaves_at_another_operating_point_is_no_disturbance() -> None:
+    gatekeeper = used_to()
+    small = evidence(100.0, 0.12 * SPREAD)
+    assert gatekeeper.judge(small, force(speed=0.006)) == ACCEPTED
+    assert gatekeeper.judge(small, force()).verdict is Verdict.DISTURBED
+
+
+def test_a_gross_residual_is_a_disturbance_at_a_new_operating_point_too() -> None:
+    found = used_to().judge(evidence(400.0, 0.2 * SPREAD), force(speed=0.006))
+    assert found.verdict is Verdict.DISTURBED
+
+
+def test_each_operating_point_keeps_its_own_usual_residual() -> None:
+    gatekeeper = used_to()
+    for _ in range(20):
+        assert gatekeeper.judge(evidence(100.0, 40.0), force(current=0.0)) == ACCEPTED
+    assert gatekeeper.judge(evidence(100.0, 40.0), force()).verdict is Verdict.DISTURBED
+
+
+def test_what_is_usual_where_is_kept() -> None:
+    gatekeeper = used_to()
+    gatekeeper.judge(evidence(100.0, 40.0), force(current=0.0))
+    other = Gatekeeper(AcceptanceSettings(), gatekeeper.history)
+    assert other.judge(evidence(100.0, 40.0), force(current=0.0)) == ACCEPTED
+    assert other.judge(evidence(100.0, 40.0), force()).verdict is Verdict.DISTURBED
+
+
 def test_the_residual_factor_is_used() -> None:
     assert experienced(5.0, residual_factor=5.0).judge(evidence(100.0, 20.0)) == ACCEPTED

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import known
 import numpy as np
 import pytest
 
+from benchmarks.other_dampers import DAMPERS
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -152,12 +157,29 @@ def test_parameters_whose_force_drives_the_motion_are_told_without_a_load_cell()
 # -- size and range --------------------------------------------------------------------------
 
 
+def identified_with(factor: float) -> ParameterSet:
+    """The set, identified where the force was so many times smaller."""
+    return dataclasses.replace(SET, largest_force=float(np.abs(RUN.clean).max()) / factor)
+
+
 @pytest.mark.parametrize(("factor", "kind"), [(1.0, DoubtKind.NONE), (2.0, DoubtKind.TOO_LARGE)])
 def test_a_force_beyond_what_was_measured_is_not_valid(factor: float, kind: DoubtKind) -> None:
-    measured = dataclasses.replace(SET, largest_force=float(np.abs(RUN.clean).max()) / factor)
-    predictions = predicted(parameters=measured)
+    predictions = predicted(parameters=identified_with(factor), maximum_error=0.0)
     assert kind in kinds(predictions, 4000)
     assert kinds(predictions, 4000) <= {DoubtKind.NONE, kind}
+
+
+def test_a_force_that_is_being_measured_is_not_beyond_what_was_measured() -> None:
+    assert kinds(predicted(parameters=identified_with(2.0)), 4000) == {DoubtKind.NONE}
+
+
+def test_a_motion_beyond_the_identified_one_is_not_valid_until_the_force_was_right() -> None:
+    slower = dataclasses.replace(SET, peak_velocity_range=(0.02, 0.03))
+    for maximum_error, kind in ((0.0, DoubtKind.OUT_OF_RANGE), (0.2, DoubtKind.NONE)):
+        predictions = predicted(
+            parameters=slower, velocity_margin=0.01, maximum_error=maximum_error
+        )
+        assert kinds(predictions, 4000) == {kind}
 
 
 @pytest.mark.parametrize(
@@ -167,6 +189,80 @@ def test_the_current_may_leave_its_range_in_proportion_to_its_width(
     current_range: tuple[float, float], allowance: float
 ) -> None:
     assert current_allowance(current_range, 0.1) == pytest.approx(allowance)
+
+
+# -- sets for other motions ------------------------------------------------------------------
+
+
+STAIR = 6000
+
+
+def stair(law: ParameterSet) -> tuple[Array, Array]:
+    """Displacement and force of 5 mm, 1 mm from the sample STAIR on, at 1 Hz and 1 A."""
+    time = np.arange(2 * STAIR) * PERIOD
+    amplitude = np.interp(time, (STAIR * PERIOD, STAIR * PERIOD + 0.1), (5e-3, 1e-3))
+    u = amplitude * np.sin(2.0 * np.pi * time)
+    window = Window.from_samples(u, np.arange(time.size), 1.0, PERIOD)
+    return u, law.law.window_force(window, law.values)
+
+
+@functools.cache
+def sets_of_stair(law: ParameterSet) -> list[ParameterSet]:
+    """What a sixteen-parameter fit finds of each amplitude alone."""
+    u, force = stair(law)
+    found = []
+    parts = {"large": slice(1000, 5000), "small": slice(8000, 12_000)}
+    for age, (name, part) in zip((2, 1), parts.items(), strict=True):
+        window = Window.from_samples(u[part], force[part], 1.0, PERIOD)
+        fit = fit_window(MODELS["sigmoid"], window, known.PLAUSIBLE, method="least_squares")
+        speed = fit.operating_point[0]
+        found.append(
+            dataclasses.replace(
+                SET,
+                values=fit.parameters,
+                set_id=name,
+                peak_velocity_range=(speed, speed),
+                stamp_ns=known.T0 - age * NANOSECONDS,
+            )
+        )
+    return found
+
+
+def predicted_of_stair(law: ParameterSet, *sets: ParameterSet) -> list[Prediction]:
+    """Predictions with these sets, given one after the other before the stream begins."""
+    made = ForcePredictor(PredictorSettings())
+    for each in sets:
+        made.set_parameters(each, each.stamp_ns or None)
+    results = []
+    for block in known.blocks(*stair(law), (20,)):
+        made.add_current(block.start_ns, 1.0)
+        results.append(made.predict(block))
+        made.catch_up()
+    return results
+
+
+BOUC_WEN = DAMPERS["modified_bouc_wen"]
+
+
+def test_where_a_motion_comes_back_its_set_is_used_at_once() -> None:
+    large, small = sets_of_stair(BOUC_WEN)
+    predictions = predicted_of_stair(BOUC_WEN, large, small)
+    used = {(p.set_id, p.valid) for p in predictions[4000 // 20 : STAIR // 20]}
+    assert used == {("large", True)}
+    # The machine takes a tenth of a second to change its amplitude.
+    after = predictions[(STAIR + 500) // 20 :]
+    assert {p.set_id for p in after} == {"small"}
+    # The sixteen leave nearly a tenth of the force of this damper at 1 mm.
+    assert np.mean([p.valid for p in after]) > 0.9
+
+
+@pytest.mark.parametrize("stamp_ns", [0, known.T0 - 3 * NANOSECONDS])
+def test_a_set_that_somebody_chose_is_the_only_one(stamp_ns: int) -> None:
+    large, small = sets_of_stair(BOUC_WEN)
+    chosen = dataclasses.replace(large, set_id="chosen", stamp_ns=stamp_ns)
+    predictions = predicted_of_stair(BOUC_WEN, small, chosen)
+    assert {p.set_id for p in predictions} == {"chosen"}
+    assert not any(p.valid for p in predictions[(STAIR + 1000) // 20 :])
 
 
 # -- motion ----------------------------------------------------------------------------------
@@ -302,8 +398,20 @@ def test_windows_refused_in_a_row_speak_against_the_force(
     assert verdicts(*reports) is kind
 
 
-def test_a_refusal_makes_the_force_invalid_until_other_parameters_come() -> None:
+def test_a_refusal_makes_no_force_invalid_that_the_measured_one_agrees_with() -> None:
     made = ForcePredictor(PredictorSettings())
+    made.set_parameters(SET)
+    for number, block in enumerate(known.blocks(RUN.displacement, RUN.force, (10,))):
+        made.add_current(block.start_ns, 1.0)
+        if number in (400, 450):
+            made.follow_verdict(Verdict.DISTURBED, 0.5, confirms=False)
+        prediction = made.predict(block)
+        made.catch_up()
+        assert prediction.valid or number < 300, prediction.reason
+
+
+def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come() -> None:
+    made = ForcePredictor(PredictorSettings(maximum_error=0.0))
     made.set_parameters(SET)
     made.add_current(known.T0, 1.0)
     results = []
