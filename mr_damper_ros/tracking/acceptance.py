@@ -329,6 +329,9 @@ class Gatekeeper:
                 Verdict.NO_BETTER, "the running set predicts the held-back samples as well"
             )
         change = evidence.force_change
+        if force is not None and not holds:
+            # The running set does not tell what the force was here; that accepted before does.
+            change = min(change, self._forces.change_at(force, otherwise=change), key=abs)
         confirmed = pending is not None and abs(change - pending) <= 0.2 * abs(pending)
         if known and abs(change) > settings.step_limit and not confirmed:
             self._pending_change = change

@@ -84,6 +84,14 @@ class KnownForces:
         """Whether a change of the running set's force by this factor leads beyond the limit."""
         return bool(self._known) and not 1.0 / limit <= self.level * factor <= limit
 
+    def change_at(self, found: KnownForce, otherwise: float) -> float:
+        """Relative change of a force against that known at its operating point.
+
+        Besides the change that the running set has seen elsewhere; ``otherwise`` where it is new.
+        """
+        here = self._nearest(found)
+        return otherwise if here is None else found.size / (here.size * self.level) - 1.0
+
     def follow(self, found: KnownForce) -> None:
         """Take in a force that was accepted; the first of its operating point is kept."""
         here = self._nearest(found)

@@ -6,9 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from mr_damper_ros.estimation.map_estimate import with_prior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Evidence, fault_of_data, too_little_motion
 from mr_damper_ros.tracking.current_parts import judge_parts, parts_by_current
@@ -28,6 +31,9 @@ from mr_damper_ros.tracking.screening import (
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, WindowSummary
 from mr_damper_ros.tracking.trackers import TRACKERS
 from mr_damper_ros.tracking.unscented_filter import FilterState
+
+_NEARER = 0.5
+"""A start that leaves less than this part of what the running set leaves is nearer."""
 
 
 def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> FitResult:
@@ -71,11 +77,11 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         if followed is not None:
             return _fitted(task, window, followed.fit, followed.evidence, followed.state)
         held_back = held_back_samples(window.sample_count, seen_samples(task, window))
-        model = task.model
+        model, start = task.model, _start_of(task, window)
         trained = fit_window(
             model,
             window.part(~held_back),
-            task.start,
+            start,
             method=settings.method,
             robust=settings.robust,
             should_stop=should_stop,
@@ -83,7 +89,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         if task.known:
             part = window.part(~held_back)
             trained = with_prior(
-                model, trained, part, task.start, fastest=task.fastest, robust=settings.robust
+                model, trained, part, start, fastest=task.fastest, robust=settings.robust
             )
         evidence = evidence_of(task, held_back, window, trained.parameters)
         # What is published uses every sample; the held-back part only judged whether to.
@@ -92,7 +98,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         )
         if task.known:
             final = with_prior(
-                model, final, window, task.start, fastest=task.fastest, robust=settings.robust
+                model, final, window, start, fastest=task.fastest, robust=settings.robust
             )
     except ValueError as error:
         return FitResult(fault_of_data(str(error)))
@@ -104,6 +110,21 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         message=trained.message,
     )
     return _fitted(task, window, final, evidence, tracker.begin(final, raw.end_ns))
+
+
+def _start_of(task: FitTask, window: Window) -> Array:
+    """The running set (p,), or that first found at the window's operating point where it is nearer.
+
+    From far away a search may end in another minimum.
+    """
+    baseline = Baselines(task.baselines).get(window.operating_point)
+    if baseline is None:
+        return task.start
+    running, first = (
+        float(np.sum((task.model.window_force(window, each) - window.force) ** 2))
+        for each in (task.start, baseline.parameters)
+    )
+    return baseline.parameters if first < _NEARER**2 * running else task.start
 
 
 def _fitted(

@@ -279,6 +279,19 @@ def test_one_set_for_all_that_is_worse_where_the_damper_is_now_is_refused() -> N
     assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.11)).verdict is Verdict.NO_BETTER
 
 
+def test_a_force_that_is_known_where_the_motion_has_come_back_to_needs_no_confirmation() -> None:
+    gatekeeper = used_to(force(), force(0.3, speed=0.006))
+    # The running set is that of the other motion: half of its force there is no change.
+    judgement = gatekeeper.judge(evidence(400.0, 5.0, -0.7), force(0.31, speed=0.006))
+    assert judgement == ACCEPTED
+
+
+def test_a_large_step_waits_where_the_force_is_known_too() -> None:
+    gatekeeper = used_to(force(), force(0.3, speed=0.006))
+    judgement = gatekeeper.judge(evidence(400.0, 5.0, -0.7), force(0.5, speed=0.006))
+    assert judgement.verdict is Verdict.UNCONFIRMED
+
+
 # -- what is usual at an operating point ------------------------------------------------------
 
 
