@@ -10,8 +10,8 @@ from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
-NODES = ("bridge", "identifier", "model", "replay")
-TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate")
+NODES = ("bridge", "identifier", "live", "model", "replay")
+TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate", "watch")
 
 
 HEAR = ["/usr/bin/env", "--block-signal=INT,TERM"]
@@ -78,7 +78,11 @@ setup(
     maintainer_email="maintainers@example.com",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], f"{NAME}.models": ["*.csv"]},
+    package_data={
+        NAME: ["py.typed"],
+        f"{NAME}.models": ["*.csv"],
+        f"{NAME}.live": ["page/*", "page/vendor/*/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

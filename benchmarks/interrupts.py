@@ -14,12 +14,13 @@ from benchmarks.processes import ProfiledDomain, start_node
 from mr_damper_ros.processes.programs import Program, node_arguments
 from mr_damper_ros.processes.ros_domain import RosDomain
 
-NODES = ("bridge", "identifier", "model", "replay")
+NODES = ("bridge", "identifier", "live", "model", "replay")
 
 _BAG = Path(__file__).parents[1] / "bags" / "5.0mm_1Hz_1.5A"
 
 _OPTIONS: dict[str, dict[str, object]] = {
-    "replay": {"bag": _BAG, "loop": True, "wait_for_subscribers": 0}
+    "live": {"port": 0},
+    "replay": {"bag": _BAG, "loop": True, "wait_for_subscribers": 0},
 }
 
 _APART = {"bridge": "/interrupted", "replay": "/interrupted"}

@@ -2,6 +2,7 @@
 
 ros2 launch mr_damper_ros identify.launch.py
 ros2 launch mr_damper_ros identify.launch.py bag:=/path/to/bag rate:=2.0
+ros2 launch mr_damper_ros identify.launch.py live:=true
 ros2 launch mr_damper_ros identify.launch.py namespace:=left bridge_config:=/path/to/bridge.yaml
 
 It ends some seconds after the bag, and as soon as a node fails, then with exit code 1.
@@ -63,6 +64,12 @@ def arguments() -> list[DeclareLaunchArgument]:
         ),
         argument("namespace", "", "Namespace; one for each damper."),
         argument(
+            "live",
+            "false",
+            "Serve a page that shows the running system; the node live says where.",
+            YES_OR_NO,
+        ),
+        argument(
             "use_sim_time",
             "auto",
             "Take the time from the clock topic; auto: where a bag is played, which provides it.",
@@ -86,7 +93,7 @@ def arguments() -> list[DeclareLaunchArgument]:
                 str(SHARE / "config" / f"{node}.yaml"),
                 f"Parameter file of the {node}.",
             )
-            for node in ("bridge", "replay", "identifier", "model")
+            for node in ("bridge", "replay", "identifier", "model", "live")
         ),
     ]
 
@@ -165,7 +172,8 @@ def nodes(context: LaunchContext) -> list[Node]:
         first = node("replay", play, recorded + clock)
     else:
         first = node("bridge", source)
-    return [first, node("identifier", time, clock), node("model", time, clock)]
+    shown = ["live"] if values["live"].lower() == "true" else []
+    return [first, *(node(name, time, clock) for name in ("identifier", "model", *shown))]
 
 
 def generate_launch_description() -> LaunchDescription:

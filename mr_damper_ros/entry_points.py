@@ -50,6 +50,11 @@ def identifier() -> int:
         worker.close()
 
 
+def live() -> int:
+    """Run the node live."""
+    return _run("live")
+
+
 def model() -> int:
     """Run the node model."""
     return _run("model")

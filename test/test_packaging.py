@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = ("bridge", "identifier", "model", "replay")
-TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate")
+NODES = ("bridge", "identifier", "live", "model", "replay")
+TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate", "watch")
 MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
 
 

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import DamperParameters, FitReport
 from mr_damper_msgs.srv import LoadParameters, SaveParameters
 from rclpy.clock import Clock, ClockType
@@ -24,7 +26,9 @@ from mr_damper_ros.nodes.identifier_parameters import IdentifierParameters
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import (
+    coefficients_message,
     fluid_temperature_message,
+    parameter_numbers_message,
     parameters_message,
     report_message,
 )
@@ -70,6 +74,12 @@ class IdentifierNode(Node):
         self._temperature_publisher = self.create_publisher(
             Temperature,
             "damper/fluid_temperature",
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self._numbers_publisher = self.create_publisher(
+            DiagnosticArray,
+            "damper/identified",
             quality.stream(),
             qos_overriding_options=quality.overridable(),
         )
@@ -163,6 +173,10 @@ class IdentifierNode(Node):
             self._report_publisher.publish(
                 report_message(report, publication.duration, self._frame_id)
             )
+            if np.isfinite(report.coefficients).any():
+                self._numbers_publisher.publish(coefficients_message(report, self._frame_id))
+            if report.verdict is Verdict.ACCEPTED:
+                self.get_logger().info(report.line)
             if publication.parameters is not None:
                 self._publish_parameters(publication.parameters)
 
@@ -170,6 +184,7 @@ class IdentifierNode(Node):
         self._parameters_publisher.publish(
             parameters_message(parameters, self._frame_id, self.get_fully_qualified_name())
         )
+        self._numbers_publisher.publish(parameter_numbers_message(parameters, self._frame_id))
 
     def _save(self, request: Any, response: Any) -> Any:
         try:

@@ -18,6 +18,7 @@ from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.messages import header, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
+from mr_damper_ros.nodes.signal_mirror import SignalMirror
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -82,6 +83,15 @@ class ModelParameters(ParameterTable):
         maximum=10_000.0,
         read_only=True,
     )
+    signals_rate: float = option(
+        100.0,
+        "At most so many messages a second of data on damper/signals: displacement, velocity, "
+        "current, measured and predicted force at one stamp, for plotting tools and the page of "
+        "live; 0 for none.",
+        minimum=0.0,
+        maximum=10_000.0,
+        read_only=True,
+    )
     frame_id: str = option(
         "damper", "Frame of the published forces, x along the rod.", read_only=True
     )
@@ -119,6 +129,12 @@ class ModelNode(Node):
             "damper/predicted_wrench",
             quality.stream(),
             qos_overriding_options=quality.overridable(),
+        )
+        self._signals = SignalMirror(
+            self,
+            self._options.signals_rate,
+            self._options.frame_id,
+            self._predictor.current_at,
         )
         self.create_subscription(
             DamperParameters, "damper/parameters", self._take_parameters, quality.latched()
@@ -223,6 +239,8 @@ class ModelNode(Node):
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
             self._next_wrench_ns = None
+            self._signals.restart()
+        self._signals.publish(prediction, block)
         if prediction.valid:
             self._error.add(prediction.force, block.force, block.period)
             self._mirror(prediction)

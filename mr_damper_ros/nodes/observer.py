@@ -24,13 +24,16 @@ class Observer:
     """
 
     def __init__(
-        self, name: str = "observer", environment: Mapping[str, str] | None = None
+        self,
+        name: str = "observer",
+        environment: Mapping[str, str] | None = None,
+        namespace: str = "",
     ) -> None:
         self._context = rclpy.Context()
         # It is read from there alone.
         os.environ.update(environment or {})
         self._context.init()
-        self.node = rclpy.create_node(name, context=self._context)
+        self.node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 

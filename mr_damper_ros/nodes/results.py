@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
@@ -105,6 +107,42 @@ def fluid_temperature_message(report: Report, frame_id: str) -> Temperature:
         temperature=report.fluid.celsius,
         variance=report.fluid.standard_error**2,
     )
+
+
+def coefficients_message(report: Report, frame_id: str) -> DiagnosticArray:
+    """The coefficients of a report as named numbers, for plotting tools."""
+    errors = report.coefficient_errors
+    named = zip(report.coefficient_names, report.coefficients, errors, strict=True)
+    return _named_numbers("coefficients", report.set_id, report.stamp_ns, frame_id, named)
+
+
+def parameter_numbers_message(parameters: ParameterSet, frame_id: str) -> DiagnosticArray:
+    """The parameters of a set as named numbers, for plotting tools."""
+    errors = np.where(parameters.observable, parameters.standard_errors, np.nan)
+    named = zip(parameters.law.parameter_names, parameters.values, errors, strict=True)
+    return _named_numbers("parameters", parameters.set_id, parameters.stamp_ns, frame_id, named)
+
+
+def _named_numbers(
+    kind: str,
+    set_id: str,
+    stamp_ns: int,
+    frame_id: str,
+    named: Iterable[tuple[str, float, float]],
+) -> DiagnosticArray:
+    """Plotting tools know this message: each of its pairs is a curve, called by its key.
+
+    An error is called as its value, with ``_error`` after it; those that are not known are left
+    out.
+    """
+    pairs = [pair for name, x, error in named for pair in ((name, x), (f"{name}_error", error))]
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.OK,
+        name=kind,
+        message=set_id,
+        values=[KeyValue(key=key, value=f"{x:.9g}") for key, x in pairs if np.isfinite(x)],
+    )
+    return DiagnosticArray(header=header(stamp_ns, frame_id), status=[status])
 
 
 class PredictionMessage:

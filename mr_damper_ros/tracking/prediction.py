@@ -4,22 +4,51 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.uniform_grid import Placed
 from mr_damper_ros.tracking.validity import Doubt
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Predicted force [N], shape (n,), of the block's samples; ``doubt`` tells why not valid."""
+    """Predicted force [N], shape (n,), of the block's samples; ``doubt`` tells why not valid.
+
+    ``velocity`` [m/s], shape (n,), is what was estimated of the motion; NaN where nothing was.
+    """
 
     start_ns: int
     sequence: int
     period: float
     force: Array
+    velocity: Array
     set_id: str
     doubt: Doubt
     continuity: str
+
+    @classmethod
+    def without_force(
+        cls,
+        block: SampleBlock,
+        set_id: str,
+        doubt: Doubt,
+        continuity: str,
+        velocity: Array | None = None,
+    ) -> Prediction:
+        """That of a block for which there is no force: NaN at every sample."""
+        unknown = np.full(block.sample_count, np.nan)
+        return cls(
+            start_ns=block.start_ns,
+            sequence=block.sequence,
+            period=block.period,
+            force=unknown,
+            velocity=unknown if velocity is None else velocity,
+            set_id=set_id,
+            doubt=doubt,
+            continuity=continuity,
+        )
 
     @property
     def valid(self) -> bool:
@@ -38,4 +67,5 @@ class Prediction:
             start_ns=placed.stamp_ns,
             sequence=placed.arrived.sequence,
             force=self.force[placed.bridged :],
+            velocity=self.velocity[placed.bridged :],
         )

@@ -138,6 +138,12 @@ class ForcePredictor:
         """Add a value of the supply current [A]; raises CurrentError for one that is not finite."""
         self._current.add(stamp_ns, current)
 
+    def current_at(self, stamp_ns: int) -> float:
+        """Supply current [A] that holds at a stamp; NaN where none is known."""
+        if not self._current.known_from(stamp_ns):
+            return np.nan
+        return float(self._current.at(stamp_ns, 1.0, 1)[0])
+
     def catch_up(self) -> None:
         """Learn from the last block what only the predictions after it need.
 
@@ -267,19 +273,21 @@ class ForcePredictor:
             self._go_on()
             missing = self._missing(block)
             if missing:
-                return self._invalid(block, missing, verdict.sentence)
+                return self._invalid(block, missing, verdict.sentence, motion.velocity)
             reckoned = self._reckon_block(motion, block)
         assert self._parameters is not None
         if not reckoned.finite:
             self._stream = None
             sentence = f"the force of {self._parameters.set_id} is beyond what a number can hold"
-            return self._invalid(block, Doubt(DoubtKind.NOT_FINITE, sentence), verdict.sentence)
+            not_finite = Doubt(DoubtKind.NOT_FINITE, sentence)
+            return self._invalid(block, not_finite, verdict.sentence, motion.velocity)
         self._newest_doubt = self._doubt(block, motion, reckoned)
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
             period=block.period,
             force=reckoned.force,
+            velocity=motion.velocity,
             set_id=self._parameters.set_id,
             doubt=self._newest_doubt or stale,
             continuity=verdict.sentence,
@@ -373,13 +381,8 @@ class ForcePredictor:
             speed = max(speed, self._motion.usual_peak_velocity)
         return speed
 
-    def _invalid(self, block: SampleBlock, doubt: Doubt, continuity: str) -> Prediction:
-        return Prediction(
-            start_ns=block.start_ns,
-            sequence=block.sequence,
-            period=block.period,
-            force=np.full(block.sample_count, np.nan),
-            set_id=self._parameters.set_id if self._parameters else "",
-            doubt=doubt,
-            continuity=continuity,
-        )
+    def _invalid(
+        self, block: SampleBlock, doubt: Doubt, continuity: str, velocity: Array | None = None
+    ) -> Prediction:
+        set_id = self._parameters.set_id if self._parameters else ""
+        return Prediction.without_force(block, set_id, doubt, continuity, velocity)

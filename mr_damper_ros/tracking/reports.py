@@ -54,6 +54,20 @@ class Report:
         """Whether a new set is in use since this report."""
         return self.verdict.accepted
 
+    @property
+    def line(self) -> str:
+        """The set in use and what it is good for, in one line; what is not known is left out."""
+        figures = (
+            (1e3 * self.amplitude, "{:.3g} mm"),
+            (self.frequency, "{:.3g} Hz"),
+            (self.current, "{:.3g} A"),
+            (self.temperature, "{:.1f} °C"),
+            (self.scale.value, f"force scale {{:.3f}} ± {self.scale.standard_error:.3f}"),
+        )
+        known = [text.format(value) for value, text in figures if math.isfinite(value)]
+        nrmse = f"NRMSE {self.nrmse_before:.2%} -> {self.nrmse_after:.2%}"
+        return f"{self.set_id} is in use: " + ", ".join([nrmse, *known])
+
 
 def report_of_window(
     task: FitTask, result: FitResult, judgement: Judgement, set_id: str, *, global_due: bool

@@ -121,3 +121,10 @@ def test_nothing_is_told_of_a_window_that_was_not_fitted() -> None:
     assert np.isnan(report.coefficients).all()
     assert report.method == "least_squares"
     assert report.current == pytest.approx(1.0)
+
+
+def test_a_line_says_what_is_in_use_and_leaves_out_what_is_not_known() -> None:
+    report = followed(tracker(WEAK), window())
+    assert report.line.startswith("window-1 is in use: NRMSE ")
+    assert "5 mm" in report.line
+    assert "nan" not in report.line

@@ -50,6 +50,10 @@ def test_without_a_bag_the_bridge_gives_data_in_real_time(description: list[Any]
     assert nodes["model"].parameters[1] == {"use_sim_time": False}
 
 
+def test_the_page_is_served_where_it_is_asked_for(description: list[Any]) -> None:
+    assert list(by_name(description, live="true")) == ["bridge", "identifier", "model", "live"]
+
+
 def test_a_bag_is_played_with_its_time(description: list[Any]) -> None:
     nodes = by_name(description, bag=str(BAG))
     assert list(nodes) == ["replay", "identifier", "model"]

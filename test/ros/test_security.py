@@ -72,6 +72,16 @@ def test_a_node_is_allowed_exactly_what_it_does(start: Any, listener: Listener, 
     assert done(listener, node) == wanted
 
 
+def test_live_is_allowed_exactly_what_it_does(start: Any, listener: Listener) -> None:
+    start("live", port=0, use_sim_time=True)
+    wanted = allowed("live")
+    listener.until(
+        lambda: all(wanted[what] <= names for what, names in done(listener, "live").items()),
+        f"all that the policy allows: {wanted}",
+    )
+    assert done(listener, "live") == wanted
+
+
 def test_replay_is_allowed_what_it_does_with_the_inputs_of_a_bag(
     start: Any, listener: Listener
 ) -> None:
@@ -90,4 +100,4 @@ def test_every_node_has_an_enclave_of_its_own() -> None:
     root = ElementTree.parse(POLICY).getroot()
     assert (root.tag, root.get("version")) == ("policy", "0.2.0")
     paths = [enclave.get("path") for enclave in root.findall("enclaves/enclave")]
-    assert paths == [f"/mr_damper/{node}" for node in (*NODES, "replay")]
+    assert sorted(paths) == sorted(f"/mr_damper/{node}" for node in (*NODES, "live", "replay"))

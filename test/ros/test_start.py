@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from support import assert_one_sentence, installed_programs
 
-NODES = ("bridge", "identifier", "model", "replay")
+NODES = ("bridge", "identifier", "live", "model", "replay")
 
 WITHOUT = """
 import sys

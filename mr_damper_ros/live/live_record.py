@@ -1,0 +1,285 @@
+"""What is known of a running system: the newest signals, windows, parameters and diagnostics.
+
+A node fills it, any number of viewers read it, each as fast as it can: they ask for what came after
+the row that they have. Nothing is kept for a viewer, so that none costs memory or delays another.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import secrets
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from mr_damper_ros.live.rolling_table import RollingTable
+from mr_damper_ros.signals.arrays import Array
+
+SIGNALS = (
+    *("time", "displacement", "velocity", "current"),
+    *("measured_force", "predicted_force", "force_error", "valid"),
+)
+"""Columns of the table ``signals`` after the index, in SI units; ``valid`` is 1 or 0."""
+
+WINDOWS = (
+    *("time", "nrmse_before", "nrmse_after", "force_scale", "force_scale_error"),
+    *("temperature", "fluid_temperature", "fluid_temperature_error", "current", "peak_velocity"),
+    *("amplitude", "frequency", "fit_duration", "verdict", "accepted"),
+)
+"""Columns of the table ``windows``; ``accepted`` is 1 or 0."""
+
+SIGNALS_KEPT = 6000
+WINDOWS_KEPT = 2000
+SETS_KEPT = 1000
+SENTENCES_KEPT = 200
+CONCERNS_KEPT = 200
+"""Names of diagnostics; nodes that come and go must not fill the memory."""
+
+_JUMP = 1.0
+"""Stamps that fall back by more than this [s] are those of another recording."""
+
+
+@dataclass(frozen=True)
+class WindowSeen:
+    """What became of a window; times [s] since the epoch, by the data's stamps."""
+
+    figures: Mapping[str, float]
+    """By the names of :data:`WINDOWS`; what is missing is not known."""
+    verdict: str
+    reason: str
+    parameter_set: str
+    accepted: bool
+    coefficients: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Value and standard error by name."""
+
+
+@dataclass(frozen=True)
+class SetSeen:
+    """A parameter set in use; the arrays have one entry per parameter."""
+
+    time: float
+    set_id: str
+    model: str
+    source: str
+    node: str
+    nrmse: float
+    names: Sequence[str]
+    units: Sequence[str]
+    values: Sequence[float]
+    standard_errors: Sequence[float]
+    observable: Sequence[bool]
+    peak_velocity_range: tuple[float, float]
+    current_range: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Concern:
+    """A diagnostic: ``level`` 0 good, 1 warning, 2 error, 3 stale."""
+
+    name: str
+    level: int
+    message: str
+    values: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of a table, of which run and shape, with the names of the columns."""
+
+    generation: int
+    columns: tuple[str, ...]
+    values: Array
+
+
+class LiveRecord:
+    """Collects what comes; all methods may be called from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        # Not those of the process before: a viewer that stays asks this one, too.
+        self._generations = secrets.randbits(31)
+        self._tables: dict[str, tuple[int, RollingTable]] = {}
+        self._sentences: deque[tuple[int, bytes]] = deque(maxlen=SENTENCES_KEPT)
+        self._windows_seen = 0
+        self._last_window: WindowSeen | None = None
+        self._set: SetSeen | None = None
+        self._concerns: dict[str, Concern] = {}
+        self._events: deque[str] = deque(maxlen=SENTENCES_KEPT)
+        self._origin = math.nan
+        self._last_time = -math.inf
+        self._heard: float | None = None
+        self._fluid = (math.nan, math.nan)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._tables = {}
+        self._add_table("signals", RollingTable(SIGNALS, SIGNALS_KEPT))
+        self._add_table("windows", RollingTable(WINDOWS, WINDOWS_KEPT, thins=True))
+        self._origin = math.nan
+        self._last_time = -math.inf
+
+    def _add_table(self, name: str, table: RollingTable) -> None:
+        self._generations += 1
+        self._tables[name] = (self._generations, table)
+
+    def add_signals(
+        self,
+        time_s: float,
+        displacement: float,
+        velocity: float,
+        current: float,
+        measured: float,
+        predicted: float,
+        *,
+        valid: bool,
+    ) -> None:
+        """Add what was measured and predicted at one stamp [s]; SI units."""
+        row = (time_s, displacement, velocity, current, measured, predicted)
+        with self._lock:
+            if time_s < self._last_time - _JUMP:
+                self._begin()
+            if math.isnan(self._origin):
+                self._origin = time_s
+            self._last_time = time_s
+            self._heard = time.monotonic()
+            self._tables["signals"][1].append((*row, predicted - measured, float(valid)))
+
+    def add_fluid_temperature(self, celsius: float, error: float) -> None:
+        """Take note of the temperature [°C] that the force of the next window tells."""
+        with self._lock:
+            self._fluid = (celsius, error)
+
+    def add_window(self, window: WindowSeen) -> None:
+        """Add what became of a window."""
+        figures = {
+            "fluid_temperature": self._fluid[0],
+            "fluid_temperature_error": self._fluid[1],
+            "accepted": float(window.accepted),
+            **window.figures,
+        }
+        with self._lock:
+            self._fluid = (math.nan, math.nan)
+            self._tables["windows"][1].append([figures.get(name, math.nan) for name in WINDOWS])
+            self._windows_seen += 1
+            self._last_window = window
+            told = {
+                **figures,
+                "number": self._windows_seen,
+                "verdict": window.verdict,
+                "reason": window.reason,
+                "accepted": window.accepted,
+                "parameter_set": window.parameter_set,
+            }
+            self._sentences.append((self._windows_seen, _json(told)))
+            if window.coefficients:
+                pairs = window.coefficients
+                self._trace("coefficients", figures.get("time", math.nan), pairs, WINDOWS_KEPT)
+
+    def set_parameters(self, seen: SetSeen) -> None:
+        """Take note of the set in use from now on."""
+        pairs = {
+            name: (value, error if determined else math.nan)
+            for name, value, error, determined in zip(
+                seen.names, seen.values, seen.standard_errors, seen.observable, strict=True
+            )
+        }
+        with self._lock:
+            self._set = seen
+            self._trace("parameters", seen.time, pairs, SETS_KEPT)
+
+    def _trace(
+        self, name: str, time_s: float, pairs: Mapping[str, tuple[float, float]], capacity: int
+    ) -> None:
+        """Add values with their errors to a table that has two columns for each of these names."""
+        columns = ("time", *pairs, *(f"{key}_error" for key in pairs))
+        _, table = self._tables.get(name, (0, None))
+        if table is None or table.columns[1:] != columns:
+            table = RollingTable(columns, capacity, thins=True)
+            self._add_table(name, table)
+        values = [value for value, _ in pairs.values()]
+        errors = [error for _, error in pairs.values()]
+        table.append((time_s, *values, *errors))
+
+    def add_concern(self, concern: Concern) -> None:
+        """Take note of how something stands."""
+        with self._lock:
+            if concern.name in self._concerns or len(self._concerns) < CONCERNS_KEPT:
+                self._concerns[concern.name] = concern
+
+    def add_event(self, sentence: str) -> None:
+        """Take note of what was done from here."""
+        with self._lock:
+            self._events.append(sentence)
+
+    def rows(self, name: str, after: int, generation: int) -> Rows | None:
+        """Rows of a table after that of a number; all where ``generation`` is another one's.
+
+        None where there is no such table (yet).
+        """
+        with self._lock:
+            if name not in self._tables:
+                return None
+            present, table = self._tables[name]
+            return Rows(present, table.columns, table.after(after if generation == present else -1))
+
+    @property
+    def parameters(self) -> SetSeen | None:
+        """The set in use; None before the first."""
+        return self._set
+
+    @property
+    def last_window(self) -> WindowSeen | None:
+        """What became of the last window; None before the first."""
+        return self._last_window
+
+    @property
+    def concerns(self) -> list[Concern]:
+        """The newest diagnostics, by name."""
+        with self._lock:
+            return sorted(self._concerns.values(), key=lambda concern: concern.name)
+
+    @property
+    def silence(self) -> float:
+        """Seconds since the last signals; infinite before the first."""
+        return math.inf if self._heard is None else time.monotonic() - self._heard
+
+    def status(self, windows_after: int) -> bytes:
+        """All that is no table, as JSON: what the page asks for now and then.
+
+        ``windows_after``: number of the last window that the viewer knows.
+        """
+        with self._lock:
+            tables = {
+                name: {"generation": generation, "next": table.next_index}
+                for name, (generation, table) in self._tables.items()
+            }
+            sentences = [text for number, text in self._sentences if number > windows_after]
+            seen, events = self._set, list(self._events)
+        parts = {
+            "tables": _json(tables),
+            "set": _json(None if seen is None else vars(seen)),
+            "concerns": _json([vars(concern) for concern in self.concerns]),
+            "events": _json(events),
+            "silence": _json(self.silence),
+            "origin": _json(self._origin),
+            "windows": b"[" + b",".join(sentences) + b"]",
+        }
+        return b"{" + b",".join(b'"%s":%s' % (k.encode(), v) for k, v in parts.items()) + b"}"
+
+
+def _json(value: object) -> bytes:
+    """JSON, in which what is no number is null."""
+    return json.dumps(_known(value), separators=(",", ":"), allow_nan=False).encode()
+
+
+def _known(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _known(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_known(item) for item in value]
+    return value

@@ -1,0 +1,168 @@
+// Charts of the page: loops and lines over time, drawn by uPlot in the colours of the style sheet.
+
+const DASH = { solid: [], dashed: [7, 5], dotted: [2, 4] };
+
+function style(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+}
+
+function axis(label, size) {
+  return {
+    label, labelSize: label ? 18 : 0, size, gap: 3, labelGap: 0,
+    stroke: style("soft"), font: "11px system-ui, sans-serif", labelFont: "11px system-ui, sans-serif",
+    grid: { stroke: style("grid"), width: 1 }, ticks: { stroke: style("grid"), size: 4 },
+    values: (_, marks) => marks.map((mark) => short(mark)),
+  };
+}
+
+/** A number in few letters, for axes and captions. */
+export function short(value, digits = 4) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  const text = size >= 1e5 || size < 1e-3 ? value.toExponential(Math.max(digits - 2, 1))
+    : value.toPrecision(digits);
+  return text.includes("e") ? text.replace(/\.?0+e/, "e").replace("e+", "e")
+    : text.includes(".") ? text.replace(/\.?0+$/, "") : text;
+}
+
+function padded(low, high) {
+  if (!(low <= high)) return [0, 1];
+  const room = high > low ? 0.06 * (high - low) : Math.max(0.05 * Math.abs(low), 1e-9);
+  return [low - room, high + room];
+}
+
+function extent(lists) {
+  let low = Infinity, high = -Infinity;
+  for (const list of lists) {
+    for (const value of list) {
+      if (value !== null && value < low) low = value;
+      if (value !== null && value > high) high = value;
+    }
+  }
+  return [low, high];
+}
+
+/** What both kinds have: a plot that fills its place and is made anew in other colours. */
+class Chart {
+  constructor(place, options) {
+    this.place = place;
+    this.options = options;
+    this.data = null;
+    new ResizeObserver(() => this.resize()).observe(place);
+  }
+
+  resize() {
+    const width = this.place.clientWidth, height = this.place.clientHeight;
+    if (this.plot && width && height) this.plot.setSize({ width, height });
+  }
+
+  recolour() {
+    this.plot?.destroy();
+    this.plot = null;
+    if (this.data) this.show(this.data);
+  }
+
+  get canvas() { return this.plot?.root.querySelector("canvas"); }
+
+  size() { return { width: this.place.clientWidth || 300, height: this.place.clientHeight || 150 }; }
+}
+
+/** Curves that run back and forth: data is a list of [x, y], in the order of options.lines. */
+export class LoopChart extends Chart {
+  show(data) {
+    this.data = data;
+    const all = [null, ...data];
+    if (this.plot) this.plot.setData(all);
+    else this.plot = new uPlot(this.described(), all, this.place);
+  }
+
+  described() {
+    const { x, y, lines } = this.options;
+    const range = (k) => () => padded(...extent(this.data.map((pair) => pair[k])));
+    return {
+      ...this.size(), mode: 2, legend: { show: false }, cursor: { show: false },
+      scales: { x: { time: false, range: range(0) }, y: { range: range(1) } },
+      axes: [axis(x, 30), axis(y, 48)],
+      hooks: { drawClear: [(u) => u.series.forEach((s, i) => { if (i) s._paths = null; })] },
+      series: [{}, ...lines.map((line) => ({
+        facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }],
+        stroke: style(line.colour), paths: (u, i) => this.draw(u, i, line),
+      }))],
+    };
+  }
+
+  draw(u, index, line) {
+    const [xs, ys] = u.data[index], { ctx, bbox } = u, ratio = devicePixelRatio;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.strokeStyle = style(line.colour);
+    ctx.lineWidth = line.width * ratio;
+    ctx.lineJoin = "round";
+    ctx.setLineDash(DASH[line.dash].map((part) => part * ratio));
+    ctx.beginPath();
+    let drawing = false;
+    for (let k = 0; k < xs.length; k++) {
+      if (xs[k] === null || ys[k] === null) { drawing = false; continue; }
+      const px = u.valToPos(xs[k], "x", true), py = u.valToPos(ys[k], "y", true);
+      if (drawing) ctx.lineTo(px, py); else ctx.moveTo(px, py);
+      drawing = true;
+    }
+    ctx.stroke();
+    ctx.restore();
+    return null;
+  }
+}
+
+/** Lines over time: data is [times, values, ...]; a line with `band` has [low, high] after all lines. */
+export class TimeChart extends Chart {
+  show(data) {
+    this.data = data;
+    if (this.plot) this.plot.setData(data);
+    else this.plot = new uPlot(this.described(), data, this.place);
+  }
+
+  described() {
+    const { y, lines, points, time } = this.options;
+    const series = lines.map((line) => ({
+      label: line.label, stroke: style(line.colour), width: line.width, dash: DASH[line.dash],
+      spanGaps: Boolean(points),
+      points: { show: Boolean(points), size: 5, width: 1.2, stroke: style(line.colour),
+        fill: line.dash === "solid" ? style(line.colour) : style("card") },
+      value: (_, value) => short(value, 5),
+    }));
+    const bands = [];
+    for (const [k, line] of lines.entries()) {
+      if (!line.band) continue;
+      const first = series.length + 1;
+      for (const edge of ["less", "more"]) {
+        series.push({ label: `${lines[k].label} ${edge} its error`, stroke: "transparent",
+          spanGaps: Boolean(points), points: { show: false } });
+      }
+      bands.push({ series: [first + 1, first], fill: `${style(line.colour)}33` });
+    }
+    return {
+      ...this.size(), legend: { show: false }, bands,
+      cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
+      scales: {
+        x: { time: false, range: (_, low, high) => (low < high ? [low, high] : [low - 1, high + 1]) },
+        y: { range: () => padded(...extent(this.data.slice(1))) },
+      },
+      axes: [{ ...axis("", 24), values: (_, marks) => marks.map(time) }, axis(y, y === "" ? 48 : 48)],
+      series: [{ label: "time", value: (_, value) => time(value) }, ...series],
+      hooks: { setCursor: [(u) => this.tell(u)] },
+    };
+  }
+
+  /** Say in the caption what lies under the pointer. */
+  tell(u) {
+    const caption = this.place.parentElement.querySelector("output");
+    const k = u.cursor.idx;
+    if (!caption) return;
+    if (k === null || k === undefined) { caption.value = this.resting ?? ""; return; }
+    const values = this.options.lines.map((line, n) => short(u.data[n + 1][k]));
+    caption.value = `${values.join(" / ")} at ${this.options.time(u.data[0][k])}`;
+  }
+}

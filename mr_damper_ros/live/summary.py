@@ -1,0 +1,89 @@
+"""How a running system stands, in lines for a terminal."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mr_damper_ros.live.live_record import LiveRecord
+
+_SIGNS = ("+", "!", "x", "?")
+"""Of the levels good, warning, error and stale."""
+
+_ERROR_OVER = 500
+"""Samples that the present error is taken over."""
+
+
+def summary(record: LiveRecord, width: int = 80) -> str:
+    """The newest signals, window, set and diagnostics; no line is longer than ``width``."""
+    parts = (_signals(record), _window(record), _parameters(record), _concerns(record))
+    return "\n".join(line[:width] for lines in parts for line in (*lines, "")).rstrip("\n")
+
+
+def _signals(record: LiveRecord) -> list[str]:
+    rows = record.rows("signals", -1, -1)
+    if rows is None or len(rows.values) == 0:
+        return ["no signals yet: is the node model running, in this namespace?"]
+    named = dict(zip(rows.columns, rows.values[-_ERROR_OVER:].T, strict=True))
+    now = {name: float(column[-1]) for name, column in named.items()}
+    head = "live" if record.silence < 2.0 else f"silent for {record.silence:.0f} s"
+    valid = "valid" if now["valid"] else "not to be relied on"
+    return [
+        f"{head:24} displacement {1e3 * now['displacement']:9.3f} mm   "
+        f"velocity {now['velocity']:8.4f} m/s   current {now['current']:6.3f} A",
+        f"{'force':24} measured {now['measured_force']:13.1f} N    "
+        f"predicted {now['predicted_force']:9.1f} N ({valid})",
+        f"{'error':24} NRMSE {_nrmse(named):.1%} over the last valid samples",
+    ]
+
+
+def _nrmse(named: dict[str, np.ndarray]) -> float:
+    valid = named["valid"] == 1.0
+    spread = float(np.std(named["measured_force"][valid])) if valid.any() else 0.0
+    if spread == 0.0:
+        return math.nan
+    return float(np.sqrt(np.mean(named["force_error"][valid] ** 2))) / spread
+
+
+def _window(record: LiveRecord) -> list[str]:
+    last = record.last_window
+    if last is None:
+        return ["no window yet"]
+    figures = last.figures
+    drift = "force scale {:.3f} ± {:.3f}".format(
+        *(figures.get(name, math.nan) for name in ("force_scale", "force_scale_error"))
+    )
+    return [
+        f"{'window':24} {last.verdict.lower().replace('_', ' ')}: {last.reason}",
+        f"{'':24} NRMSE {figures.get('nrmse_before', math.nan):.2%} -> "
+        f"{figures.get('nrmse_after', math.nan):.2%}   {drift}   "
+        f"{figures.get('temperature', math.nan):.1f} °C",
+        *(
+            f"{name:>24} {value:12.5g} ± {error:.2g}"
+            for name, (value, error) in last.coefficients.items()
+        ),
+    ]
+
+
+def _parameters(record: LiveRecord) -> list[str]:
+    seen = record.parameters
+    if seen is None:
+        return ["no parameters yet: is the node identifier running, in this namespace?"]
+    entries = [
+        f"{name} {value:.4g}" + (f" ± {error:.2g}" if known else " (not determined)")
+        for name, value, error, known in zip(
+            seen.names, seen.values, seen.standard_errors, seen.observable, strict=True
+        )
+    ]
+    lines = [
+        "   ".join(f"{entry:28}" for entry in entries[k : k + 3]) for k in range(0, len(entries), 3)
+    ]
+    return [f"{'set in use':24} {seen.set_id} ({seen.model}, {seen.source})", *lines]
+
+
+def _concerns(record: LiveRecord) -> list[str]:
+    return [
+        f"{_SIGNS[min(concern.level, 3)]} {concern.name:22} {concern.message}"
+        for concern in record.concerns
+    ]

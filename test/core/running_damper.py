@@ -1,0 +1,119 @@
+"""What a damper under identification would show, put into a record without any node."""
+
+from __future__ import annotations
+
+import math
+
+import known
+import numpy as np
+
+from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowSeen
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+
+START = 1_700_000_000.0
+COEFFICIENTS = {"f_t": 620.0, "alpha": 41.0, "k_c": 1.2, "k_e": 1.1, "v_h": -8e-3, "v_d": 2e-4}
+RATE = 100
+
+
+def show_signals(record: LiveRecord, begin: float, duration: float) -> None:
+    """Signals at 100 Hz of a sine; the prediction is not valid in the first second."""
+    omega, amplitude = 2.0 * math.pi * 1.5, 5e-3
+    noise = np.random.default_rng(7)
+    for time in np.arange(begin, begin + duration - 1e-9, 1.0 / RATE):
+        u, v = amplitude * math.sin(omega * time), amplitude * omega * math.cos(omega * time)
+        force = 620.0 * math.tanh(41.0 * (v - 0.15 * omega * u)) * (1.0 + 0.5 * abs(v))
+        measured = force + noise.normal(0.0, 12.0)
+        record.add_signals(
+            START + time, u, v, 0.5, measured, 0.97 * force + 8.0, valid=bool(time >= 1.0)
+        )
+
+
+def show_window(record: LiveRecord, number: int, *, accepted: bool = True) -> None:
+    """What became of a window that ended ``number`` seconds after the start."""
+    scale = 1.0 - 0.004 * number
+    names = {**COEFFICIENTS, "f_d": 14.0}
+    record.add_fluid_temperature(24.0 + 0.3 * number, 0.4)
+    record.add_window(
+        WindowSeen(
+            figures={
+                "time": START + number,
+                "nrmse_before": 0.05 + 0.01 * (number % 3),
+                "nrmse_after": 0.045,
+                "force_scale": scale,
+                "force_scale_error": 0.003,
+                "temperature": 24.0 + 0.31 * number,
+                "current": 0.5,
+                "peak_velocity": 0.047,
+                "amplitude": 5e-3,
+                "frequency": 1.5,
+                "fit_duration": 0.012,
+                "verdict": 1.0 if accepted else 3.0,
+            },
+            verdict="ACCEPTED" if accepted else "DISTURBED",
+            reason="it predicts better than the set before" if accepted else "a hammer blow",
+            parameter_set=f"nelder_mead-{number}",
+            accepted=accepted,
+            coefficients={
+                name: (scale * value, 0.02 * abs(value)) for name, value in names.items()
+            },
+        )
+    )
+    if accepted:
+        show_set(record, number)
+
+
+def show_set(record: LiveRecord, number: int) -> None:
+    """A set in use; the last two parameters are not determined."""
+    count = len(PARAMETER_NAMES)
+    values = known.PLAUSIBLE * (1.0 + 0.01 * math.sin(number))
+    record.set_parameters(
+        SetSeen(
+            time=START + number,
+            set_id=f"nelder_mead-{number}",
+            model="sigmoid",
+            source="nelder_mead",
+            node="/identifier",
+            nrmse=0.045,
+            names=PARAMETER_NAMES,
+            units=("N",) + ("1",) * (count - 1),
+            values=[float(value) for value in values],
+            standard_errors=[float(0.02 * abs(value)) for value in values],
+            observable=[True] * (count - 2) + [False] * 2,
+            peak_velocity_range=(0.0, 0.1),
+            current_range=(0.5, 0.5),
+        )
+    )
+
+
+def show_health(record: LiveRecord) -> None:
+    """Diagnostics as the nodes give them."""
+    for concern in (
+        Concern(
+            "model: prediction", 0, "valid; NRMSE 4.1% of the measured force", {"doubt": "NONE"}
+        ),
+        Concern(
+            "model: latency",
+            0,
+            "at most 0.61 ms from a block to its prediction; the samples were up to 12 ms old",
+            {"slowest [ms]": "0.612", "age [ms]": "12.0", "skipped blocks": "0"},
+        ),
+        Concern(
+            "model: input",
+            1,
+            "3 samples were lost",
+            {"samples/s": "1000.0", "lost": "3", "bridged": "3", "repeated": "0"},
+        ),
+        Concern("identifier: window", 0, "window 40% full", {}),
+        Concern("identifier: state", 2, "the state cannot be kept: the disk is full", {}),
+    ):
+        record.add_concern(concern)
+
+
+def running(seconds: int = 30) -> LiveRecord:
+    """A record of so many seconds, with a window each."""
+    record = LiveRecord()
+    show_signals(record, 0.0, seconds)
+    for number in range(2, seconds + 1):
+        show_window(record, number, accepted=number % 4 != 0)
+    show_health(record)
+    return record

@@ -1,0 +1,245 @@
+"""What the page shows, in a headless Chromium: figures, words, keys, themes, a telephone."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+import running_damper
+from browser import PATIENCE, Browser
+
+from mr_damper_ros.live.live_record import LiveRecord
+from mr_damper_ros.live.page_server import PageServer
+
+SECONDS = 12
+COLOUR_OF = "getComputedStyle(document.body).backgroundColor"
+
+
+class GoingOn:
+    """A record that goes on: ten times a second a tenth of a second of signals."""
+
+    def __init__(self) -> None:
+        self.record = running_damper.running(SECONDS)
+        self._time = float(SECONDS)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._stop.wait(0.1):
+            running_damper.show_signals(self.record, self._time, 0.1)
+            self._time += 0.1
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with Browser() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def record() -> Iterator[LiveRecord]:
+    with closing(GoingOn()) as stream:
+        yield stream.record
+
+
+def leave(browser: Browser) -> None:
+    """Go where nothing is asked for any more."""
+    browser.open("about:blank")
+    browser.until("location.href === 'about:blank'")
+
+
+@pytest.fixture
+def page(browser: Browser, record: LiveRecord) -> Iterator[Browser]:
+    """The page, open and live; on it no error has been seen at the end."""
+    with closing(PageServer(record, "127.0.0.1", 0, "/")) as server:
+        browser.errors.clear()
+        browser.requested.clear()
+        browser.resize(1280, 900)
+        browser.prefer("light")
+        browser.open(server.address)
+        browser.until("document.querySelector('#state')?.innerText.includes('live')")
+        browser.until("document.querySelectorAll('figure canvas').length >= 34")
+        yield browser
+        assert browser.errors == []
+        host = urlsplit(server.address).netloc
+        assert {urlsplit(url).netloc for url in browser.requested} == {host}
+        leave(browser)
+
+
+def ink(page: Browser, chart: str) -> str:
+    """What a figure shows, as a text that changes with it."""
+    shown: str = page.evaluate(f"document.querySelector('{chart} canvas').toDataURL()")
+    return shown
+
+
+def test_there_is_a_figure_of_each_kind(page: Browser) -> None:
+    names = page.evaluate("[...document.querySelectorAll('figure canvas')].length")
+    # Eleven by name, seven coefficients, sixteen parameters.
+    assert names == 11 + 7 + 16
+    for chart in ("force-velocity", "force-displacement", "force-time"):
+        colours = page.evaluate(
+            f"""(() => {{
+              const canvas = document.querySelector('[data-chart="{chart}"] canvas');
+              const bits = canvas.getContext('2d')
+                .getImageData(0, 0, canvas.width, canvas.height).data;
+              let blue = 0, orange = 0;
+              for (let k = 0; k < bits.length; k += 4) {{
+                if (bits[k + 3] && bits[k + 2] > bits[k] + 100) blue += 1;
+                if (bits[k + 3] && bits[k] > bits[k + 2] + 100) orange += 1;
+              }}
+              return [blue, orange];
+            }})()"""
+        )
+        assert min(colours) > 50, f"{chart}: measured and predicted are drawn"
+
+
+def test_the_tiles_say_how_it_stands(page: Browser) -> None:
+    assert "valid; NRMSE 4.1%" in page.text("#tile-prediction")
+    assert page.text("#tile-scale").split() == ["0.952", "±", "0.003"]
+    assert "5 mm, 1.5 Hz" in page.text("#tile-motion")
+    assert page.text("#tile-current") == "0.5 A"
+    assert f"nelder_mead-{SECONDS - 1}" in page.text("#tile-set")
+    assert page.text("#tile-latency").startswith("0.612 ms")
+    assert page.text("#tile-lost").startswith("3")
+    assert page.text("#tile-error").split()[1] == "%"
+
+
+def test_coefficients_and_parameters_come_with_their_errors(page: Browser) -> None:
+    assert page.text('#coefficients [data-name="f_t"] figcaption').split() == [
+        *("f_t", "590.2", "±", "12")
+    ]
+    determined = page.text('#parameters [data-name="f0"] figcaption')
+    assert "±" in determined
+    assert determined.endswith("N")
+    assert page.text('#parameters [data-name="k6"] figcaption').endswith("not determined")
+
+
+def test_windows_are_listed_with_the_reason(page: Browser) -> None:
+    rows = page.evaluate("[...document.querySelectorAll('#window-rows tr')].map(r => r.innerText)")
+    assert len(rows) == SECONDS - 1
+    assert "✕ disturbed" in rows[0]
+    assert "a hammer blow" in rows[0]
+    assert "✓ accepted" in rows[1]
+
+
+def test_the_diagnostics_are_told_by_sign_and_word(page: Browser) -> None:
+    shown = page.text("#concerns")
+    assert "✕ error: the state cannot be kept" in shown
+    assert "▲ warning: 3 samples were lost" in shown
+    assert "✓ good: window 40% full" in shown
+
+
+def test_it_moves_and_stands_still_while_it_is_paused(page: Browser) -> None:
+    chart = '[data-chart="force-time"]'
+    first = ink(page, chart)
+    page.until(f"document.querySelector('{chart} canvas').toDataURL() !== {first!r}")
+    page.press(" ")
+    assert page.text("#state") == "❚❚ paused"
+    page.until("document.querySelector('#pause').innerText === 'Go on'")
+    time.sleep(0.3)  # what was under way
+    still = ink(page, chart)
+    time.sleep(0.5)
+    assert ink(page, chart) == still
+    page.press(" ")
+    page.until(f"document.querySelector('{chart} canvas').toDataURL() !== {still!r}")
+    page.until("document.querySelector('#state').innerText.includes('live')")
+
+
+def test_the_span_is_chosen_by_keys(page: Browser) -> None:
+    chosen = "document.querySelector('#spans :checked').value"
+    assert page.evaluate(chosen) == "10"
+    page.press("]")
+    assert page.evaluate(chosen) == "50"
+    for _ in range(3):
+        page.press("[")
+    assert page.evaluate(chosen) == "2"
+
+
+def test_keys_lead_to_the_sections(page: Browser) -> None:
+    page.press("4")
+    page.until("document.querySelector('nav [aria-current]').hash === '#parameters'")
+    page.press("1")
+    page.until("document.querySelector('nav [aria-current]').hash === '#force'")
+    page.press("?")
+    assert "pause" in page.text("dialog[open]")
+
+
+def test_it_is_light_or_dark_as_the_system_or_as_chosen(page: Browser) -> None:
+    light = page.evaluate(COLOUR_OF)
+    page.prefer("dark")
+    page.until(f"{COLOUR_OF} !== {light!r}")
+    page.press("t")
+    page.until(f"{COLOUR_OF} === {light!r}")
+    page.press("t")
+    page.press("t")
+    assert page.text("#theme") == "Theme: system"
+
+
+def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:
+    page.resize(390, 844, 2.0)
+    page.until("document.querySelector('[data-chart=force-time] canvas').clientWidth < 390")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    page.resize(1280, 900)
+
+
+def test_figures_and_tables_are_saved(page: Browser, tmp_path: Path) -> None:
+    page.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+    page.press("p")
+    page.press("c")
+    deadline = time.monotonic() + PATIENCE
+    while len(found := {path.suffix: path for path in tmp_path.glob("damper-force-*.[pc]*")}) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert found[".png"].read_bytes().startswith(b"\x89PNG")
+    lines = found[".csv"].read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("index,time,displacement,velocity,current,measured_force")
+    assert len(lines) > 100 * SECONDS
+
+
+def test_it_finds_the_node_again(browser: Browser, record: LiveRecord) -> None:
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        port = urlsplit(server.address).port or 0
+        browser.open(server.address)
+        browser.until("document.querySelector('#state')?.innerText.includes('live')")
+    browser.until("document.querySelector('#state').innerText.includes('no connection')")
+    other = running_damper.running(3)
+    with closing(PageServer(other, "127.0.0.1", port)):
+        browser.until("document.querySelectorAll('#window-rows tr').length === 2")
+        browser.until("!document.querySelector('#state').innerText.includes('no connection')")
+        leave(browser)
+
+
+def test_a_page_of_nothing_says_what_is_missing(browser: Browser) -> None:
+    with closing(PageServer(LiveRecord(), "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        browser.until("document.querySelector('#state')?.innerText.includes('waiting for signals')")
+        assert "is the node model running" in browser.text("#force")
+        leave(browser)
+
+
+def test_commands_are_offered_where_they_are_allowed(browser: Browser, record: LiveRecord) -> None:
+    taken: list[str] = []
+
+    def take(name: str) -> bool:
+        taken.append(name)
+        record.add_event(f"{name}: done")
+        return True
+
+    with closing(PageServer(record, "127.0.0.1", 0, "", ("reset",), take)) as server:
+        browser.open(server.address)
+        browser.until("document.querySelector('#commands button')?.innerText === 'reset'")
+        browser.evaluate("window.confirm = () => true")
+        browser.evaluate("document.querySelector('#commands button').click()")
+        browser.until("document.querySelector('#events').innerText.includes('reset: done')")
+        leave(browser)
+    assert taken == ["reset"]

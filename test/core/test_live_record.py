@@ -1,0 +1,207 @@
+"""What is kept of a running system, and what a viewer is given of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from mr_damper_ros.live import live_record
+from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowSeen
+from mr_damper_ros.live.summary import summary
+
+T0 = 1_700_000_000.0
+
+
+def signals(record: LiveRecord, *times: float) -> None:
+    for time in times:
+        record.add_signals(time, 0.001, 0.02, 0.5, 400.0, 380.0, valid=True)
+
+
+def window(time: float = T0, *, accepted: bool = True, **coefficients: float) -> WindowSeen:
+    return WindowSeen(
+        figures={"time": time, "nrmse_before": 0.1, "nrmse_after": math.nan},
+        verdict="ACCEPTED" if accepted else "NO_BETTER",
+        reason="it predicts better",
+        parameter_set="nm-1",
+        accepted=accepted,
+        coefficients={name: (value, 0.1 * value) for name, value in coefficients.items()},
+    )
+
+
+def a_set(*names: str, observable: bool = True) -> SetSeen:
+    count = len(names)
+    return SetSeen(
+        time=T0,
+        set_id="nm-1",
+        model="sigmoid",
+        source="nelder_mead",
+        node="/identifier",
+        nrmse=math.nan,
+        names=names,
+        units=("N",) * count,
+        values=(2.0,) * count,
+        standard_errors=(0.1,) * count,
+        observable=(observable,) * count,
+        peak_velocity_range=(0.0, 0.1),
+        current_range=(0.5, 0.5),
+    )
+
+
+def status(record: LiveRecord, windows_after: int = 0) -> dict[str, Any]:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    told: dict[str, Any] = json.loads(record.status(windows_after), parse_constant=refuse)
+    return told
+
+
+def test_signals_come_with_their_error_and_in_order() -> None:
+    record = LiveRecord()
+    signals(record, T0, T0 + 0.01)
+    rows = record.rows("signals", -1, -1)
+    assert rows is not None
+    assert rows.columns == ("index", *live_record.SIGNALS)
+    newest = dict(zip(rows.columns, rows.values[-1], strict=True))
+    assert newest["time"] == T0 + 0.01
+    assert newest["force_error"] == -20.0
+    assert newest["valid"] == 1.0
+
+
+def test_a_viewer_asks_for_what_it_has_not_got() -> None:
+    record = LiveRecord()
+    signals(record, T0, T0 + 0.01)
+    first = record.rows("signals", -1, -1)
+    assert first is not None
+    signals(record, T0 + 0.02)
+    more = record.rows("signals", int(first.values[-1, 0]), first.generation)
+    assert more is not None
+    assert more.values[:, 1].tolist() == [T0 + 0.02]
+
+
+def test_where_the_stamps_fall_back_everything_begins_anew() -> None:
+    record = LiveRecord()
+    signals(record, T0 + 100.0)
+    record.add_window(window(T0 + 100.0))
+    before = record.rows("signals", -1, -1)
+    signals(record, T0)
+    after = record.rows("signals", 0, before.generation if before else -1)
+    windows = record.rows("windows", -1, -1)
+    assert before is not None
+    assert after is not None
+    assert windows is not None
+    assert after.generation != before.generation
+    assert after.values[:, 1].tolist() == [T0]
+    assert len(windows.values) == 0
+
+
+def test_stamps_that_jitter_are_no_jump() -> None:
+    record = LiveRecord()
+    signals(record, T0, T0 + 0.02, T0 + 0.01)
+    rows = record.rows("signals", -1, -1)
+    assert rows is not None
+    assert len(rows.values) == 3
+
+
+def test_coefficients_have_a_column_for_each_and_for_its_error() -> None:
+    record = LiveRecord()
+    record.add_window(window(f_t=500.0, alpha=20.0))
+    rows = record.rows("coefficients", -1, -1)
+    assert rows is not None
+    assert rows.columns == ("index", "time", "f_t", "alpha", "f_t_error", "alpha_error")
+    assert rows.values.tolist() == [[0.0, T0, 500.0, 20.0, 50.0, 2.0]]
+
+
+def test_those_of_another_model_begin_a_table_of_their_own() -> None:
+    record = LiveRecord()
+    record.add_window(window(f_t=500.0))
+    first = record.rows("coefficients", -1, -1)
+    record.add_window(window(f_y=100.0, c_0=3.0))
+    second = record.rows("coefficients", -1, -1)
+    assert first is not None
+    assert second is not None
+    assert first.generation != second.generation
+    assert len(second.values) == 1
+
+
+def test_there_is_no_table_before_anything_is_known() -> None:
+    assert LiveRecord().rows("coefficients", -1, -1) is None
+    assert LiveRecord().rows("nonsense", -1, -1) is None
+
+
+def test_what_the_data_do_not_determine_has_no_error() -> None:
+    record = LiveRecord()
+    record.set_parameters(a_set("f0", observable=False))
+    rows = record.rows("parameters", -1, -1)
+    assert rows is not None
+    assert math.isnan(rows.values[0, -1])
+    assert status(record)["set"]["observable"] == [False]
+
+
+def test_the_status_is_json_even_of_what_is_not_known() -> None:
+    record = LiveRecord()
+    assert status(record)["set"] is None
+    assert status(record)["silence"] is None
+    signals(record, T0)
+    record.add_window(window())
+    record.set_parameters(a_set("f0"))
+    record.add_concern(Concern("model: input", 1, "nothing comes", {"lost": "3"}))
+    record.add_event("saved")
+    told = status(record)
+    assert told["set"]["nrmse"] is None
+    assert told["windows"][0]["nrmse_after"] is None
+    assert told["windows"][0]["reason"] == "it predicts better"
+    assert told["concerns"][0]["values"] == {"lost": "3"}
+    assert told["events"] == ["saved"]
+    assert told["tables"]["signals"]["next"] == 1
+    assert told["silence"] >= 0.0
+
+
+def test_windows_are_told_once() -> None:
+    record = LiveRecord()
+    for number in range(3):
+        record.add_window(window(T0 + number))
+    numbers = [told["number"] for told in status(record, windows_after=1)["windows"]]
+    assert numbers == [2, 3]
+
+
+def test_the_temperature_that_the_force_tells_belongs_to_the_window_after_it() -> None:
+    record = LiveRecord()
+    record.add_fluid_temperature(41.0, 0.5)
+    record.add_window(window())
+    record.add_window(window())
+    told = status(record)["windows"]
+    assert [entry["fluid_temperature"] for entry in told] == [41.0, None]
+
+
+def test_nothing_grows_without_end() -> None:
+    record = LiveRecord()
+    for number in range(3 * live_record.SENTENCES_KEPT):
+        record.add_window(window())
+        record.add_concern(Concern(f"node{number}: input", 0, "", {}))
+        record.add_event("again")
+    told = status(record)
+    assert len(told["windows"]) == len(told["events"]) == live_record.SENTENCES_KEPT
+    assert len(told["concerns"]) == live_record.CONCERNS_KEPT
+
+
+def test_known_concerns_are_followed_however_many_there_are() -> None:
+    record = LiveRecord()
+    for number in range(live_record.CONCERNS_KEPT):
+        record.add_concern(Concern(f"{number}", 0, "well", {}))
+    record.add_concern(Concern("0", 2, "broken", {}))
+    assert status(record)["concerns"][0]["message"] == "broken"
+
+
+def test_a_summary_says_what_is_missing_and_how_it_stands() -> None:
+    record = LiveRecord()
+    assert "is the node model running" in summary(record)
+    assert "is the node identifier running" in summary(record)
+    signals(record, T0, T0 + 0.01)
+    record.add_window(window(f_t=500.0))
+    record.set_parameters(a_set("f0", observable=False))
+    record.add_concern(Concern("model: input", 1, "nothing comes", {}))
+    text = summary(record, width=100)
+    for part in ("accepted", "f_t", "500 ± 50", "f0 2 (not determined)", "! model: input"):
+        assert part in text
+    assert max(map(len, text.splitlines())) <= 100

@@ -1,0 +1,67 @@
+"""Tables that never grow: what is dropped, what is thinned, what a reader is given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.live.rolling_table import RollingTable
+
+
+def filled(rows: int, capacity: int = 8, *, thins: bool = False) -> RollingTable:
+    table = RollingTable(("value",), capacity, thins=thins)
+    for number in range(rows):
+        table.append((10.0 * number,))
+    return table
+
+
+def test_rows_are_numbered_from_the_beginning() -> None:
+    np.testing.assert_array_equal(filled(3).after(-1), [[0, 0], [1, 10], [2, 20]])
+
+
+def test_a_reader_gets_what_came_after_the_row_it_has() -> None:
+    table = filled(5)
+    np.testing.assert_array_equal(table.after(3), [[4, 40]])
+    assert table.after(4).shape == (0, 2)
+    assert table.next_index == 5
+
+
+def test_a_full_table_loses_its_oldest_rows() -> None:
+    assert filled(9).after(-1)[:, 0].tolist() == [2, 3, 4, 5, 6, 7, 8]
+
+
+def test_one_that_thins_keeps_the_whole_time_in_view() -> None:
+    assert filled(9, thins=True).after(-1)[:, 0].tolist() == [0, 2, 4, 5, 6, 7, 8]
+
+
+def test_rows_that_are_given_out_do_not_change_later() -> None:
+    table = filled(8)
+    given_out = table.after(-1)
+    for _ in range(8):
+        table.append((-1.0,))
+    assert given_out[:, 1].tolist() == [10.0 * n for n in range(8)]
+
+
+@given(rows=st.integers(0, 200), capacity=st.integers(8, 40), thins=st.booleans())
+def test_numbers_rise_the_newest_is_there_and_the_memory_bounded(
+    rows: int, capacity: int, thins: bool
+) -> None:
+    table = filled(rows, capacity, thins=thins)
+    numbers = table.after(-1)[:, 0]
+    assert len(table) == numbers.size <= capacity
+    assert np.all(np.diff(numbers) > 0)
+    assert rows == 0 or numbers[-1] == rows - 1
+    if thins and rows:
+        assert numbers[0] == 0
+
+
+def test_a_row_must_fill_the_columns() -> None:
+    with pytest.raises(ValueError, match="2 values do not fill 1 columns"):
+        filled(0).append((1.0, 2.0))
+
+
+def test_a_table_of_a_few_rows_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least 8"):
+        RollingTable(("value",), 7)

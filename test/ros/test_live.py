@@ -1,0 +1,155 @@
+"""The page of a running system: what the nodes say reaches it, and commands the identifier."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from mr_damper_msgs.msg import DamperSignals, PredictedForce
+from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
+
+from mr_damper_ros.live.live_record import SIGNALS
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
+
+BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
+RATE = 4.0
+
+
+class Client:
+    """Asks a page as a browser does."""
+
+    def __init__(self, program: TriedProgram) -> None:
+        program.wait_for_log("the page is at http://")
+        found = re.search(r"the page is at (http://\S+)", program.log)
+        assert found
+        self.netloc = urlsplit(found[1]).netloc
+
+    def get(self, path: str) -> tuple[dict[str, str], bytes]:
+        connection = http.client.HTTPConnection(self.netloc, timeout=PATIENCE)
+        try:
+            connection.request("GET", path)
+            answer = connection.getresponse()
+            return dict(answer.headers), answer.read()
+        finally:
+            connection.close()
+
+    def status(self) -> dict[str, Any]:
+        told: dict[str, Any] = json.loads(self.get("/status")[1])
+        return told
+
+    def signals(self) -> dict[str, np.ndarray]:
+        rows = np.frombuffer(self.get("/tables/signals")[1]).reshape(-1, len(SIGNALS) + 1)
+        return dict(zip(("index", *SIGNALS), rows.T, strict=True))
+
+    def command(self, name: str) -> int:
+        connection = http.client.HTTPConnection(self.netloc, timeout=PATIENCE)
+        try:
+            connection.request("POST", "/command", name, {"Origin": f"http://{self.netloc}"})
+            return connection.getresponse().status
+        finally:
+            connection.close()
+
+
+@pytest.fixture
+def running(start: Any, listener: Listener) -> tuple[Client, TriedProgram]:
+    """Identifier, model and page, and a bag that is about to be played."""
+    start("identifier")
+    start("model")
+    client = Client(start("live", port=0, allow_commands=True))
+    listener.until(lambda: client.status()["set"], "the set that the identifier starts with")
+    replay = start("replay", bag=BAG, rate=RATE, wait_for_subscribers=2)
+    return client, replay
+
+
+def test_the_page_has_what_the_nodes_say(
+    running: tuple[Client, TriedProgram], listener: Listener
+) -> None:
+    client, replay = running
+    forces: list[PredictedForce] = listener.listen(
+        PredictedForce, "damper/predicted_force", quality.lossless()
+    )
+    signals: list[DamperSignals] = listener.listen(
+        DamperSignals, "damper/signals", quality.lossless()
+    )
+    numbers: list[DiagnosticArray] = listener.listen(
+        DiagnosticArray, "damper/identified", quality.lossless()
+    )
+    listener.until(lambda: not replay.running, "the end of the bag")
+    listener.until(lambda: sum(w["accepted"] for w in client.status()["windows"]), "a new set")
+    listener.until(lambda: client.status()["tables"]["signals"]["next"] > 500, "the signals")
+
+    assert_named_numbers_are_those_of_one_sample(signals, forces)
+    assert_coefficients_and_parameters_are_named(numbers)
+    told, shown = client.status(), client.signals()
+    assert np.all(np.diff(shown["time"]) > 0.0)
+    measured = shown["measured_force"]
+    valid = shown["valid"] == 1.0
+    assert valid.any()
+    error = shown["force_error"][valid]
+    assert np.std(error) < 0.2 * np.std(measured)
+    assert told["set"]["model"] == "sigmoid"
+    assert {"windows", "coefficients", "parameters"} <= set(told["tables"])
+    assert {"model: prediction", "identifier: fit"} <= {c["name"] for c in told["concerns"]}
+
+
+def assert_named_numbers_are_those_of_one_sample(
+    signals: list[DamperSignals], forces: list[PredictedForce]
+) -> None:
+    stamps = np.array([to_nanoseconds(message.header.stamp) for message in signals])
+    steps = np.diff(stamps)
+    assert np.all(np.abs(steps - 10_000_000) <= 1_000_000), "100 Hz, to one sample"
+    predicted = {}
+    for message in forces:
+        begin = to_nanoseconds(message.header.stamp)
+        for k, force in enumerate(from_field(message.force)):
+            predicted[begin + round(k * message.period * 1e9)] = (force, message.valid)
+    found = [(m, predicted[s]) for m, s in zip(signals, stamps, strict=True) if s in predicted]
+    assert len(found) > 0.9 * len(signals)
+    for message, (force, valid) in found:
+        assert message.valid == valid
+        np.testing.assert_equal(message.predicted_force, force)
+        np.testing.assert_equal(message.force_error, force - message.measured_force)
+
+
+def assert_coefficients_and_parameters_are_named(numbers: list[DiagnosticArray]) -> None:
+    kinds = {status.name: status for array in numbers for status in array.status}
+    assert set(kinds) == {"coefficients", "parameters"}
+    named = {entry.key: float(entry.value) for entry in kinds["coefficients"].values}
+    assert named["f_t"] > 0.0
+    assert named["f_t_error"] > 0.0
+    assert "f0" in {entry.key for entry in kinds["parameters"].values}
+
+
+def test_a_command_reaches_the_identifier(
+    running: tuple[Client, TriedProgram], listener: Listener
+) -> None:
+    client, _ = running
+    listener.until(lambda: client.command("reset") == 202, "room for a command")
+    listener.until(lambda: client.status()["events"], "what came of it")
+    assert client.status()["events"][0].startswith("reset: done: running with")
+
+
+def test_a_command_that_nobody_takes_is_told(start: Any, listener: Listener) -> None:
+    client = Client(start("live", port=0, allow_commands=True))
+    assert client.command("reset") == 202
+    listener.until(lambda: client.status()["events"], "what came of it")
+    assert "nobody offers" in client.status()["events"][0]
+
+
+def test_it_only_shows_unless_commands_are_allowed_and_has_its_port_alone(start: Any) -> None:
+    client = Client(start("live", port=0))
+    assert client.command("reset") == 403
+    assert client.status()["commands"] == []
+    port = int(client.netloc.rpartition(":")[2])
+    second = start("live", port=port)
+    assert second.wait() == 2
+    assert_one_sentence(second.errors)
+    assert f"port {port}" in second.errors
