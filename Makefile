@@ -10,7 +10,7 @@ export PYTHON
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
-.PHONY: help setup demo thesis doc bench soak test test-noble lint format clean distclean
+.PHONY: help setup demo live thesis doc bench soak test test-noble lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -23,6 +23,10 @@ setup: ## Install what is missing and build both packages (a second call does no
 demo: setup ## Replay a bag through bridge, identifier and model; table and figures at the end
 	@. ./env.bash
 	exec $(PROGRAMS)/demo $(ARGS)
+
+live: setup ## Serve a page that shows the emulated rig under identification, until Ctrl-C
+	@. ./env.bash
+	exec $(PROGRAMS)/live_rig $(ARGS)
 
 thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (ARGS=--quick: two minutes)
 	@. ./env.bash

@@ -11,7 +11,10 @@ from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
 NODES = ("bridge", "identifier", "live", "model", "replay")
-TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate", "watch")
+TOOLS = (
+    *("demo", "identify", "import_record", "live_rig", "reproduce", "thesis_bags", "validate"),
+    "watch",
+)
 
 
 HEAR = ["/usr/bin/env", "--block-signal=INT,TERM"]
@@ -86,7 +89,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *data_files("config/**/*.yaml", "config/**/*.xml", "launch/**/*.py", "bags/**/*"),
+        *data_files("config/**/*", "launch/**/*.py", "bags/**/*"),
     ],
     python_requires=">=3.10",
     install_requires=["setuptools"],

@@ -13,7 +13,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 NODES = ("bridge", "identifier", "live", "model", "replay")
-TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate", "watch")
+TOOLS = (
+    *("demo", "identify", "import_record", "live_rig", "reproduce", "thesis_bags", "validate"),
+    "watch",
+)
 MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
 
 
@@ -237,7 +240,7 @@ def test_programs_lie_where_ros2_run_looks(program):
 def test_files_of_the_package_are_installed():
     share = prefix_of("mr_damper_ros") / "share" / "mr_damper_ros"
     expected = {Path("package.xml")}
-    for pattern in ("config/**/*.yaml", "config/**/*.xml", "launch/**/*.py", "bags/**/*"):
+    for pattern in ("config/**/*", "launch/**/*.py", "bags/**/*"):
         expected |= {path.relative_to(ROOT) for path in ROOT.glob(pattern) if path.is_file()}
     missing = sorted(str(path) for path in expected if not (share / path).is_file())
     assert missing == []

@@ -36,6 +36,7 @@ NODES = {
     "bridge": "An emulated rig, a bag or a record file becomes topics. "
     "A lifecycle node that starts by itself.",
     "identifier": "A fit for every window, and now and then all parameters at once.",
+    "live": "A page that shows the running system ([more](../live.md)).",
     "model": "The force predicted from displacement, current and parameters.",
     "replay": "Plays a bag onto its topics, with `/clock`, for machines without `ros2 bag`.",
 }
@@ -52,7 +53,15 @@ SYMBOLS = {
 }
 """What in an equation is not named as the parameters are."""
 
-PROGRAMS = ("import_record", "identify", "validate", "thesis_bags", "reproduce")
+PROGRAMS = (
+    "import_record",
+    "identify",
+    "validate",
+    "watch",
+    "live_rig",
+    "thesis_bags",
+    "reproduce",
+)
 
 TYPES = {
     "mts/samples": "MtsSamples",
@@ -64,6 +73,8 @@ TYPES = {
     "damper/fluid_temperature": "sensor_msgs/Temperature",
     "damper/predicted_force": "PredictedForce",
     "damper/predicted_wrench": "geometry_msgs/WrenchStamped",
+    "damper/signals": "DamperSignals",
+    "damper/identified": "diagnostic_msgs/DiagnosticArray",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
 }
 """Type of each topic; of those named here without a package, the fields are on the messages' page.

@@ -1,4 +1,4 @@
-"""``demo``: a bag through replay, identifier and model as three processes, with the outcome.
+"""``demo``: a bag through replay, identifier and model as processes, with the outcome.
 
 A tool like the others, with the table and the figures of one: all that it knows of ROS is a
 watcher from the nodes, loaded when it runs.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -24,11 +23,12 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
-from mr_damper_ros.processes.programs import Program, node_arguments
+from mr_damper_ros.processes.programs import Program
 from mr_damper_ros.processes.ros_domain import RosDomain
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.node_programs import check_running, page_of, start_node
 
 if TYPE_CHECKING:
     from mr_damper_ros.nodes.demo_watcher import DemoWatcher
@@ -71,18 +71,19 @@ def _demo(options: argparse.Namespace) -> int:
     print(f"bag: {bag}")
     for key, text in recording.details.items():
         print(f"  {key}: {text}")
-    folder = Path(sys.argv[0]).resolve().parent
     with ExitStack() as stack:
         # A domain of its own: nothing of a laboratory that is running is touched.
         domain = stack.enter_context(RosDomain())
         os.environ.update(domain.environment)
-        running = {name: stack.enter_context(_node(folder, name)) for name in _NODES}
+        running = {name: stack.enter_context(closing(start_node(name))) for name in _NODES}
+        running["live"] = stack.enter_context(closing(start_node("live", port=0)))
+        print(f"page of this run, while it lasts: {page_of(running['live'])}")
         from mr_damper_ros.nodes.demo_watcher import DemoWatcher
 
         watcher = stack.enter_context(DemoWatcher())
         _wait_for_nodes(watcher, running)
         replay = stack.enter_context(
-            _node(folder, "replay", bag=bag, rate=options.rate, wait_for_subscribers=3)
+            closing(start_node("replay", bag=bag, rate=options.rate, wait_for_subscribers=3))
         )
         _watch(watcher, {**running, "replay": replay})
     if watcher.parameters is None or not watcher.reports:
@@ -90,24 +91,10 @@ def _demo(options: argparse.Namespace) -> int:
     return _summary(watcher, recording, options.output)
 
 
-def _node(folder: Path, name: str, **parameters: object) -> closing[Program]:
-    program = folder / name
-    if not program.exists():
-        raise DemoError(f"{program} is not there: build the package with `make setup`")
-    return closing(Program([str(program), *node_arguments(parameters)]))
-
-
-def _check(running: Mapping[str, Program]) -> None:
-    """Raise DemoError where a node has failed, with the end of what it said."""
-    for name, program in running.items():
-        if program.exit_code:
-            raise DemoError(f"{name} ended with code {program.exit_code}: {program.last_words}")
-
-
 def _wait_for_nodes(watcher: DemoWatcher, running: Mapping[str, Program]) -> None:
     deadline = time.monotonic() + _START_LIMIT
     while not set(_NODES) <= set(watcher.node.get_node_names()):
-        _check(running)
+        check_running(running)
         if time.monotonic() > deadline:
             raise DemoError(f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s")
         watcher.spin_once()
@@ -117,7 +104,7 @@ def _watch(watcher: DemoWatcher, running: Mapping[str, Program]) -> None:
     print("\nwindow        held-back samples: before -> after the fit")
     replay = running["replay"]
     while replay.running or time.monotonic() - watcher.last_report < _SETTLE:
-        _check(running)
+        check_running(running)
         watcher.spin_once()
 
 

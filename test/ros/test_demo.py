@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 from pathlib import Path
@@ -19,6 +20,7 @@ def test_it_identifies_a_bag_and_draws_the_figures(tmp_path: Path) -> None:
     program = demo("--rate", "4", "--output", str(tmp_path))
     assert program.wait() == 0, program.log
     assert "accepted" in program.output
+    assert re.search(r"page of this run, while it lasts: http://127\.0\.0\.1:\d+/", program.output)
     assert "NRMSE of the force predicted while it ran" in program.output
     assert {path.suffix for path in tmp_path.iterdir()} == {".png"}
     program.close()
@@ -43,7 +45,7 @@ def test_an_interrupt_ends_it_and_its_nodes(tmp_path: Path) -> None:
 def until_nodes(program: Program) -> None:
     """Wait until the demonstration has started all of its nodes."""
     deadline = time.monotonic() + 30.0
-    while len(program.children) < 3:
+    while len(program.children) < 4:
         assert program.running, program.log
         assert time.monotonic() < deadline
         time.sleep(0.05)

@@ -1,0 +1,62 @@
+"""The programs that show a running system in a terminal, and the one that starts it to look at."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+import signal
+import time
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from support import PATIENCE, assert_one_sentence, installed_programs
+
+from mr_damper_ros.processes.programs import Program
+
+
+def test_watch_prints_how_the_system_stands(start: Any) -> None:
+    start("identifier")
+    start("model").wait_for_log("waiting for")
+    program = Program([str(installed_programs() / "watch"), "--once"])
+    assert program.wait() == 0, program.log
+    assert "no signals yet: is the node model running" in program.output
+    assert re.search(r"^set in use +\S+ \(sigmoid, literature\)", program.output, re.MULTILINE)
+    assert re.search(r"^! model: input", program.output, re.MULTILINE)
+    program.close()
+
+
+def test_a_wrong_period_is_one_sentence() -> None:
+    program = Program([str(installed_programs() / "watch"), "--period", "0"])
+    assert program.wait() == 2
+    assert_one_sentence(program.errors)
+    program.close()
+
+
+def test_a_rig_is_shown_until_it_is_interrupted() -> None:
+    program = Program([str(installed_programs() / "live_rig"), "--port", "0"])
+    deadline = time.monotonic() + PATIENCE
+    while not (found := re.search(r"the page is at (\S+);", program.output)):
+        assert program.running, program.log
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    while not signals_at(found[1]):
+        assert time.monotonic() < deadline + PATIENCE
+        time.sleep(0.1)
+    nodes = program.children
+    assert len(nodes) == 4
+    assert program.stop(signal.SIGINT) == 130
+    assert not any(Path(f"/proc/{pid}").exists() for pid in nodes)
+    program.close()
+
+
+def signals_at(address: str) -> int:
+    """Signals that a page has."""
+    connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=PATIENCE)
+    try:
+        connection.request("GET", "/status")
+        told: dict[str, Any] = json.loads(connection.getresponse().read())
+        return int(told["tables"]["signals"]["next"])
+    finally:
+        connection.close()
