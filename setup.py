@@ -10,7 +10,7 @@ from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
-NODES = ("bridge", "identifier", "live", "model", "replay")
+NODES = ("bridge", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
     *("demo", "identify", "import_record", "live_rig", "reproduce", "thesis_bags", "validate"),
     "watch",
@@ -85,6 +85,7 @@ setup(
         NAME: ["py.typed"],
         f"{NAME}.models": ["*.csv"],
         f"{NAME}.live": ["page/*", "page/vendor/*/*"],
+        f"{NAME}.rig.supplies": ["profiles/*.yaml"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -96,6 +97,7 @@ setup(
     extras_require={
         "test": ["pytest"],
         "files": ["openpyxl==3.1.5", "npTDMS==1.13.0"],
+        "visa": ["PyVISA==1.16.2", "PyVISA-py==0.8.1"],
     },
     zip_safe=False,
     cmdclass={"develop": Develop, "install_scripts": InstallScripts},

@@ -65,6 +65,11 @@ def replay() -> int:
     return _run("replay")
 
 
+def supply() -> int:
+    """Run the node supply."""
+    return _run("supply")
+
+
 def _run(name: str, *arguments: object) -> int:
     _hear_signals()
     try:

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = ("bridge", "identifier", "live", "model", "replay")
+NODES = ("bridge", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
     *("demo", "identify", "import_record", "live_rig", "reproduce", "thesis_bags", "validate"),
     "watch",
@@ -136,7 +136,7 @@ KEYS = {
 }
 """Keys of rosdep for what is no ROS package; those are called like the modules they hold."""
 
-OPTIONAL = {"cma", "nptdms", "openpyxl"}
+OPTIONAL = {"cma", "nptdms", "openpyxl", "pyvisa"}
 """What is used where it is installed."""
 
 BROUGHT_BY_ROSBAGS = {"lz4", "backports"}

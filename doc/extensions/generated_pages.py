@@ -38,6 +38,8 @@ NODES = {
     "identifier": "A fit for every window, and now and then all parameters at once.",
     "live": "A page that shows the running system ([more](../live.md)).",
     "model": "The force predicted from displacement, current and parameters.",
+    "supply": "The supply of the coil: commands in, measured current out. A lifecycle node that "
+    "starts by itself.",
     "replay": "Plays a bag onto its topics, with `/clock`, for machines without `ros2 bag`.",
 }
 
@@ -66,6 +68,7 @@ PROGRAMS = (
 TYPES = {
     "mts/samples": "MtsSamples",
     "supply/current": "SupplyCurrent",
+    "supply/current_command": "CurrentCommand",
     "temperature": "sensor_msgs/Temperature",
     "joint_states": "sensor_msgs/JointState",
     "damper/parameters": "DamperParameters",

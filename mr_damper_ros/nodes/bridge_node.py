@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from mr_damper_ros.nodes.bridge_stream import BridgeStream, SubscriberWait
+from mr_damper_ros.nodes.current_commands import CurrentCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.pacing import Pacer, SendingThread
@@ -113,11 +114,12 @@ class BridgeNode(LifecycleNode):
             configured=lambda: self._source is not None,
         )
         self._stream: BridgeStream | None = None
+        self._commands: CurrentCommands | None = None
         self._pacer = Pacer(self.parameters.values.rate)
         self._sending: SendingThread | None = None
         self._problem = ""
         self._starting = self.parameters.values.autostart
-        self._diagnostics = Diagnostics(self, {"source": self._find})
+        self._diagnostics = Diagnostics(self, {"source": self._find, "current": self._find_current})
         if self._starting:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != TransitionCallbackReturn.SUCCESS:
@@ -144,6 +146,8 @@ class BridgeNode(LifecycleNode):
         )
         try:
             found = self._source.open()
+            if self._source.commander is not None:
+                self._commands = CurrentCommands(self, self._source.commander)
             self._stream = BridgeStream(
                 self,
                 self._pacer,
@@ -196,6 +200,9 @@ class BridgeNode(LifecycleNode):
             self._sending = None
 
     def _close(self) -> None:
+        if self._commands is not None:
+            self._commands.close()
+            self._commands = None
         if self._source is not None:
             self._source.close()
             self._source = None
@@ -219,6 +226,11 @@ class BridgeNode(LifecycleNode):
         if self._sending.failure:
             return Finding(ERROR, self._sending.failure, figures)
         return Finding(OK, self._stream.state, figures)
+
+    def _find_current(self) -> Finding:
+        if self._commands is None:
+            return Finding(OK, "the source takes no commands of the current")
+        return self._commands.finding()
 
 
 def _in_words(error: Exception) -> str:

@@ -37,7 +37,7 @@ _COLD, _HOT = 28.0, 71.0
 """Temperatures [°C] at which the thesis identified its damper."""
 
 _CHUNK = 100
-"""Samples made at a time. Temperature is constant within; fixed, so that blocks do not matter."""
+"""Samples of one temperature and one draw of noise; fixed, so that blocks do not matter."""
 
 
 class EmulatorError(ValueError):
@@ -273,6 +273,11 @@ class EmulatedRig:
         self._made = 0
         self._taken = 0
         self._ready = np.empty((4, 0))
+        self.live = False
+        """Whether no sample is made before it is asked for: the current then changes with the next
+        block, not up to a hundred samples later, which costs more where blocks are small."""
+        self._noise = np.empty((2, _CHUNK))
+        self._power = np.empty(_CHUNK)
         self.break_with(faults)
 
     @property
@@ -298,10 +303,15 @@ class EmulatedRig:
         """The next ``count`` samples; raises EmulatorError where that is less than one."""
         if count < 1:
             raise EmulatorError(f"{count} samples were asked for: ask for at least one")
-        chunks = [self._ready]
+        parts = [self._ready]
         while self._made < self._taken + count:
-            chunks.append(self._next_chunk())
-        rows = np.concatenate(chunks, axis=1)
+            left = _CHUNK - self._made % _CHUNK
+            parts.append(
+                self._next_samples(
+                    min(left, self._taken + count - self._made) if self.live else left
+                )
+            )
+        rows = np.concatenate(parts, axis=1)
         block, self._ready = rows[:, :count], rows[:, count:]
         first = self._taken
         self._taken += count
@@ -326,11 +336,14 @@ class EmulatedRig:
             details=details or {},
         )
 
-    def _next_chunk(self) -> Array:
-        # A fixed number of samples at a time: sums and random numbers then do not depend on how
-        # the stream is cut into blocks.
+    def _next_samples(self, count: int) -> Array:
+        """Rows of a :class:`RigBlock`, shape (4, count), within one chunk."""
         period = self._settings.period
-        time = np.arange(self._made, self._made + _CHUNK, dtype=np.float64) * period
+        begin = self._made % _CHUNK
+        part = slice(begin, begin + count)
+        if begin == 0:
+            self._noise = self._rng.standard_normal((2, _CHUNK))
+        time = np.arange(self._made, self._made + count, dtype=np.float64) * period
         moved = self._excitation.at(time)
         displacement, velocity, acceleration = moved
         current = self._current.at(time)
@@ -349,16 +362,17 @@ class EmulatedRig:
         true_force = self._damper.force(motion, in_coil, self._celsius)
         for fault in self._faults:
             true_force = fault.resisted(time, moved, true_force)
-        celsius = np.full(_CHUNK, self._celsius)
-        if self._thermal is not None:
-            power = float(np.mean(true_force * velocity))
+        celsius = np.full(count, self._celsius)
+        self._power[part] = true_force * velocity
+        self._made += count
+        if self._thermal is not None and self._made % _CHUNK == 0:
+            power = float(np.mean(self._power))
             self._celsius = self._thermal.after(self._celsius, power, _CHUNK * period)
-        noise = self._rng.standard_normal((2, _CHUNK))
-        self._made += _CHUNK
+        force_noise, displacement_noise = self._noise[:, part]
         return np.stack(
             [
-                displacement + self._settings.displacement_noise * noise[1],
-                true_force + self._settings.force_noise * noise[0],
+                displacement + self._settings.displacement_noise * displacement_noise,
+                true_force + self._settings.force_noise * force_noise,
                 current,
                 celsius,
             ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import time
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from mr_damper_ros.io.raw_table import RecordError
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.published_conditions import ConditionError
+from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, ThermalModel
+from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.rig.meter import Meter
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.sources import SOURCES
@@ -104,6 +107,39 @@ def test_the_knob_of_the_supply_works_between_two_blocks() -> None:
     after = list(islice(blocks, 3))
     assert set(before.current) == {0.5}
     assert after[-1].current[-1] == 1.0
+
+
+def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_time() -> None:
+    rig = source("emulated", block_size=10, current=0.5, command_timeout=0.01)
+    rig.open()
+    assert rig.commander is not None
+    blocks = rig.blocks(START)
+    assert set(next(blocks).current) == {0.5}
+    rig.commander.command(1.0, 0, 0.0, time.monotonic() + 3600.0)
+    list(islice(blocks, 10))  # what was made before the command, up to a hundred samples
+    assert set(next(blocks).current) == {1.0}
+    # From now on the rig makes no sample before it is asked for.
+    rig.commander.command(0.8, 1, 0.0, time.monotonic() + 3600.0)
+    assert set(next(blocks).current) == {0.8}
+    rig.commander.command(0.8, 2, 0.0, time.monotonic() - 3600.0)
+    assert set(next(blocks).current) == {0.0}
+
+
+def test_a_rig_that_makes_no_sample_beforehand_gives_the_same_stream() -> None:
+    rigs = [
+        EmulatedRig(
+            ConstantDamper(THESIS_28_CELSIUS),
+            SineMotion(0.005, 1.0),
+            1.0,
+            thermal=ThermalModel(capacity=1.0),
+            coil_time_constant=0.01,
+        )
+        for _ in range(2)
+    ]
+    rigs[0].live = True
+    one, other = ([rig.next_block(7) for _ in range(50)] for rig in rigs)
+    for name in ("displacement", "force", "current", "temperature"):
+        np.testing.assert_allclose(joined(one, name), joined(other, name), rtol=1e-12)
 
 
 def test_the_emulated_rig_heats_from_its_initial_temperature() -> None:

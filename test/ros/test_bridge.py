@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
+from mr_damper_msgs.msg import CurrentCommand, MtsSamples, SupplyCurrent
 from sensor_msgs.msg import JointState, Temperature
 from support import Listener, assert_one_sentence
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
+from mr_damper_ros.nodes.messages import from_field, header, to_nanoseconds
 
 COLUMNS = "time:s,displacement:mm,force:kN"
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
@@ -182,6 +182,23 @@ def transition(listener: Listener, number: int) -> bool:
 
 def state(listener: Listener) -> int:
     return int(listener.call(GetState, "bridge/get_state").current_state.id)
+
+
+def test_the_emulated_rig_obeys_commands_of_the_current(start: Any, listener: Listener) -> None:
+    current = listener.listen(SupplyCurrent, "supply/current")
+    publisher = listener.node.create_publisher(CurrentCommand, "supply/current_command", 10)
+
+    def command() -> None:
+        now_ns = listener.node.get_clock().now().nanoseconds
+        publisher.publish(CurrentCommand(header=header(now_ns, "damper"), current=0.7))
+
+    timer = listener.node.create_timer(0.05, command)
+    start("bridge")
+    listener.until(lambda: current and current[-1].current == 0.7, "the commanded current")
+    listener.node.destroy_timer(timer)
+    listener.until(lambda: current[-1].current == 0.0, "no current once the commands have stopped")
+    assert listener.set_parameter("bridge", "emulated.current", 1.0).successful
+    listener.until(lambda: current[-1].current == 1.0, "the knob")
 
 
 def test_a_lifecycle_manager_configures_activates_and_cleans_up(

@@ -13,7 +13,7 @@ from support import Listener
 
 POLICY = Path(__file__).parents[2] / "config" / "security" / "policy.xml"
 ROOT = Path(__file__).parents[2]
-NODES = ("bridge", "identifier", "model")
+NODES = ("bridge", "identifier", "model", "supply")
 
 ACTION_TOPICS = ("feedback", "status")
 ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
@@ -63,7 +63,8 @@ def done(listener: Listener, node: str) -> dict[str, set[str]]:
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_is_allowed_exactly_what_it_does(start: Any, listener: Listener, node: str) -> None:
     start(node, use_sim_time=True)
-    listener.wait_for_finding(f"{node}: {'source' if node == 'bridge' else 'input'}", "")
+    concern = {"bridge": "source", "supply": "supply"}.get(node, "input")
+    listener.wait_for_finding(f"{node}: {concern}", "")
     wanted = allowed(node)
     listener.until(
         lambda: all(wanted[what] <= names for what, names in done(listener, node).items()),

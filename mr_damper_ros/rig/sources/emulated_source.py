@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,9 +25,16 @@ from mr_damper_ros.rig.faults.fault import FaultError, Instruments
 from mr_damper_ros.rig.faults.fault_text import faults_of
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.rig.supplies.current_commander import (
+    CommandSettings,
+    CurrentCommander,
+    Origin,
+)
 from mr_damper_ros.settings.option_table import ParameterTable, option
 
 _THESIS_TEMPERATURES = "thesis_temperatures"
+
+_MOST_CURRENT = 10.0
 
 
 @dataclass(frozen=True)
@@ -56,9 +64,17 @@ class EmulatedOptions(ParameterTable):
     )
     current: float = option(
         1.5,
-        "Supply current [A]. It may be changed while the rig runs: this is the knob of the supply.",
-        minimum=-10.0,
-        maximum=10.0,
+        "Supply current [A]. It may be changed while the rig runs: this is the knob of the supply, "
+        "which holds until a command comes.",
+        minimum=-_MOST_CURRENT,
+        maximum=_MOST_CURRENT,
+    )
+    command_timeout: float = option(
+        0.5,
+        "Time [s] that a command of the current holds; after that the current is zero.",
+        minimum=0.01,
+        maximum=3600.0,
+        read_only=True,
     )
     coil_time_constant: float = option(
         0.0,
@@ -133,7 +149,7 @@ class EmulatedOptions(ParameterTable):
 
 
 class EmulatedSource(Source):
-    """An emulated rig, for ever; the current is the knob of its supply."""
+    """An emulated rig, for ever; its supply has a knob, and takes commands."""
 
     options = EmulatedOptions
     prefix = "emulated."
@@ -144,13 +160,21 @@ class EmulatedSource(Source):
 
     def open(self) -> list[str]:
         """Read the parameters of the damper."""
-        self._damper = _damper(self.settings)
+        given = self.settings
+        self._damper = _damper(given)
+        limits = CommandSettings(
+            largest_current=_MOST_CURRENT,
+            smallest_current=-_MOST_CURRENT,
+            command_timeout=given.command_timeout,
+        )
+        self.commander = CurrentCommander(limits, given.current)
         return []
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """The samples of a rig that starts now."""
         assert self._damper is not None
-        given = self.settings
+        assert self.commander is not None
+        given, commander = self.settings, self.commander
         settings = RigSettings(
             sample_rate=given.sample_rate,
             force_noise=given.force_noise,
@@ -161,7 +185,7 @@ class EmulatedSource(Source):
         faults = faults_of(given.faults.split(), given.seed)
         instruments = Instruments(faults)
         # The schedule is a list that grows while the rig reads it: this is the supply being turned.
-        times, currents = [0.0], [given.current]
+        times, currents = [0.0], [commander.step(time.monotonic())]
         rig = EmulatedRig(
             self._damper,
             SineMotion(given.amplitude, given.frequency),
@@ -176,10 +200,17 @@ class EmulatedSource(Source):
             ),
             coil_time_constant=given.coil_time_constant,
         )
-        taken = 0
+        taken, by_hand = 0, given.current
         while True:
-            current = self.settings.current
+            now = time.monotonic()
+            if self.settings.current != by_hand:
+                by_hand = self.settings.current
+                commander.set_by_hand(by_hand)
+            rig.live = commander.origin(now) is not Origin.HAND
+            current = commander.step(now)
             if current != currents[-1]:
+                # Of what is past only the latest matters.
+                del times[:-1], currents[:-1]
                 times.append(max(taken * settings.period, math.nextafter(times[-1], math.inf)))
                 currents.append(current)
             made = rig.next_block(self.stream.block_size)
@@ -191,7 +222,7 @@ class EmulatedSource(Source):
 
     def close(self) -> None:
         """Take the damper out."""
-        self._damper = None
+        self._damper = self.commander = None
 
 
 def _damper(rig: EmulatedOptions) -> Damper:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.supplies.current_commander import CurrentCommander
 from mr_damper_ros.settings.option_table import ParameterTable
 
 
@@ -34,6 +35,9 @@ class Source(ABC):
     """Its options; ``objection`` of the table says what the source lacks to be opened."""
 
     prefix: ClassVar[str]
+
+    commander: CurrentCommander | None = None
+    """Takes commands of the current, in a source that has a supply of its own, while it is open."""
 
     def __init__(self, settings: Any, stream: StreamSettings) -> None:
         self.settings = settings

@@ -1,0 +1,69 @@
+"""An emulated instrument behind a real TCP socket, with the troubles of real ones."""
+
+from __future__ import annotations
+
+import socketserver
+import threading
+
+from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument
+
+
+class InstrumentServer:
+    """Serves lines of SCPI on a free port of this computer, in threads of its own.
+
+    ``silent``: it hears and obeys, and answers nothing. ``deaf``: what comes is not even heard, as
+    when a cable is cut and nobody is told.
+    """
+
+    def __init__(self, instrument: EmulatedInstrument) -> None:
+        self.instrument = instrument
+        self.silent = False
+        self.deaf = False
+        self.lines: list[str] = []
+        self._connections: list[socketserver.StreamRequestHandler] = []
+        outer = self
+
+        class _LineConnection(socketserver.StreamRequestHandler):
+            def handle(self) -> None:
+                outer._connections.append(self)
+                for line in self.rfile:
+                    outer._hear(self, line)
+
+        class _SocketServer(socketserver.ThreadingTCPServer):
+            daemon_threads = True
+            allow_reuse_address = True
+
+        self._server = _SocketServer(("127.0.0.1", 0), _LineConnection)
+        self.address = "{}:{}".format(*self._server.server_address[:2])
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.02,), daemon=True
+        )
+        self._thread.start()
+
+    def cut(self) -> None:
+        """Close the connections that there are; new ones are taken."""
+        for connection in self._connections:
+            try:
+                connection.request.shutdown(2)
+            except OSError:
+                continue  # it was closed before
+        self._connections.clear()
+
+    def close(self) -> None:
+        """Serve nothing more."""
+        self._server.shutdown()
+        self._server.server_close()
+        self.cut()
+        self._thread.join()
+
+    def _hear(self, connection: socketserver.StreamRequestHandler, line: bytes) -> None:
+        if self.deaf:
+            return
+        text = line.decode("ascii").strip()
+        self.lines.append(text)
+        answer = self.instrument.hear(text)
+        if answer is not None and not self.silent:
+            try:
+                connection.wfile.write(answer.encode("ascii") + b"\n")
+            except OSError:
+                return

@@ -1,0 +1,392 @@
+"""Node that drives the supply of the coil: commands in, measured current out.
+
+It is a managed node: configuring connects and sets the instrument up, activating switches its
+output on. By itself it does both at the start. The output is off whenever it is not active.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from dataclasses import dataclass
+
+from mr_damper_msgs.msg import SupplyCurrent
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.current_commands import CurrentCommands
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.messages import current_message
+from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.rig.supplies.current_commander import CommandSettings, CurrentCommander
+from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument, EmulatedLink
+from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, connect
+from mr_damper_ros.rig.supplies.scpi_supply import ScpiSupply, SupplyError
+from mr_damper_ros.rig.supplies.supply_driver import SupplyDriver
+from mr_damper_ros.rig.supplies.supply_profile import read_profile
+from mr_damper_ros.settings.option_table import ParameterTable, group, option
+
+_EMULATED = "emulated"
+"""The address, and the profile, of the emulated instrument in this process."""
+
+_RESCUE = 0.5
+"""Seconds between two attempts to switch off a supply that does not answer."""
+
+
+@dataclass(frozen=True)
+class SupplyParameters(ParameterTable):
+    """Parameters of the supply node."""
+
+    address: str = option(
+        _EMULATED,
+        "Where the instrument is: host:port, a VISA resource name such as "
+        "USB0::0x2A8D::0x1202::MY1::INSTR (with PyVISA), or emulated.",
+        read_only=True,
+    )
+    profile: str = option(
+        "",
+        "What the instrument understands: a profile of the package (scpi, keysight_n7900) or the "
+        "path of a YAML file; empty for scpi, or that of the emulated one.",
+        read_only=True,
+    )
+    autostart: bool = option(
+        True,
+        "Configure and activate at the start; false leaves both to a lifecycle manager.",
+        start_only=True,
+    )
+    current: float = option(
+        0.0,
+        "Current [A] that is set by hand. It may be changed while the node works, and holds until "
+        "a command comes.",
+        minimum=-1000.0,
+        maximum=1000.0,
+    )
+    commands: CommandSettings = group(CommandSettings, flat=True, read_only=True)
+    largest_voltage: float = option(
+        12.0,
+        "Largest voltage [V] that the supply may put on the coil.",
+        minimum=0.0,
+        maximum=1000.0,
+        read_only=True,
+    )
+    rate: float = option(
+        20.0,
+        "Readings of the measured current per second [Hz].",
+        minimum=0.1,
+        maximum=1000.0,
+        read_only=True,
+    )
+    tolerance: float = option(
+        0.05,
+        "Difference [A] between measured and set current that is reported where it lasts.",
+        minimum=0.0,
+        maximum=1000.0,
+        read_only=True,
+    )
+    link_timeout: float = option(
+        0.5,
+        "Time [s] in which the instrument must answer; then the link counts as lost.",
+        minimum=0.01,
+        maximum=60.0,
+        read_only=True,
+    )
+    watchdog: float = option(
+        1.0,
+        "Time [s] without a line from here after which the instrument switches off by itself, "
+        "where its profile has a watchdog; rounded up to what it can count.",
+        minimum=0.05,
+        maximum=3600.0,
+        read_only=True,
+    )
+    frame_id: str = option("damper", "Frame of the measured current.", read_only=True)
+
+    def objection(self) -> str:
+        """Say why a reading may come too late for the watchdog."""
+        if self.watchdog < 2.0 / self.rate:
+            return (
+                f"watchdog is {self.watchdog:g} s, but a line goes out only every "
+                f"{1.0 / self.rate:g} s: make it at least two of these, or rate larger"
+            )
+        return ""
+
+
+class SupplyNode(LifecycleNode):
+    """Commands and readings run in a thread of their own: an instrument may take its time."""
+
+    def __init__(self) -> None:
+        super().__init__("supply")
+        self._supply: ScpiSupply | None = None
+        self.parameters = NodeParameters(
+            self,
+            SupplyParameters,
+            changed=self._apply,
+            configured=lambda: self._supply is not None,
+        )
+        self._drive: _Drive | None = None
+        self._commander = CurrentCommander(CommandSettings())
+        self._by_hand = self.parameters.values.current
+        self._commands: CurrentCommands | None = None
+        self._identity = ""
+        self._problem = ""
+        self._starting = self.parameters.values.autostart
+        self._diagnostics = Diagnostics(
+            self, {"supply": self._find_supply, "current": self._find_current}
+        )
+        if self._starting:
+            for transition in (self.trigger_configure, self.trigger_activate):
+                if transition() != TransitionCallbackReturn.SUCCESS:
+                    self._let_go()
+                    raise ConfigurationError(self._problem)
+            self._starting = False
+
+    def destroy_node(self) -> None:
+        """See that the supply is off before its node goes."""
+        self._stop()
+        self._let_go()
+        super().destroy_node()
+
+    def _apply(self, values: SupplyParameters) -> None:
+        if values.current != self._by_hand:
+            self._by_hand = values.current
+            self._commander.set_by_hand(values.current)
+            if self._drive is not None:
+                self._drive.hurry()
+
+    # --- life cycle: rclpy's calls these, and swallows what they raise --------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Connect to the instrument and set it up, with its output off."""
+        values = self.parameters.values
+        self._commander = CurrentCommander(values.commands, values.current)
+        try:
+            self._supply = _supply(values)
+            self._identity = self._supply.open()
+            self._publisher = self.create_publisher(
+                SupplyCurrent,
+                "supply/current",
+                quality.stream(),
+                qos_overriding_options=quality.overridable(),
+            )
+        except (ValueError, OSError) as error:
+            self._supply = None
+            return self._fail("the supply cannot be set up", error)
+        self._problem = ""
+        self.get_logger().info(f"connected to {self._identity} at {values.address}")
+        if math.isnan(self._supply.watchdog):
+            self.get_logger().warning(
+                "this supply has no watchdog that its profile knows: where this process or the "
+                "link dies, the current stays on"
+            )
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Switch the output on, and hear commands."""
+        assert self._supply is not None
+        values = self.parameters.values
+        driver = SupplyDriver(self._supply, self._commander, values.tolerance)
+        try:
+            try:
+                driver.start(time.monotonic())
+            except LinkLostError:
+                # What went down meanwhile may be back.
+                self._supply.open()
+                driver.start(time.monotonic())
+        except (ValueError, OSError) as error:
+            return self._fail("the supply cannot be switched on", error)
+        self._problem = ""
+        self._drive = _Drive(self, self._supply, driver, 1.0 / values.rate)
+        self._commands = CurrentCommands(self, self._commander, self._drive.hurry)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Switch the output off."""
+        self._stop()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let the instrument go."""
+        self._let_go()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop for good."""
+        self._stop()
+        self._let_go()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _fail(self, what: str, error: Exception) -> TransitionCallbackReturn:
+        self._problem = f"{what}: {error}"
+        if not self._starting:
+            self.get_logger().error(self._problem)
+        return TransitionCallbackReturn.FAILURE
+
+    def _stop(self) -> None:
+        if self._commands is not None:
+            self._commands.close()
+            self._commands = None
+        if self._drive is not None:
+            self._drive.stop()
+            self._drive = None
+
+    def _let_go(self) -> None:
+        supply, self._supply = self._supply, None
+        if supply is None:
+            return
+        try:
+            supply.close()
+        except LinkLostError as error:
+            self.get_logger().warning(f"the link was not closed in order: {error}")
+        self.destroy_publisher(self._publisher)
+
+    def publish_current(self, stamp_ns: int, current: float) -> None:
+        """Publish a reading."""
+        self._publisher.publish(current_message(stamp_ns, current, self.parameters.values.frame_id))
+
+    def leave_a_lost_supply(self) -> float:
+        """Deactivate once a supply that was lost has been switched off; returns no hurry."""
+        if self._drive is not None and self._drive.failure and self._drive.finished:
+            self._problem = f"{self._drive.failure}; the output has been switched off since"
+            self.get_logger().error(f"{self._problem}: activate the node again to go on")
+            self.trigger_deactivate()
+        return math.inf
+
+    # --- state ----------------------------------------------------------------------------------
+
+    def _find_supply(self) -> Finding:
+        supply, drive = self._supply, self._drive
+        if supply is None:
+            return Finding(ERROR if self._problem else WARN, self._problem or "not configured")
+        values: dict[str, object] = {
+            "instrument": self._identity,
+            "watchdog [s]": "none" if math.isnan(supply.watchdog) else f"{supply.watchdog:g}",
+        }
+        if drive is None:
+            level = ERROR if self._problem else WARN
+            return Finding(level, self._problem or "not active: the output is off", values)
+        if drive.failure:
+            return Finding(
+                ERROR, f"{drive.failure}; the output cannot be reached to switch it off", values
+            )
+        state = drive.driver.state
+        values["complaints"] = state.complaints
+        if state.last_complaint:
+            return Finding(WARN, f"the supply complains: {state.last_complaint}", values)
+        if math.isnan(supply.watchdog):
+            sentence = "on; no watchdog: where this process or the link dies, the current stays on"
+            return Finding(WARN, sentence, values)
+        return Finding(OK, f"on; off by itself after {supply.watchdog:g} s of silence", values)
+
+    def _find_current(self) -> Finding:
+        if self._drive is None or self._commands is None:
+            return Finding(WARN, "no current: the output is off")
+        state = self._drive.driver.state
+        found = self._commands.finding()
+        values = {**found.values, "set [A]": state.given, "measured [A]": state.measured}
+        if state.deviates:
+            return Finding(
+                ERROR,
+                f"the supply gives {state.measured:.3f} A where {state.given:.3f} A are set: is "
+                "the coil connected, has its protection tripped, does it need more voltage?",
+                values,
+            )
+        return Finding(found.level, f"{state.measured:.3f} A; {found.message}", values)
+
+
+class _Drive:
+    """The thread that drives the supply until it is stopped; where that fails it tries to end it.
+
+    ``failure`` says in a sentence why the supply is not driven any more. Then the thread goes on
+    until the output is off, or it is stopped.
+    """
+
+    def __init__(
+        self, node: SupplyNode, supply: ScpiSupply, driver: SupplyDriver, period: float
+    ) -> None:
+        self._node = node
+        self._supply = supply
+        self.driver = driver
+        self._period = period
+        self._ended = False
+        self._wake = threading.Event()
+        self.failure = ""
+        self._thread = threading.Thread(target=self._run, name="supply", daemon=True)
+        self._thread.start()
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has come to its end."""
+        return not self._thread.is_alive()
+
+    def hurry(self) -> None:
+        """There is something new to obey."""
+        self._wake.set()
+
+    def stop(self) -> None:
+        """Switch off, and wait until that is done."""
+        self._ended = True
+        self._wake.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._follow()
+        except Exception as error:  # whatever it is: the current must not stay on
+            self.failure = (
+                str(error)
+                if isinstance(error, (LinkLostError, SupplyError))
+                else f"driving the supply failed: {error}"
+            )
+            self._node.get_logger().error(f"{self.failure}: trying to switch the output off")
+            self._rescue()
+
+    def _follow(self) -> None:
+        due = time.monotonic()
+        while not self._ended:
+            self._wake.clear()
+            now = time.monotonic()
+            self.driver.obey(now)
+            if now >= due:
+                asked_ns = self._node.get_clock().now().nanoseconds
+                measured = self.driver.read(now)
+                answered_ns = self._node.get_clock().now().nanoseconds
+                self._node.publish_current((asked_ns + answered_ns) // 2, measured)
+                due = max(due + self._period, time.monotonic())
+            now = time.monotonic()
+            self._wake.wait(max(min(due - now, self.driver.wait(now)), 0.0))
+        self.driver.stop()
+
+    def _rescue(self) -> None:
+        while self._supply.switched_on:
+            try:
+                self._supply.rescue()
+            except (ValueError, OSError):
+                if self._ended:
+                    return
+                self._wake.wait(_RESCUE)
+
+
+def _supply(values: SupplyParameters) -> ScpiSupply:
+    """The supply of the parameters; raises ValueError."""
+    emulated = values.address == _EMULATED
+    profile = read_profile(values.profile or (_EMULATED if emulated else "scpi"))
+    if emulated:
+        instrument = EmulatedInstrument()
+        return ScpiSupply(
+            lambda: EmulatedLink(instrument),
+            profile,
+            voltage=values.largest_voltage,
+            watchdog=values.watchdog,
+        )
+    return ScpiSupply(
+        lambda: connect(values.address, values.link_timeout),
+        profile,
+        voltage=values.largest_voltage,
+        watchdog=values.watchdog,
+    )
+
+
+def main() -> int:
+    """Run the node."""
+    return run(SupplyNode, SupplyParameters, between=SupplyNode.leave_a_lost_supply)

@@ -1,0 +1,132 @@
+"""What current a supply shall give: commands that come and stop coming, within limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from mr_damper_ros.settings.option_table import CheckedSettings, option
+
+_RAMP_STEP = 0.01
+"""Seconds between two steps of a ramp."""
+
+
+@dataclass(frozen=True)
+class CommandSettings(CheckedSettings):
+    """What a supply makes of commands."""
+
+    largest_current: float = option(
+        2.0,
+        "Largest current [A] that the coil bears: larger commands are cut to it.",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    smallest_current: float = option(
+        0.0,
+        "Smallest current [A], which may be negative for a supply of both polarities.",
+        minimum=-1000.0,
+        maximum=0.0,
+    )
+    slew_rate: float = option(
+        0.0,
+        "Fastest change of the current [A/s]; 0: at once. Whatever makes it safe happens at once.",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    command_timeout: float = option(
+        0.5,
+        "Time [s] that a command holds from its stamp on; after that the current is zero. No "
+        "command that is older, or stamped further in the future, is taken.",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+
+
+class Origin(Enum):
+    """Where the present current comes from."""
+
+    HAND = "set by hand"
+    COMMAND = "commanded"
+    TIMED_OUT = "zero, for the commands have stopped"
+
+
+class CurrentCommander:
+    """Current [A] from commands, each of which holds for a while, or set by hand, which lasts.
+
+    Times are seconds of one steady clock, which nobody sets. A command takes the place of what was
+    set by hand; when the commands stop, the current is zero at once, and stays so until another
+    command comes or it is set by hand again. Counted: the commands that were refused, and those
+    that were cut to the limits.
+    """
+
+    def __init__(self, settings: CommandSettings, by_hand: float = 0.0) -> None:
+        self.settings = settings
+        self.refused = 0
+        self.cut = 0
+        self._wanted = self._within(by_hand)
+        self._until = math.inf
+        self._stamp_ns: int | None = None
+        self._given, self._at = 0.0, 0.0
+
+    def set_by_hand(self, current: float) -> None:
+        """Give this current from now on, until a command comes."""
+        self._until, self._wanted, self._stamp_ns = math.inf, self._within(current), None
+
+    def command(self, current: float, stamp_ns: int, age: float, now: float) -> str:
+        """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
+
+        ``stamp_ns`` is the time of the decision: a command that was overtaken is refused.
+        """
+        timeout = self.settings.command_timeout
+        if not math.isfinite(current):
+            return self._refuse("the commanded current is not finite")
+        if not -timeout <= age <= timeout:
+            when = f"{age:.3g} s old" if age > 0.0 else f"stamped {-age:.3g} s in the future"
+            return self._refuse(
+                f"the command is {when}, and command_timeout is {timeout:g} s: are the clocks of "
+                "both computers the same?"
+            )
+        if self._stamp_ns is not None and stamp_ns < self._stamp_ns and now < self._until:
+            return self._refuse("the command came after a newer one")
+        within = self._within(current)
+        self.cut += within != current
+        # One that is stamped in the future holds no longer than one of now.
+        self._until = now + timeout - max(age, 0.0)
+        self._wanted, self._stamp_ns = within, stamp_ns
+        return ""
+
+    def origin(self, now: float) -> Origin:
+        """Where the current comes from now."""
+        if math.isinf(self._until):
+            return Origin.HAND
+        return Origin.COMMAND if now < self._until else Origin.TIMED_OUT
+
+    def step(self, now: float) -> float:
+        """The current [A] to give now; within the slew rate of that of the last call."""
+        elapsed, self._at = max(now - self._at, 0.0), now
+        if self.origin(now) is Origin.TIMED_OUT:
+            self._given = 0.0
+        else:
+            rate = self.settings.slew_rate
+            most = rate * elapsed if rate > 0.0 else math.inf
+            self._given += min(max(self._wanted - self._given, -most), most)
+        return self._given
+
+    def wait(self, now: float) -> float:
+        """Seconds until the current changes by itself, in a ramp or at a time-out."""
+        origin = self.origin(now)
+        if origin is Origin.TIMED_OUT:
+            return math.inf
+        return _RAMP_STEP if self._given != self._wanted else max(self._until - now, 0.0)
+
+    def start(self, now: float) -> None:
+        """Begin at zero current: the output has just been switched on."""
+        self._given, self._at = 0.0, now
+
+    def _within(self, current: float) -> float:
+        return min(max(current, self.settings.smallest_current), self.settings.largest_current)
+
+    def _refuse(self, reason: str) -> str:
+        self.refused += 1
+        return reason

@@ -1,0 +1,146 @@
+"""A supply that speaks SCPI, by the profile of its kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, ScpiLink
+from mr_damper_ros.rig.supplies.supply_profile import SupplyProfile
+
+_MOST_ERRORS = 50
+"""More than a queue of errors holds: one that never ends is no queue."""
+
+
+class SupplyError(ValueError):
+    """The instrument answers, but not what it should; the message is a sentence."""
+
+
+class ScpiSupply:
+    """One instrument; every method raises LinkLostError where it does not answer.
+
+    ``connect`` makes a link to it. ``voltage`` [V] is the most that it may put on the coil,
+    ``watchdog`` [s] after how long without a line it shall switch off by itself, where it can.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[], ScpiLink],
+        profile: SupplyProfile,
+        *,
+        voltage: float,
+        watchdog: float,
+    ) -> None:
+        self._connect = connect
+        self._profile = profile
+        self._voltage = voltage
+        self._delay = profile.watchdog_delay(watchdog)
+        self._link: ScpiLink | None = None
+        self._given = ""
+        self.switched_on = False
+        """Whether the output has been switched on, and not been heard to be off since."""
+
+    @property
+    def watchdog(self) -> float:
+        """Seconds after which the instrument switches off by itself; NaN where it does not."""
+        return self._delay if self._profile.watchdog else math.nan
+
+    def open(self) -> str:
+        """Connect, switch the output off and set the instrument up; returns what it calls itself.
+
+        Raises SupplyError where it does not understand that.
+        """
+        self.close()
+        self._link = self._connect()
+        name = self._link.query("*IDN?")
+        self.switch_off()
+        for line in self._profile.setup:
+            self._write(line)
+        self._require_no_errors("the set-up")
+        return name
+
+    def switch_on(self) -> None:
+        """Switch the output on, at no current; raises SupplyError where the instrument objects."""
+        self.switch_off()
+        for line in (*self._profile.rearm, *self._profile.watchdog):
+            self._write(line)
+        self.switched_on = True
+        self._write(self._profile.output_on)
+        try:
+            self._require_no_errors("switching the output on")
+        except SupplyError:
+            self.switch_off()
+            raise
+
+    def switch_off(self) -> None:
+        """Take the current away and switch the output off, and see that this was heard."""
+        self._given = ""
+        self.give(0.0)
+        self._write(self._profile.output_off)
+        # An answer says that the lines before it have come. What is complained of may be older.
+        if self.errors():
+            self._write(self._profile.output_off)
+            self._require_no_errors("switching the output off")
+        self.switched_on = False
+
+    def give(self, current: float) -> None:
+        """Set the current [A], unless it is set already."""
+        line = self._profile.set_current.format(current=current)
+        if line != self._given:
+            self._write(line)
+            self._given = line
+
+    def measured(self) -> float:
+        """The current [A] that the instrument measures; raises SupplyError where that is none."""
+        answer = self._query(self._profile.read_current)
+        try:
+            value = float(answer)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise SupplyError(
+                f"the supply answers '{answer[:80]}' to {self._profile.read_current}, which is no "
+                "current: does the profile fit it?"
+            )
+        return value
+
+    def errors(self) -> list[str]:
+        """All that waits in the instrument's queue of errors."""
+        found: list[str] = []
+        while len(found) < _MOST_ERRORS:
+            answer = self._query(self._profile.read_error)
+            if answer.startswith(self._profile.no_error):
+                return found
+            found.append(answer)
+        raise SupplyError(
+            f"the supply's queue of errors does not end: {found[-1][:80]} again and again to "
+            f"{self._profile.read_error}; does the profile fit it?"
+        )
+
+    def rescue(self) -> None:
+        """Switch the output off over a new link."""
+        self.close()
+        self._link = self._connect()
+        self.switch_off()
+
+    def close(self) -> None:
+        """Let the instrument go, as it is."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _require_no_errors(self, what: str) -> None:
+        errors = self.errors()
+        if errors:
+            raise SupplyError(f"the supply objects to {what}: {'; '.join(errors)[:200]}")
+
+    def _write(self, line: str) -> None:
+        self._linked().write(line.format(voltage=self._voltage, seconds=self._delay))
+
+    def _query(self, line: str) -> str:
+        return self._linked().query(line)
+
+    def _linked(self) -> ScpiLink:
+        if self._link is None:
+            raise LinkLostError("there is no link to the supply")
+        return self._link

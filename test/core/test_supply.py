@@ -1,0 +1,426 @@
+"""Supplies: what commands do, and what an instrument behind a real socket makes of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from benchmarks.instrument_server import InstrumentServer
+from mr_damper_ros.rig.supplies.current_commander import (
+    CommandSettings,
+    CurrentCommander,
+    Origin,
+)
+from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument, EmulatedLink
+from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, connect
+from mr_damper_ros.rig.supplies.scpi_supply import ScpiSupply, SupplyError
+from mr_damper_ros.rig.supplies.supply_driver import SupplyDriver
+from mr_damper_ros.rig.supplies.supply_profile import (
+    ProfileError,
+    SupplyProfile,
+    read_profile,
+    shipped_profiles,
+)
+
+SECOND = 10**9
+TIMEOUT = 0.2
+"""Seconds that the tests' links wait for an answer: each silence costs one."""
+
+with_visa = pytest.mark.skipif(find_spec("pyvisa_py") is None, reason="PyVISA-py is missing")
+
+
+# --- commands -----------------------------------------------------------------------------------
+
+
+def commander(**settings: float) -> CurrentCommander:
+    made = CurrentCommander(CommandSettings(**settings))
+    made.start(0.0)
+    return made
+
+
+def test_a_command_holds_for_its_time_and_then_the_current_is_zero_at_once() -> None:
+    tried = commander(command_timeout=0.5, slew_rate=1.0)
+    assert tried.command(1.0, 0, 0.0, now=10.0) == ""
+    tried.start(9.0)
+    assert tried.step(10.0) == 1.0
+    assert tried.step(10.499) == 1.0
+    assert tried.step(10.5) == 0.0
+    assert tried.origin(10.5) is Origin.TIMED_OUT
+
+
+def test_the_age_of_a_command_counts_as_time_that_it_has_held() -> None:
+    tried = commander(command_timeout=0.5)
+    assert tried.command(1.0, 0, 0.3, now=10.0) == ""
+    assert tried.step(10.19) == 1.0
+    assert tried.step(10.2) == 0.0
+
+
+def test_a_command_of_the_future_holds_no_longer_than_one_of_now() -> None:
+    tried = commander(command_timeout=0.5)
+    assert tried.command(1.0, 0, -0.4, now=10.0) == ""
+    assert tried.step(10.5) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("current", "age", "part"),
+    [
+        (math.nan, 0.0, "not finite"),
+        (math.inf, 0.0, "not finite"),
+        (1.0, 0.6, "0.6 s old"),
+        (1.0, -0.6, "0.6 s in the future"),
+        (1.0, math.nan, "command_timeout"),
+    ],
+)
+def test_a_command_that_cannot_be_meant_is_refused(current: float, age: float, part: str) -> None:
+    tried = commander(command_timeout=0.5)
+    assert tried.command(0.5, 0, 0.0, now=0.0) == ""
+    assert part in tried.command(current, 1, age, now=0.1)
+    assert tried.step(0.1) == 0.5
+    assert tried.refused == 1
+
+
+def test_a_command_that_was_overtaken_is_refused_while_the_newer_one_holds() -> None:
+    tried = commander(command_timeout=0.5)
+    assert tried.command(1.0, 2 * SECOND, 0.0, now=0.0) == ""
+    assert "after a newer one" in tried.command(0.3, SECOND, 0.1, now=0.1)
+    # Once that has timed out, an earlier stamp is that of a clock which was set.
+    assert tried.command(0.3, SECOND, 0.1, now=0.6) == ""
+
+
+def test_commands_are_cut_to_the_limits_and_counted() -> None:
+    tried = commander(largest_current=2.0, smallest_current=-0.5)
+    for given, expected in ((5.0, 2.0), (-5.0, -0.5), (1.0, 1.0)):
+        assert tried.command(given, 0, 0.0, now=0.0) == ""
+        assert tried.step(0.0) == expected
+    assert tried.cut == 2
+
+
+def test_the_current_changes_no_faster_than_the_slew_rate() -> None:
+    tried = commander(slew_rate=2.0, command_timeout=10.0)
+    tried.command(1.0, 0, 0.0, now=0.0)
+    assert [tried.step(t) for t in (0.1, 0.2, 0.5, 0.6)] == pytest.approx([0.2, 0.4, 1.0, 1.0])
+    tried.command(0.0, 1, 0.0, now=0.6)
+    assert tried.step(0.85) == pytest.approx(0.5)
+
+
+def test_what_is_set_by_hand_lasts_until_a_command_and_comes_back_only_by_hand() -> None:
+    tried = CurrentCommander(CommandSettings(command_timeout=0.5), by_hand=0.7)
+    assert tried.step(1e6) == 0.7
+    tried.command(1.0, 0, 0.0, now=1e6)
+    assert tried.step(1e6) == 1.0
+    assert tried.step(1e6 + 1.0) == 0.0
+    tried.set_by_hand(0.4)
+    assert tried.step(2e6) == 0.4
+    assert tried.origin(2e6) is Origin.HAND
+
+
+def test_it_says_when_the_current_will_change_by_itself() -> None:
+    tried = commander(slew_rate=1.0, command_timeout=2.0)
+    assert tried.wait(0.0) == math.inf
+    tried.command(1.0, 0, 0.0, now=0.0)
+    assert 0.0 < tried.wait(0.0) < 0.1, "it ramps"
+    tried.step(1.0)
+    assert tried.wait(1.0) == pytest.approx(1.0), "the time-out"
+    assert tried.wait(3.0) == math.inf
+
+
+# --- the emulated instrument --------------------------------------------------------------------
+
+
+class SetClock:
+    """Seconds that pass when the test says so."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> SetClock:
+    return SetClock()
+
+
+@pytest.fixture
+def instrument(clock: SetClock) -> EmulatedInstrument:
+    return EmulatedInstrument(time_constant=0.05, clock=clock)
+
+
+def test_what_it_measures_follows_what_was_set_by_way_of_the_inductance(
+    instrument: EmulatedInstrument, clock: SetClock
+) -> None:
+    instrument.hear("CURR 2.0")
+    instrument.hear("OUTP ON")
+    for passed in (0.02, 0.05, 0.5):
+        clock.now = 100.0 + passed
+        expected = 2.0 * (1.0 - math.exp(-passed / 0.05))
+        assert float(instrument.hear("MEAS:CURR?") or "") == pytest.approx(expected, abs=1e-4)
+
+
+def test_its_watchdog_switches_off_when_it_is_due_and_must_be_cleared(
+    instrument: EmulatedInstrument, clock: SetClock
+) -> None:
+    for line in ("OUTP:PROT:WDOG:DEL 1", "OUTP:PROT:WDOG ON", "CURR 1", "OUTP ON"):
+        instrument.hear(line)
+    clock.now += 0.9
+    assert instrument.current() == pytest.approx(1.0)
+    clock.now += 0.15  # 50 ms, one time constant, after it was due
+    assert instrument.current() == pytest.approx(math.exp(-1.0))
+    clock.now += 1.0
+    instrument.hear("OUTP ON")
+    assert instrument.is_off
+    instrument.hear("OUTP:PROT:CLE")
+    assert not instrument.is_off
+
+
+def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) -> None:
+    instrument.hear("CURR 99")
+    instrument.hear("CURR a lot")
+    for _ in range(20):
+        instrument.hear("NONSENSE 1")
+    errors = []
+    while not (error := instrument.hear("SYST:ERR?") or "").startswith("+0"):
+        errors.append(error[:4])
+    assert errors == ["-222", "-104", *["-113"] * 7, "-350"]
+
+
+# --- profiles -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", shipped_profiles())
+def test_a_shipped_profile_can_be_read_and_says_what_it_was_tested_on(name: str) -> None:
+    assert read_profile(name).tested
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("[1, 2]", "no table"),
+        ("tested: no\nset_curent: X", "'set_curent', which is none of"),
+        ("set_current: X", "does not say what it was tested on"),
+        ("tested: no\nset_current: CURR {amps}", "cannot be filled in"),
+        ("tested: no\nset_current: CURR {", "cannot be filled in"),
+        ("tested: no\nwatchdog_step: quick", "must be a number"),
+        ("tested: no\nwatchdog_step: 0", "must be positive"),
+        ("a: [", "is no YAML"),
+    ],
+)
+def test_a_profile_that_cannot_be_used_is_refused(tmp_path: Path, text: str, part: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ProfileError, match=part):
+        read_profile(str(path))
+
+
+def test_a_profile_that_is_not_there_is_answered_with_those_that_are() -> None:
+    with pytest.raises(ProfileError, match="emulated, keysight_n7900, scpi"):
+        read_profile("mine")
+
+
+def test_a_watchdog_is_never_set_shorter_than_wanted_nor_to_a_part_of_its_step() -> None:
+    profile = SupplyProfile(tested="no", watchdog_step=1.0)
+    assert [profile.watchdog_delay(wanted) for wanted in (0.2, 1.0, 1.2)] == [1.0, 1.0, 2.0]
+
+
+# --- a supply behind a socket -------------------------------------------------------------------
+
+
+@pytest.fixture
+def server(instrument: EmulatedInstrument) -> Iterator[InstrumentServer]:
+    serving = InstrumentServer(instrument)
+    yield serving
+    serving.close()
+
+
+def supply_at(address: str, profile: str = "emulated") -> ScpiSupply:
+    return ScpiSupply(
+        lambda: connect(address, TIMEOUT), read_profile(profile), voltage=12.0, watchdog=0.5
+    )
+
+
+def give(supply: ScpiSupply, current: float) -> None:
+    """Set a current, and wait until the instrument has heard it: lines are not acknowledged."""
+    supply.give(current)
+    assert supply.errors() == []
+
+
+@pytest.fixture
+def supply(server: InstrumentServer) -> Iterator[ScpiSupply]:
+    made = supply_at(server.address)
+    yield made
+    made.close()
+
+
+def test_it_is_off_and_without_current_until_it_is_switched_on(
+    supply: ScpiSupply, server: InstrumentServer
+) -> None:
+    server.instrument.hear("CURR 1.0")
+    server.instrument.hear("OUTP ON")
+    assert "emulated" in supply.open()
+    assert server.instrument.is_off
+    supply.switch_on()
+    assert not server.instrument.is_off
+    assert supply.measured() == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_command_changes_what_is_measured(supply: ScpiSupply, clock: SetClock) -> None:
+    supply.open()
+    supply.switch_on()
+    give(supply, 1.25)
+    clock.now += 0.4
+    assert supply.measured() == pytest.approx(1.25, abs=1e-3)
+    supply.switch_off()
+    clock.now += 0.4
+    assert supply.measured() == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_same_current_is_not_sent_again(supply: ScpiSupply, server: InstrumentServer) -> None:
+    supply.open()
+    supply.switch_on()
+    give(supply, 1.0)
+    sent = len(server.lines)
+    supply.give(1.0)
+    supply.measured()
+    assert server.lines[sent:] == ["MEAS:CURR?"]
+
+
+def test_the_watchdog_is_set_before_there_is_current_and_can_be_armed_again(
+    supply: ScpiSupply, server: InstrumentServer, clock: SetClock
+) -> None:
+    supply.open()
+    supply.switch_on()
+    assert server.lines.index("OUTP:PROT:WDOG ON") < server.lines.index("OUTP ON")
+    clock.now += 0.51
+    assert server.instrument.is_off
+    supply.switch_on()
+    assert not server.instrument.is_off
+
+
+def test_a_profile_that_does_not_fit_is_told_at_once(
+    server: InstrumentServer, tmp_path: Path
+) -> None:
+    path = tmp_path / "other.yaml"
+    path.write_text("tested: no\nsetup: ['SOUR:WHATEVER 1']", encoding="utf-8")
+    with pytest.raises(SupplyError, match=r"objects to the set-up: -113"):
+        supply_at(server.address, str(path)).open()
+
+
+def test_silence_is_a_lost_link(supply: ScpiSupply, server: InstrumentServer) -> None:
+    supply.open()
+    server.silent = True
+    with pytest.raises(LinkLostError, match="has not answered within"):
+        supply.measured()
+
+
+def test_a_cut_connection_is_a_lost_link_and_the_output_goes_off_over_a_new_one(
+    supply: ScpiSupply, server: InstrumentServer, clock: SetClock
+) -> None:
+    supply.open()
+    supply.switch_on()
+    give(supply, 1.0)
+    clock.now += 0.4
+    supply.measured()
+    server.cut()
+    with pytest.raises(LinkLostError):
+        supply.measured()
+    assert supply.switched_on
+    assert not server.instrument.is_off
+    supply.rescue()
+    assert server.instrument.is_off
+    assert not supply.switched_on
+
+
+def test_complaints_from_before_do_not_keep_it_from_being_switched_off(
+    supply: ScpiSupply, server: InstrumentServer
+) -> None:
+    supply.open()
+    supply.switch_on()
+    supply.give(99.0)
+    supply.switch_off()
+    assert server.instrument.is_off
+
+
+@pytest.mark.parametrize("address", ["", "a b", "host:99999", "host:port"])
+def test_an_address_that_is_none_is_refused(address: str) -> None:
+    with pytest.raises(ValueError, match="give host:port"):
+        connect(address, TIMEOUT)
+
+
+def test_nobody_at_the_address_is_a_lost_link(server: InstrumentServer) -> None:
+    server.close()
+    with pytest.raises(LinkLostError, match="refused"):
+        connect(server.address, TIMEOUT)
+
+
+@with_visa
+def test_pyvisa_reaches_the_same_instrument(server: InstrumentServer, clock: SetClock) -> None:
+    host, _, port = server.address.partition(":")
+    supply = supply_at(f"TCPIP::{host}::{port}::SOCKET")
+    supply.open()
+    supply.switch_on()
+    give(supply, 1.5)
+    clock.now += 0.45
+    assert supply.measured() == pytest.approx(1.5, abs=1e-3)
+    server.silent = True
+    with pytest.raises(LinkLostError, match=port):
+        supply.measured()
+    supply.close()
+
+
+# --- driving it ---------------------------------------------------------------------------------
+
+
+def driven(instrument: EmulatedInstrument) -> tuple[SupplyDriver, CurrentCommander]:
+    supply = ScpiSupply(
+        lambda: EmulatedLink(instrument), read_profile("emulated"), voltage=12.0, watchdog=0.5
+    )
+    supply.open()
+    made = CurrentCommander(CommandSettings(largest_current=20.0))
+    return SupplyDriver(supply, made, tolerance=0.05), made
+
+
+def test_a_driven_supply_gives_what_is_commanded_and_stops_with_the_commands(
+    instrument: EmulatedInstrument, clock: SetClock
+) -> None:
+    driver, commands = driven(instrument)
+    driver.start(clock.now)
+    commands.command(1.0, 0, 0.0, clock.now)
+    readings = []
+    for _ in range(16):
+        driver.obey(clock.now)
+        readings.append(driver.read(clock.now))
+        clock.now += 0.1
+    assert readings[4] == pytest.approx(1.0, abs=1e-3)
+    assert readings[15] == pytest.approx(0.0, abs=1e-3)
+    assert not driver.state.deviates
+
+
+def test_a_current_that_does_not_come_is_noticed(
+    instrument: EmulatedInstrument, clock: SetClock
+) -> None:
+    driver, commands = driven(instrument)
+    driver.start(clock.now)
+    commands.set_by_hand(1.0)
+    driver.obey(clock.now)
+    instrument.hear("OUTP OFF")  # its protection has tripped
+    for passed in (0.5, 1.5):
+        clock.now += 1.0 if passed > 1.0 else 0.5
+        driver.read(clock.now)
+        assert driver.state.deviates == (passed > 1.0)
+
+
+def test_complaints_of_the_instrument_are_counted(
+    instrument: EmulatedInstrument, clock: SetClock
+) -> None:
+    driver, commands = driven(instrument)
+    driver.start(clock.now)
+    commands.set_by_hand(9.0)  # more than the instrument gives
+    driver.obey(clock.now)
+    driver.read(clock.now)
+    assert driver.state.complaints == 1
+    assert driver.state.last_complaint.startswith("-222")

@@ -1,0 +1,210 @@
+"""The supply node against an instrument behind a real socket: what is on, and when it goes off."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from mr_damper_msgs.msg import CurrentCommand, SupplyCurrent
+from support import Listener, assert_one_sentence
+
+from benchmarks.instrument_server import InstrumentServer
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.messages import header
+from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument
+
+NEARLY = 0.02
+"""[A]: a coil that has had four of its time constants, and the digits of a reading."""
+
+COMMAND = "supply/current_command"
+
+
+@pytest.fixture
+def server() -> Iterator[InstrumentServer]:
+    serving = InstrumentServer(EmulatedInstrument())
+    yield serving
+    serving.close()
+
+
+class Commander:
+    """Commands a current ten times within each time-out, for as long as the test spins."""
+
+    def __init__(self, listener: Listener) -> None:
+        self._node = listener.node
+        self._publisher = listener.node.create_publisher(
+            CurrentCommand, COMMAND, quality.stream(10)
+        )
+        self.current: float | None = None
+        self._timer = listener.node.create_timer(0.03, self._send)
+
+    def _send(self) -> None:
+        if self.current is not None:
+            self.send(self.current)
+
+    def send(self, current: float, age: float = 0.0) -> None:
+        now_ns = self._node.get_clock().now().nanoseconds
+        self._publisher.publish(
+            CurrentCommand(header=header(now_ns - round(1e9 * age), "damper"), current=current)
+        )
+
+
+@pytest.fixture
+def supply(start: Any, server: InstrumentServer) -> Any:
+    return start_supply(start, server)
+
+
+def start_supply(start: Any, server: InstrumentServer, **parameters: object) -> Any:
+    given: dict[str, object] = {"profile": "emulated", "command_timeout": 0.3, "watchdog": 0.5}
+    return start("supply", address=server.address, rate=50.0, **{**given, **parameters})
+
+
+def gives(server: InstrumentServer, current: float) -> Callable[[], bool]:
+    return lambda: abs(server.instrument.current() - current) < NEARLY
+
+
+def off(server: InstrumentServer) -> Callable[[], bool]:
+    return lambda: server.instrument.is_off and server.instrument.current() < NEARLY
+
+
+def state_of(listener: Listener) -> int:
+    return int(listener.call(GetState, "supply/get_state").current_state.id)
+
+
+def change(listener: Listener, transition: int) -> bool:
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return bool(listener.call(ChangeState, "supply/change_state", request).success)
+
+
+def test_it_gives_what_is_commanded_and_publishes_what_is_measured(
+    supply: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    measured = listener.listen(SupplyCurrent, "supply/current")
+    commander = Commander(listener)
+    commander.current = 1.2
+    listener.until(gives(server, 1.2), "the current")
+    measured.clear()
+    listener.until(lambda: len(measured) > 10, "readings")
+    assert measured[-1].current == pytest.approx(1.2, abs=NEARLY)
+    found = listener.wait_for_finding("supply: current", "the current is commanded")
+    assert found.level == DiagnosticStatus.OK
+    commander.current = None  # it is frozen
+    listener.until(gives(server, 0.0), "no current after the time-out")
+    listener.wait_for_finding("supply: current", "the commands have stopped")
+    commander.current = 0.8
+    listener.until(gives(server, 0.8), "the current of new commands")
+    assert supply.stop(signal.SIGTERM) == 0
+    assert off(server)()
+
+
+def test_commands_that_cannot_be_meant_are_refused_and_told(
+    supply: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    commander = Commander(listener)
+    listener.wait_for_finding("supply: current", "set by hand")
+    commander.send(1.0, age=5.0)
+    listener.wait_for_finding("supply: current", "5 s old")
+    commander.send(float("nan"))
+    listener.wait_for_finding("supply: current", "not finite")
+    assert gives(server, 0.0)()
+    commander.current = 9.0
+    listener.until(gives(server, 2.0), "what the limit allows")
+
+
+def test_two_that_command_are_an_error(
+    supply: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    Commander(listener)
+    with Listener() as other:
+        Commander(other)
+        found = listener.wait_for_finding("supply: current", "end all but one")
+    assert found.level == DiagnosticStatus.ERROR
+
+
+def test_the_current_set_by_hand_lasts(
+    start: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    start_supply(start, server, current=0.5)
+    listener.until(gives(server, 0.5), "the current of the start")
+    assert listener.set_parameter("supply", "current", 0.9).successful
+    listener.until(gives(server, 0.9), "the new one")
+
+
+def test_the_output_is_on_only_while_the_node_is_active(
+    start: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    start_supply(start, server, autostart=False, current=0.5)
+    listener.until(lambda: state_of(listener) == State.PRIMARY_STATE_UNCONFIGURED, "the node")
+    assert change(listener, Transition.TRANSITION_CONFIGURE)
+    assert server.instrument.is_off
+    assert change(listener, Transition.TRANSITION_ACTIVATE)
+    listener.until(gives(server, 0.5), "the current")
+    assert change(listener, Transition.TRANSITION_DEACTIVATE)
+    assert server.instrument.is_off
+    assert change(listener, Transition.TRANSITION_ACTIVATE)
+    listener.until(gives(server, 0.5), "the current again")
+    assert change(listener, Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert server.instrument.is_off
+
+
+def test_after_a_cut_link_the_output_goes_off_over_a_new_one_and_stays_off(
+    start: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    start_supply(start, server, profile="scpi", current=0.7)  # it has no watchdog
+    listener.until(gives(server, 0.7), "the current")
+    server.cut()
+    listener.until(off(server), "no current")
+    listener.wait_for_finding("supply: supply", "has been switched off since")
+    assert state_of(listener) == State.PRIMARY_STATE_INACTIVE
+    assert change(listener, Transition.TRANSITION_ACTIVATE)
+    listener.until(gives(server, 0.7), "the current, once it is activated again")
+
+
+@pytest.mark.parametrize("trouble", ["deaf", "silent"])
+def test_an_instrument_that_is_not_reached_switches_off_by_itself_and_the_node_says_so(
+    start: Any, server: InstrumentServer, listener: Listener, trouble: str
+) -> None:
+    node = start_supply(start, server, current=0.7, link_timeout=0.2)
+    listener.until(gives(server, 0.7), "the current")
+    setattr(server, trouble, True)
+    listener.until(off(server), "no current")
+    listener.wait_for_finding("supply: supply", "cannot be reached")
+    assert node.stop(signal.SIGINT) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_where_the_node_is_gone_or_frozen_the_watchdog_switches_off(
+    start: Any, server: InstrumentServer, listener: Listener, number: signal.Signals
+) -> None:
+    node = start_supply(start, server, current=0.7)
+    listener.until(gives(server, 0.7), "the current")
+    node.send_signal(number)
+    deadline = time.monotonic() + 10.0
+    listener.until(off(server), "no current")
+    assert time.monotonic() < deadline
+    if number == signal.SIGSTOP:
+        node.send_signal(signal.SIGCONT)
+        listener.wait_for_finding("supply: current", "where 0.700 A are set")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "part"),
+    [
+        ({"address": "127.0.0.1:1"}, "127.0.0.1:1: Connection refused"),
+        ({"address": "nowhere at all"}, "give host:port"),
+        ({"profile": "mine"}, "the profile 'mine' cannot be read"),
+        ({"watchdog": 0.05, "rate": 20.0}, "watchdog is 0.05 s"),
+    ],
+)
+def test_it_does_not_start_with_what_it_cannot_use(
+    start: Any, parameters: dict[str, object], part: str
+) -> None:
+    node = start("supply", **parameters)
+    assert node.wait() == 2
+    assert_one_sentence(node.errors)
+    assert part in node.errors
