@@ -141,6 +141,8 @@ class LiveRecord:
         with self._lock:
             if time_s < self._last_time - _JUMP:
                 self._begin()
+                if self._set is not None:
+                    self._trace_set(self._set, -math.inf)
             if math.isnan(self._origin):
                 self._origin = time_s
             self._last_time = time_s
@@ -180,15 +182,19 @@ class LiveRecord:
 
     def set_parameters(self, seen: SetSeen) -> None:
         """Take note of the set in use from now on."""
-        pairs = {
-            name: (value, error if determined else math.nan)
-            for name, value, error, determined in zip(
-                seen.names, seen.values, seen.standard_errors, seen.observable, strict=True
-            )
-        }
         with self._lock:
             self._set = seen
-            self._trace("parameters", seen.time, pairs, SETS_KEPT)
+            # What comes from no samples holds from now on.
+            self._trace_set(seen, seen.time if seen.time > 0.0 else self._last_time)
+
+    def _trace_set(self, seen: SetSeen, since: float) -> None:
+        """Add a set to the table; ``since`` is infinite where it holds from the beginning."""
+        named = zip(seen.names, seen.values, seen.standard_errors, seen.observable, strict=True)
+        pairs = {
+            name: (value, error if determined else math.nan)
+            for name, value, error, determined in named
+        }
+        self._trace("parameters", since if math.isfinite(since) else math.nan, pairs, SETS_KEPT)
 
     def _trace(
         self, name: str, time_s: float, pairs: Mapping[str, tuple[float, float]], capacity: int

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 from mr_damper_ros.live import live_record
@@ -93,6 +94,21 @@ def test_where_the_stamps_fall_back_everything_begins_anew() -> None:
     assert after.generation != before.generation
     assert after.values[:, 1].tolist() == [T0]
     assert len(windows.values) == 0
+
+
+def test_a_set_is_known_from_the_beginning_of_another_recording_or_from_no_samples() -> None:
+    record = LiveRecord()
+    record.set_parameters(replace(a_set("f0"), time=0.0))
+    first = record.rows("parameters", -1, -1)
+    assert first is not None
+    assert math.isnan(first.values[0, 1])
+    signals(record, T0 + 100.0)
+    record.set_parameters(replace(a_set("f0"), time=0.0))
+    signals(record, T0)
+    rows = record.rows("parameters", -1, -1)
+    assert rows is not None
+    assert len(rows.values) == 1
+    assert math.isnan(rows.values[0, 1])
 
 
 def test_stamps_that_jitter_are_no_jump() -> None:

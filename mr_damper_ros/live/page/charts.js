@@ -11,7 +11,7 @@ function axis(label, size) {
     label, labelSize: label ? 18 : 0, size, gap: 3, labelGap: 0,
     stroke: style("soft"), font: "11px system-ui, sans-serif", labelFont: "11px system-ui, sans-serif",
     grid: { stroke: style("grid"), width: 1 }, ticks: { stroke: style("grid"), size: 4 },
-    values: (_, marks) => marks.map((mark) => short(mark)),
+    values: (_, marks) => marks.map((mark) => (mark === null ? "" : short(mark))),
   };
 }
 
@@ -26,15 +26,18 @@ export function short(value, digits = 4) {
     : text.includes(".") ? text.replace(/\.?0+$/, "") : text;
 }
 
-function padded(low, high) {
-  if (!(low <= high)) return [0, 1];
+function padded(low, high, log = false) {
+  if (!(low <= high) || (log && low <= 0)) return log ? [1, 10] : [0, 1];
+  if (log) return [low / 1.3, high * 1.3];
   const room = high > low ? 0.06 * (high - low) : Math.max(0.05 * Math.abs(low), 1e-9);
   return [low - room, high + room];
 }
 
-function extent(lists) {
+/** The least and the largest of these lists, of those besides that are not `clipped`. */
+function extent(lists, lines = []) {
   let low = Infinity, high = -Infinity;
-  for (const list of lists) {
+  for (const [k, list] of lists.entries()) {
+    if (lines[k]?.clipped && low < Infinity) continue;
     for (const value of list) {
       if (value !== null && value < low) low = value;
       if (value !== null && value > high) high = value;
@@ -79,7 +82,7 @@ export class LoopChart extends Chart {
 
   described() {
     const { x, y, lines } = this.options;
-    const range = (k) => () => padded(...extent(this.data.map((pair) => pair[k])));
+    const range = (k) => () => padded(...extent(this.data.map((pair) => pair[k]), lines));
     return {
       ...this.size(), mode: 2, legend: { show: false }, cursor: { show: false },
       scales: { x: { time: false, range: range(0) }, y: { range: range(1) } },
@@ -125,7 +128,7 @@ export class TimeChart extends Chart {
   }
 
   described() {
-    const { y, lines, points, time } = this.options;
+    const { y, lines, points, log, time } = this.options;
     const series = lines.map((line) => ({
       label: line.label, stroke: style(line.colour), width: line.width, dash: DASH[line.dash],
       spanGaps: Boolean(points),
@@ -148,9 +151,9 @@ export class TimeChart extends Chart {
       cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
       scales: {
         x: { time: false, range: (_, low, high) => (low < high ? [low, high] : [low - 1, high + 1]) },
-        y: { range: () => padded(...extent(this.data.slice(1))) },
+        y: { distr: log ? 3 : 1, range: () => padded(...extent(this.data.slice(1), lines), log) },
       },
-      axes: [{ ...axis("", 24), values: (_, marks) => marks.map(time) }, axis(y, y === "" ? 48 : 48)],
+      axes: [{ ...axis("", 24), values: (_, marks) => marks.map(time) }, axis(y, 48)],
       series: [{ label: "time", value: (_, value) => time(value) }, ...series],
       hooks: { setCursor: [(u) => this.tell(u)] },
     };

@@ -91,13 +91,14 @@ async function repeat(name, ask, show, every) {
 
 const place = (name) => document.querySelector(`[data-chart="${name}"] > div`);
 const line = (label, colour, dash = "solid", width = 1.5, band = false) => ({ label, colour, dash, width, band });
-const MEASURED = line("measured", "measured", "solid", 1.6);
-const PREDICTED = line("predicted", "predicted", "dashed", 2.2);
-const DOUBTED = line("not to be relied on", "doubted", "dotted", 1.8);
+const MEASURED = line("measured", "measured", "solid", 3.2); // broad and pale: what lies on it is seen
+const PREDICTED = line("predicted", "predicted", "dashed", 1.7);
+const DOUBTED = { ...line("not to be relied on", "doubted", "dotted", 1.7), clipped: true };
 
-function clock(seconds) {
-  if (seconds === null || seconds === undefined || origin === null) return "–";
-  const since = seconds - origin, size = Math.abs(since), sign = since < 0 ? "−" : "";
+/** A time since the beginning of the record, in words. */
+function clock(since) {
+  if (since === null || since === undefined) return "–";
+  const size = Math.abs(since), sign = since < 0 ? "−" : "";
   if (size < 100) return `${short(since, 4)} s`;
   const minutes = Math.floor(size / 60), rest = Math.floor(size % 60);
   const hours = Math.floor(minutes / 60), two = (number) => String(number).padStart(2, "0");
@@ -105,7 +106,7 @@ function clock(seconds) {
 }
 
 const loops = (name, x) => new LoopChart(place(name), { x, y: "force [N]", lines: [MEASURED, PREDICTED, DOUBTED] });
-const times = (name, y, lines, points = false) => new TimeChart(place(name), { y, lines, points, time: clock });
+const times = (name, y, lines, points = false, log = false) => new TimeChart(place(name), { y, lines, points, log, time: clock });
 const DATA = "measured", FIT = "predicted";
 const charts = {
   "force-velocity": loops("force-velocity", "velocity [m/s]"),
@@ -117,7 +118,7 @@ const charts = {
   "current-time": times("current-time", "[A]", [line("current", DATA)]),
   scale: times("scale", "[1]", [line("force scale", DATA, "solid", 1.5, true)], true),
   temperature: times("temperature", "[°C]", [line("thermometer", DATA), line("from the force", FIT, "dashed", 1.8, true)], true),
-  nrmse: times("nrmse", "[%]", [line("set in use", DATA), line("fitted", FIT, "dashed", 1.8)], true),
+  nrmse: times("nrmse", "[%]", [line("set in use", DATA), line("fitted", FIT, "dashed", 1.8)], true, true),
   "fit-duration": times("fit-duration", "[ms]", [line("duration", DATA)], true),
 };
 const stale = new Set(); // tables of which the figures do not show everything yet
@@ -130,19 +131,38 @@ const withBand = (values, errors) => [
   values.map((value, k) => (value === null || errors[k] === null ? null : value + errors[k])),
 ];
 
+/** Seconds since the beginning of the record; what has no time was there from the beginning. */
+function timesOf(table, rows) {
+  let last = -Infinity;
+  return rows.map((row) => (last = Math.max(last, row[table.column.time] - origin || 0)));
+}
+
 function newest(seconds) {
-  const { rows, column: at } = tables.signals, end = rows.at(-1)[at.time];
+  const { rows, column } = tables.signals, at = column.time, end = rows.at(-1)[at];
   let low = 0, high = rows.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (rows[middle][at.time] < end - seconds) low = middle + 1; else high = middle;
+    if (rows[middle][at] < end - seconds) low = middle + 1; else high = middle;
   }
-  return rows.slice(low);
+  return withGaps(rows.slice(low), at);
+}
+
+/** Rows with an empty one where signals are missing: a line across would be an invention. */
+function withGaps(rows, at) {
+  if (rows.length < 3) return rows;
+  const steps = rows.slice(-50).map((row, k, last) => (k ? row[at] - last[k - 1][at] : Infinity)).sort((a, b) => a - b);
+  const longest = 2.5 * steps[steps.length >> 1];
+  return rows.flatMap((row, k) => {
+    if (k === 0 || row[at] - rows[k - 1][at] <= longest) return [row];
+    const nothing = new Float64Array(row.length).fill(NaN);
+    nothing[at] = (row[at] + rows[k - 1][at]) / 2;
+    return [nothing, row];
+  });
 }
 
 /** The rows since the motion began its last whole cycle: a dashed line over itself is none. */
 function lastCycle(rows, at) {
-  const fastest = rows.reduce((most, row) => Math.max(most, Math.abs(row[at.velocity])), 0);
+  const fastest = rows.reduce((most, row) => Math.max(most, Math.abs(row[at.velocity]) || 0), 0);
   let begins = 0, below = false;
   for (let k = rows.length - 1; k > 0; k--) {
     const velocity = rows[k][at.velocity];
@@ -159,16 +179,16 @@ function showSignals() {
   byId("force").classList.remove("waiting");
   const at = table.column, rows = newest(span), loop = newest(Math.min(span, LOOP));
   const cycle = lastCycle(loop, at);
-  const reliable = (row) => (row[at.valid] ? number(row[at.predicted_force]) : null);
-  const doubted = (row) => (row[at.valid] ? null : number(row[at.predicted_force]));
+  const reliable = (row) => (row[at.valid] > 0 ? number(row[at.predicted_force]) : null);
+  const doubted = (row) => (row[at.valid] > 0 ? null : number(row[at.predicted_force]));
   for (const [name, x, factor] of [["force-velocity", "velocity", 1], ["force-displacement", "displacement", 1e3]]) {
     const xs = column(table, cycle, x, factor);
     charts[name].show([[column(table, loop, x, factor), column(table, loop, "measured_force")],
       [xs, cycle.map(reliable)], [xs, cycle.map(doubted)]]);
   }
-  const time = column(table, rows, "time");
+  const time = timesOf(table, rows);
   charts["force-time"].show([time, column(table, rows, "measured_force"), rows.map(reliable), rows.map(doubted)]);
-  charts["error-time"].show([time, column(table, rows, "force_error")]);
+  charts["error-time"].show([time, rows.map((row) => (row[at.valid] > 0 ? number(row[at.force_error]) : null))]);
   charts["displacement-time"].show([time, column(table, rows, "displacement", 1e3)]);
   charts["velocity-time"].show([time, column(table, rows, "velocity")]);
   charts["current-time"].show([time, column(table, rows, "current")]);
@@ -179,7 +199,7 @@ function showWindows() {
   const table = tables.windows;
   if (!table?.rows.length) return;
   byId("drift").classList.remove("waiting");
-  const time = column(table, table.rows, "time"), of = (name, factor) => column(table, table.rows, name, factor);
+  const time = timesOf(table, table.rows), of = (name, factor) => column(table, table.rows, name, factor);
   const scale = of("force_scale"), fluid = of("fluid_temperature");
   charts.scale.show([time, scale, ...withBand(scale, of("force_scale_error"))]);
   charts.temperature.show([time, of("temperature"), fluid, ...withBand(fluid, of("fluid_temperature_error"))]);
@@ -206,7 +226,7 @@ function showTraces(section) {
       known[name] = new TimeChart(figure.lastChild, { y: "", lines, points: true, time: clock });
     }
   }
-  const time = column(table, table.rows, "time");
+  const time = timesOf(table, table.rows);
   for (const name of names) {
     const values = column(table, table.rows, name), errors = column(table, table.rows, `${name}_error`);
     const caption = known[name].place.previousSibling, output = document.createElement("output");
@@ -238,7 +258,7 @@ function tile(name, text, detail = "", level = "") {
 function showError(rows, at) {
   let count = 0, error = 0, sum = 0, square = 0;
   for (const row of rows) {
-    if (!row[at.valid]) continue;
+    if (!(row[at.valid] > 0)) continue;
     count += 1;
     error += row[at.force_error] ** 2;
     sum += row[at.measured_force];
@@ -295,7 +315,7 @@ function showWindowRows() {
   byId("window-rows").replaceChildren(...windows.slice(-SHOWN_WINDOWS).reverse().map((told) => {
     const good = told.accepted, idle = LEFT_ALONE.includes(told.verdict);
     const row = document.createElement("tr");
-    const cells = [clock(told.time),
+    const cells = [told.time === null || origin === null ? "–" : clock(told.time - origin),
       `${good ? "✓" : idle ? "–" : "✕"} ${told.verdict.toLowerCase().replaceAll("_", " ")}`,
       `${percent(told.nrmse_before)} → ${percent(told.nrmse_after)}`,
       told.force_scale === null ? "–" : told.force_scale.toFixed(3),
@@ -421,8 +441,8 @@ function setSpan(k) {
   showSignals();
 }
 
-const LEGEND = [{ text: "measured", name: "measured", dash: [], width: 1.6 },
-  { text: "predicted", name: "predicted", dash: [7, 5], width: 2.2 },
+const LEGEND = [{ text: "measured", name: "measured", dash: [], width: 3.2 },
+  { text: "predicted", name: "predicted", dash: [7, 5], width: 1.7 },
   { text: "predicted, not to be relied on", name: "doubted", dash: [2, 4], width: 1.8 }];
 
 function savePng(section) {
