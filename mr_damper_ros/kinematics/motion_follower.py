@@ -27,6 +27,9 @@ _HALF_CYCLES_FOR_PEAK = 4
 """Of fewer half-cycles the angular frequency, and with it the peak velocity, is a guess."""
 
 
+_NOISE_SPEED = 0.02
+"""Part of the usual peak velocity below which a sine does not move."""
+
 _AHEAD = 0.02
 """Seconds of a sine that are foreseen at once where blocks are smaller: a hundred numbers are
 computed in the time of one."""
@@ -77,8 +80,15 @@ class MotionFollower:
 
     @property
     def resting(self) -> bool:
-        """Whether the motion has come to rest."""
-        return not self._steady and self._centre.resting
+        """Whether the motion has come to rest.
+
+        A steady sine is slow at its dead centres, and a rest is a sine of nothing but noise.
+        """
+        if self._steady and self.foreseen is not None:
+            top_speed = float(self.foreseen.peak_velocity.max())
+            if top_speed > _NOISE_SPEED * self.usual_peak_velocity:
+                return False
+        return self._centre.resting
 
     @property
     def half_cycle(self) -> float:

@@ -1,8 +1,8 @@
 """Holds the predicted force against the one that was measured in the same samples.
 
 Two errors are followed, both as parts of the recent peak of the measured force: that of every
-sample, which tells at once that the force is wrong now, and the root mean square over a cycle,
-which tells that the parameters are: then nothing is valid until they are right again.
+sample, which tells at once that the force is wrong now, and the root mean square over a half-
+cycle, which tells that the parameters are: then nothing is valid until they are right again.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ _CHANCE = 3.0
 """... besides so many standard deviations of noise, which are no error of the prediction."""
 
 _LASTING = 1.0
-"""Part of the allowed error that the root mean square over a cycle may reach."""
+"""Part of the allowed error that the root mean square over a half-cycle may reach."""
 
 _MOST_REMEMBERED = 1.5
 """A burst counts no more than so many times that limit: it must not be remembered for ever."""
 
 _BACK = 0.75
-"""Part of either limit that the error must fall below again."""
+_BACK_NOW = 0.9
+"""Part of either limit that the error must fall below again: over a half-cycle, of a sample."""
 
 _MOST_NOISE = 0.1
 """What looks like noise is taken for it up to this part of the peak."""
 
 _SHORTEST, _LONGEST = 0.2, 20.0
-"""Seconds within which the time lies over which a lasting error is taken."""
+"""Seconds within which the half-cycle lies over which a lasting error is taken."""
 
 
 class ForceWatch:
@@ -59,9 +60,9 @@ class ForceWatch:
     def holds(self) -> bool:
         """Whether the predicted force is right, and was over the last cycle, by the measured one.
 
-        A moment in which it was wrong is over with that moment: over the cycle its error counts.
+        A moment in which it was wrong is over with that moment, but for what it adds to the rest.
         """
-        return self._compared >= self._time and not (self._wrong or self._wrong_now)
+        return self._compared >= 2.0 * self._time and not (self._wrong or self._wrong_now)
 
     @property
     def allowed(self) -> float:
@@ -71,12 +72,16 @@ class ForceWatch:
             return math.inf
         return _SAMPLE * self._limit * peak + _CHANCE * self._noise(peak)
 
-    def forget_error(self) -> None:
+    def forget_error(self, known: float = math.nan) -> None:
         """Other parameters: the lasting error of those before says nothing of them.
 
-        Where they were wrong these have to show first that they are not.
+        Where they were wrong these have to show first that they are not, unless their error [N] is
+        ``known``, from what has been measured before.
         """
-        if self._wrong:
+        if known < math.inf and self._recent.peak > 0.0:
+            self._square = (known / self._recent.peak) ** 2
+            self._wrong = self._wrong_now = False
+        elif self._wrong:
             self._square = (_LASTING * self._limit) ** 2
         self._recent.forget_predicted()
 
@@ -96,17 +101,15 @@ class ForceWatch:
         largest = self._follow(predicted, measured, peak)
         if not largest < math.inf:
             return Doubt(DoubtKind.WRONG, "the predicted force has no finite error")
-        return (
-            self._doubt_of_sensor()
-            or self._doubt_of_power()
-            or self._doubt_of_error(largest, peak, measured)
-        )
+        error = self._doubt_of_error(largest, peak, measured)
+        # One that agrees with the measured force drives the motion no more than that does.
+        return self._doubt_of_sensor() or (error and (self._doubt_of_power() or error))
 
     def learn(self, predicted: Array, measured: Array, velocity: Array, half_cycle: float) -> None:
         """What only later samples need of these: forces [N] and velocity [m/s], shape (n,)."""
         self._recent.add(measured, predicted, velocity, half_cycle)
         if not math.isnan(half_cycle):
-            self._time = min(max(2.0 * half_cycle, _SHORTEST), _LONGEST)
+            self._time = min(max(half_cycle, _SHORTEST), _LONGEST)
 
     def _follow(self, predicted: Array, measured: Array, peak: float) -> float:
         """Follow the lasting error; returns the largest error [N] of a sample."""
@@ -131,7 +134,7 @@ class ForceWatch:
         return min(self._recent.noise, _MOST_NOISE * peak)
 
     def _doubt_of_error(self, largest: float, peak: float, measured: Array) -> Doubt:
-        allowed = _SAMPLE * self._limit * (_BACK if self._wrong_now else 1.0)
+        allowed = _SAMPLE * self._limit * (_BACK_NOW if self._wrong_now else 1.0)
         chance = _CHANCE * self._noise(peak)
         if largest > allowed * peak + chance:
             # A force that grows is not wrong because it was smaller before.
@@ -149,7 +152,7 @@ class ForceWatch:
             return Doubt(
                 DoubtKind.WRONG,
                 f"the predicted force was off by {math.sqrt(self._square):.0%} of the peak over "
-                f"the last cycle: valid again below {lasting:.0%}",
+                f"the last half-cycle: valid again below {lasting:.0%}",
             )
         return NO_DOUBT
 

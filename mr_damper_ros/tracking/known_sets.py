@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,8 +39,12 @@ _JUDGED = 0.1
 _PART = 0.1
 """... this part of a half-cycle, if that is more."""
 
-_MOST_KEPT = 4000
-"""Samples of the last cycle that are kept at most."""
+_MOST_KEPT = 40_000
+_MOST_TRIED = 2000
+"""Samples of the last cycle that are kept, and that are tried out."""
+
+_TOGETHER = 64
+"""Samples that are kept in one piece."""
 
 _EVERY = 0.05
 """Seconds between two searches: each costs as much as some blocks of prediction."""
@@ -80,6 +86,13 @@ class KnownSet:
         )
 
 
+class Choice(NamedTuple):
+    """A set to go on with, and what it leaves of the newest forces [N]; NaN where none came."""
+
+    chosen: KnownSet
+    error: float
+
+
 class KnownSets:
     """Remembers the sets that were in use, and the newest samples.
 
@@ -93,11 +106,25 @@ class KnownSets:
         # The one in use, then those before.
         self._sets: list[KnownSet] = []
         self._newest_ns: int | None = None
-        self._samples: deque[tuple[Motion, Array, Array]] = deque()
+        self._samples: deque[_Samples] = deque()
+        self._newest_samples: list[_Samples] = []
+        self._newest_count = 0
         self._count = 0
         self._period = math.nan
         self._half_cycle = 0.0
         self._since_search = math.inf
+
+    @property
+    def present(self) -> KnownSet:
+        """The set in use."""
+        return self._sets[0]
+
+    def confirm(self, set_id: str, stamp_ns: int) -> None:
+        """Take note that the set of this name fits the samples up to the stamp."""
+        self._sets = [
+            replace(each, confirmed_ns=stamp_ns) if each.parameters.set_id == set_id else each
+            for each in self._sets
+        ]
 
     def add(self, found: KnownSet) -> None:
         """Remember a set that has come and is in use now.
@@ -119,116 +146,154 @@ class KnownSets:
     def forget_samples(self) -> None:
         """Others do not go on from them."""
         self._samples.clear()
-        self._count = 0
+        self._newest_samples.clear()
+        self._count = self._newest_count = 0
 
     def follow(
         self,
         motion: Motion,
         current: Array | float,
-        measured: Array,
+        forces: tuple[Array, Array],
         period: float,
         half_cycle: float,
     ) -> None:
-        """Keep the newest samples: motion, current [A] and measured force [N], each (n,).
+        """Keep the newest samples: motion, current [A], predicted and measured ``forces`` [N].
 
-        They are ``period`` [s] apart; ``half_cycle`` [s] is that of the motion, NaN where it is not
-        known.
+        Each has shape (n,). They are ``period`` [s] apart; ``half_cycle`` [s] is that of the
+        motion, NaN where it is not known.
         """
+        predicted, measured = forces
+        self._since_search += measured.size * period
         self._period = period
         self._half_cycle = 0.0 if math.isnan(half_cycle) else half_cycle
-        self._samples.append((motion, np.broadcast_to(current, measured.shape), measured))
-        self._count += measured.size
-        self._since_search += measured.size * period
+        amperes = np.broadcast_to(current, measured.shape)
+        self._newest_samples.append(_Samples(motion, amperes, predicted, measured))
+        self._newest_count += measured.size
+        if self._newest_count < _TOGETHER:
+            return
+        self._samples.append(_Samples.joined(self._newest_samples))
+        self._newest_samples.clear()
+        self._count += self._newest_count
+        self._newest_count = 0
         span = max(2.0 * self._half_cycle, self._judged + _SETTLES)
         most = min(span / period, _MOST_KEPT)
-        while self._count - self._samples[0][2].size >= most:
-            self._count -= self._samples.popleft()[2].size
+        while self._count - self._samples[0].measured.size >= most:
+            self._count -= self._samples.popleft().measured.size
 
     def search_is_due(self) -> bool:
         """Whether it is time to look for another set: not every time that the force is wrong."""
-        if not self._samples or self._since_search < _EVERY:
+        if not self._count or self._since_search < _EVERY:
             return False
         self._since_search = 0.0
         return True
 
-    def other_than(self, present: KnownSet, allowed: float, *, wrong: bool) -> KnownSet | None:
+    def another(self, allowed: float, *, wrong: bool) -> Choice | None:
         """The set that gives the newest forces, within an ``allowed`` error [N]; None for none.
 
         ``wrong``: the present one does not; else it is for other motions only. An infinite error
-        is allowed where no force is measured: the set last used for the motion is then taken.
+        is allowed where no force is measured: the set last used for the motion is then taken. Where
+        the present force goes on from a wrong past, it is the present set that starts again.
         """
-        motion, current, measured = self._newest(self._judged + _SETTLES)
-        judged = slice(-max(round(self._judged / self._period), 1), None)
-        speed = float(np.median(motion.peak_velocity[judged]))
+        present, newest = self.present, self._newest(self._judged + _SETTLES)
+        judged = slice(-max(round(self._judged / self._period / newest.stride), 1), None)
+        speed = float(np.median(newest.motion.peak_velocity[judged]))
         candidates = [
             each
             for each in self._sets
-            if each.parameters is not present.parameters
-            and each.is_for(speed, float(current[-1]), self._margin)
+            if each is not present and each.is_for(speed, float(newest.current[-1]), self._margin)
         ]
         if math.isinf(allowed):
-            return candidates[0] if candidates else None
-        best, limit = None, math.inf
-        if candidates:
-            left = self._force(present, motion, current, self.gradual) - measured
-            limit = _root_mean_square(left[judged]) * (_BETTER if wrong else 1.0)
-        for each in candidates:
-            left = (self._force(each, motion, current, self.gradual) - measured)[judged]
+            return Choice(candidates[0], math.nan) if candidates else None
+        left = newest.predicted - newest.measured
+        limit = _root_mean_square(left[judged]) * (_BETTER if wrong else 1.0)
+        best = None
+        for each in (present, *candidates) if wrong else candidates:
+            left = (self._force(each, newest, self.gradual) - newest.measured)[judged]
             error = _root_mean_square(left)
             if error < limit and float(np.max(np.abs(left))) <= allowed:
-                best, limit = each, error
+                best, limit = Choice(each, error), error
         return best
 
-    def turns_otherwise(self, present: KnownSet) -> bool:
-        """Whether the force turns in the other way than it was taken to, over the last cycle."""
+    def turning_otherwise(self) -> Choice | None:
+        """The present set, where over a cycle the force turns otherwise than it was taken to.
+
+        None where it does not, or not enough is known.
+        """
+        present = self.present
         law = present.parameters.law
-        if law.continuous is law:
-            return False
-        motion, current, measured = self._newest(math.inf)
+        if law.continuous is law or self._count * self._period < self._half_cycle:
+            return None
+        newest = self._newest(math.inf)
         usual, other = (
-            _root_mean_square(self._force(present, motion, current, gradual) - measured)
+            _root_mean_square(self._force(present, newest, gradual) - newest.measured)
             for gradual in (self.gradual, not self.gradual)
         )
-        return other < _BETTER * usual
+        return Choice(present, other) if other < _BETTER * usual else None
 
     def settled_stream(self, chosen: KnownSet) -> ForceStream:
         """A stream of the set's force that has followed the newest samples."""
-        motion, current, _ = self._newest(self._judged + _SETTLES)
-        stream = self._stream(chosen, self.gradual)
-        held = motion.held_within(*chosen.parameters.peak_velocity_range)
-        stream.follow(chosen.parameters.values, held, current)
+        newest = self._newest(self._judged + _SETTLES)
+        stream = self._stream(chosen, self._period, self.gradual)
+        held = newest.motion.held_within(*chosen.parameters.peak_velocity_range)
+        stream.follow(chosen.parameters.values, held, newest.current)
         return stream
 
     @property
     def _judged(self) -> float:
         return max(_JUDGED, _PART * self._half_cycle)
 
-    def _stream(self, chosen: KnownSet, gradual: bool) -> ForceStream:
+    def _stream(self, chosen: KnownSet, period: float, gradual: bool) -> ForceStream:
         law = chosen.parameters.law
-        return (law.continuous if gradual else law).stream(self._period)
+        return (law.continuous if gradual else law).stream(period)
 
-    def _force(self, chosen: KnownSet, motion: Motion, current: Array, gradual: bool) -> Array:
-        held = motion.held_within(*chosen.parameters.peak_velocity_range)
-        return self._stream(chosen, gradual).follow(chosen.parameters.values, held, current)
+    def _force(self, chosen: KnownSet, newest: _Samples, gradual: bool) -> Array:
+        held = newest.motion.held_within(*chosen.parameters.peak_velocity_range)
+        stream = self._stream(chosen, self._period * newest.stride, gradual)
+        return stream.follow(chosen.parameters.values, held, newest.current)
 
-    def _newest(self, span: float) -> tuple[Motion, Array, Array]:
+    def _newest(self, span: float) -> _Samples:
         """The samples of the last so many seconds, as far as they are kept."""
-        parts: list[tuple[Motion, Array, Array]] = []
+        parts: list[_Samples] = []
         count = 0
-        for part in reversed(self._samples):
+        for part in reversed([*self._samples, *self._newest_samples]):
             if count * self._period >= span:
                 break
             parts.append(part)
-            count += part[2].size
-        motions, currents, forces = zip(*reversed(parts), strict=True)
-        motion = Motion(
-            np.concatenate([each.displacement for each in motions]),
-            np.concatenate([each.velocity for each in motions]),
-            np.concatenate([each.acceleration for each in motions]),
-            np.concatenate([each.peak_velocity for each in motions]),
-            sine=None,
+            count += part.measured.size
+        return _Samples.joined(parts[::-1], count // _MOST_TRIED + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Motion, current [A], predicted and measured force [N], each (n,); every ``stride``-th one."""
+
+    motion: Motion
+    current: Array
+    predicted: Array
+    measured: Array
+    stride: int = 1
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Samples], stride: int = 1) -> _Samples:
+        """Samples that follow each other, every so many of them."""
+        motions = [part.motion for part in parts]
+
+        def row(arrays: list[Array]) -> Array:
+            return np.concatenate(arrays)[::stride]
+
+        return cls(
+            Motion(
+                row([motion.displacement for motion in motions]),
+                row([motion.velocity for motion in motions]),
+                row([motion.acceleration for motion in motions]),
+                row([motion.peak_velocity for motion in motions]),
+                sine=None,
+            ),
+            row([part.current for part in parts]),
+            row([part.predicted for part in parts]),
+            row([part.measured for part in parts]),
+            stride,
         )
-        return motion, np.concatenate(currents), np.concatenate(forces)
 
 
 def _root_mean_square(values: Array) -> float:

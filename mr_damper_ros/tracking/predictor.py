@@ -126,6 +126,7 @@ class ForcePredictor:
         """Take note that the set of this name fits the samples up to the stamp."""
         if self._parameters is not None and self._parameters.set_id == set_id:
             self._confirmed_ns = stamp_ns
+        self._known.confirm(set_id, stamp_ns)
 
     def follow_verdict(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
         """Take note of the identifier's verdict on a window, as in FitReport.
@@ -166,20 +167,19 @@ class ForcePredictor:
 
     def _take_another(self, watch: ForceWatch) -> None:
         """Go on with a set that was for such a motion before, if the measured force says so."""
-        assert self._parameters is not None
-        present = KnownSet(self._parameters, self._confirmed_ns)
-        wrong = self._newest_doubt.kind is DoubtKind.WRONG
-        other = self._known.other_than(present, watch.allowed, wrong=wrong)
-        if other is not None:
-            self._known.use(other)
-        elif wrong and self._known.turns_otherwise(present):
-            other, self._known.gradual = present, not self._known.gradual
-        else:
+        wrong = self._newest_doubt.kind in (DoubtKind.WRONG, DoubtKind.DRIVING)
+        choice = self._known.another(watch.allowed, wrong=wrong)
+        if choice is None and wrong:
+            choice = self._known.turning_otherwise()
+            self._known.gradual ^= choice is not None
+        if choice is None:
             return
+        chosen, error = choice
         self._foreseen = None
-        self._parameters, self._confirmed_ns = other.parameters, other.confirmed_ns
-        self._stream = self._known.settled_stream(other)
-        watch.forget_error()
+        self._parameters, self._confirmed_ns = chosen.parameters, chosen.confirmed_ns
+        self._stream = self._known.settled_stream(chosen)
+        self._known.use(chosen)
+        watch.forget_error(error)
 
     def _foresee(self, follower: MotionFollower) -> Foreseen | None:
         """Force of the next samples, as far as it can be known already."""
@@ -306,8 +306,13 @@ class ForcePredictor:
             return settling
         self._unlearned = (reckoned.force, block.force, motion.velocity)
         measured = self._watch.judge(reckoned.force, block.force)
-        half_cycle = self._motion.half_cycle
-        self._known.follow(motion, reckoned.current, block.force, block.period, half_cycle)
+        self._known.follow(
+            motion,
+            reckoned.current,
+            (reckoned.force, block.force),
+            block.period,
+            self._motion.half_cycle,
+        )
         settings, live = self._settings, self._freshness.live
         return (
             doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live)

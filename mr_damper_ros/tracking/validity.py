@@ -133,8 +133,8 @@ class ValiditySettings(CheckedSettings):
         0.2,
         "Error of the predicted force against the measured one, as a part of the latter's recent "
         "peak, beyond which the force is marked invalid: that of a sample, and the root mean "
-        "square over a cycle. 0: the measured force is not looked at, for a rig that has no load "
-        "cell.",
+        "square over a half-cycle. 0: the measured force is not looked at, for a rig that has no "
+        "load cell.",
         minimum=0.0,
         maximum=100.0,
     )

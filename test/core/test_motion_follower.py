@@ -115,3 +115,20 @@ def test_single_samples_are_followed_as_blocks_are() -> None:
         other = np.concatenate([getattr(motion, name) for motion in blocks_of_20])
         # With single samples the sine may be found some samples sooner, but long before 2 s.
         np.testing.assert_allclose(one[2000:], other[2000:], atol=FITTED_LATER)
+
+
+def test_a_rest_is_one_for_as_long_as_it_lasts() -> None:
+    """What does not move is no steady sine, however well a sine describes it."""
+    time = np.arange(8000) * PERIOD
+    moves = (time < 3.0) | (time >= 7.0)
+    noise = np.random.default_rng(0).normal(0.0, 1e-6, time.size)
+    displacement = np.where(moves, 5e-3 * np.sin(2.0 * np.pi * time), 0.0) + noise
+    follower = MotionFollower(PERIOD, 0.0, 10.0)
+    resting = []
+    for block in np.split(displacement, 400):
+        follower.follow(block)
+        follower.catch_up()
+        resting.append(follower.resting)
+    assert not any(resting[100:150])
+    assert all(resting[175:349])
+    assert not any(resting[360:])

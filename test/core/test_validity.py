@@ -256,6 +256,14 @@ def test_where_a_motion_comes_back_its_set_is_used_at_once() -> None:
     assert np.mean([p.valid for p in after]) > 0.9
 
 
+def test_a_force_that_jumps_where_the_motion_turns_is_followed() -> None:
+    """As that of this damper does, and of no real one: it is slow at 1 mm, and then hysteresis."""
+    damper = DAMPERS["viscous_tanh"]
+    _, small = sets_of_stair(damper)
+    predictions = predicted_of_stair(damper, small)
+    assert np.mean([p.valid for p in predictions[(STAIR + 2000) // 20 :]]) > 0.8
+
+
 @pytest.mark.parametrize("stamp_ns", [0, known.T0 - 3 * NANOSECONDS])
 def test_a_set_that_somebody_chose_is_the_only_one(stamp_ns: int) -> None:
     large, small = sets_of_stair(BOUC_WEN)
