@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks import earthquake, recordings
 from benchmarks.figure import Figure
 from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.moving_average import undo_average
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
@@ -35,21 +35,15 @@ _BLOCK = 0.02
 _NEXT = 2.0
 
 
-def undone(smoothed: Array, count: int = _SMOOTHED) -> Array:
-    """What was averaged over ``count`` samples, exactly; shape (n,), from the rest at its begin."""
-    steps = count * np.diff(smoothed, prepend=smoothed[0])
-    rows = -(-steps.size // count)
-    padded = np.zeros(rows * count)
-    padded[: steps.size] = steps
-    sums = np.cumsum(padded.reshape(rows, count), axis=0)
-    return np.asarray(smoothed[0] + sums.reshape(-1)[: steps.size])
-
-
 def records(utfsm: Path) -> list[Recording]:
     """The begin of the three earthquakes, their smoothing undone."""
     shaken = [
-        replace(r, displacement=undone(r.displacement), force=undone(r.force))
-        for r in earthquake.records(utfsm)
+        replace(
+            record,
+            displacement=undo_average(record.displacement, _SMOOTHED),
+            force=undo_average(record.force, _SMOOTHED),
+        )
+        for record in earthquake.records(utfsm)
     ]
     return [begin_of(record) for record in shaken]
 

@@ -11,6 +11,7 @@ import numpy as np
 from mr_damper_ros.interface.measured_runs import MeasuredRun
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.moving_average import find_average
 
 _FULL_SPEED = 0.85
 """Cycles are compared that reach this part of the fastest one's peak velocity."""
@@ -45,8 +46,28 @@ class _Cycles:
 
 
 def remarks_on(runs: Sequence[MeasuredRun]) -> tuple[str, ...]:
-    """All that seems wrong with runs: with each of them, and with their currents."""
-    return (*(remark for run in runs for remark in run.remarks), *doubts_of_currents(runs))
+    """All that seems wrong with runs: with each of them, their currents and their making."""
+    return (
+        *(remark for run in runs for remark in run.remarks),
+        *doubts_of_currents(runs),
+        *_averages(runs),
+    )
+
+
+def _averages(runs: Sequence[MeasuredRun]) -> list[str]:
+    """A sentence on the runs whose makers have averaged the force."""
+    counts = {run.name: find_average(run.longest.force) for run in runs}
+    named = [f"{name} ({count} samples)" for name, count in counts.items() if count > 1]
+    if not named:
+        return []
+    listed = ", ".join(named[:_MOST]) + (
+        f" and {len(named) - _MOST} more runs" if len(named) > _MOST else ""
+    )
+    return [
+        f"a moving average shows in the force of {listed}: no law holds between averages of a fast "
+        "motion; import_record --undo-moving-average N brings back what was averaged, where the "
+        "record begins at rest"
+    ]
 
 
 def doubts_of_currents(runs: Sequence[MeasuredRun]) -> list[str]:

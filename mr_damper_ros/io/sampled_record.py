@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from mr_damper_ros.io.columns import Columns
 from mr_damper_ros.io.raw_table import RawTable, RecordError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.moving_average import undo_average
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
 
 _JITTER_TO_MENTION = 0.01
@@ -26,6 +27,10 @@ _EPOCH = 1e9
 
 _VELOCITY_TOLERANCE = 2.0
 """Factor by which a velocity column may differ from the rate of the displacement."""
+
+_AVERAGED = {"displacement", "velocity", "force"}
+_REST = 0.02
+"""Part of its range that a quantity may change by where it rests."""
 
 INTEGRATED = (
     "the displacement is the integral of the velocity, without its mean and drift: "
@@ -75,6 +80,28 @@ class SampledRecord:
             lambda row: place(first + row),
             {**self.details, "part": f"rows {first + 1} to {rows.stop}"},
         )
+
+    def without_average(self, count: int) -> SampledRecord:
+        """The record before its makers averaged it over ``count`` samples; it begins at rest.
+
+        Raises RecordError where it does not, or is no longer than the average.
+        """
+        if not 2 <= count < self.time.size:
+            raise RecordError(
+                f"a moving average over {count} samples cannot be undone in a record of "
+                f"{self.time.size}: it takes 2 samples or more, and less than the record has"
+            )
+        values = dict(self.values)
+        for quantity in _AVERAGED & set(values):
+            smooth = values[quantity]
+            if np.ptp(smooth[:count]) > _REST * np.ptp(smooth):
+                raise RecordError(
+                    f"the {quantity} does not rest in the first {count} samples, so that their "
+                    "moving average cannot be undone: give the record from its very beginning"
+                )
+            values[quantity] = undo_average(smooth, count)
+        note = f"a moving average over {count} samples was undone"
+        return replace(self, values=values, details={**self.details, "smoothing": note})
 
     def between(self, start: float | None, stop: float | None) -> SampledRecord:
         """What lies between two times [s] from the first sample; all where both are None."""

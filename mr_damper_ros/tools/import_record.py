@@ -90,6 +90,13 @@ def _parser() -> argparse.ArgumentParser:
         "--to", dest="stop", type=float, metavar="S", help="end here [s from the first sample]"
     )
     parser.add_argument(
+        "--undo-moving-average",
+        type=int,
+        metavar="N",
+        help="the makers of the record averaged it over the last N samples: undo that, exactly, "
+        "where the record begins at rest",
+    )
+    parser.add_argument(
         "--variable",
         metavar="NAME",
         help="matrix in a MAT file, sheet of a spreadsheet, or group of a TDMS file, if several",
@@ -118,6 +125,7 @@ def _import(options: argparse.Namespace) -> int:
         start=options.start,
         stop=options.stop,
         variable=options.variable,
+        moving_average=options.undo_moving_average,
         maximum_samples=options.maximum_samples,
     )
     _write(options.output, recording, options.overwrite)
@@ -127,6 +135,10 @@ def _import(options: argparse.Namespace) -> int:
 def _import_runs(options: argparse.Namespace) -> int:
     if options.start is not None or options.stop is not None:
         raise RecordError("--from and --to are for one run: leave them out, or leave out --split")
+    if options.undo_moving_average is not None:
+        raise RecordError(
+            "--undo-moving-average is for one run: leave it out, or leave out --split"
+        )
     runs = RunsOfFile(
         options.file, options.columns, options.period, options.variable, options.maximum_samples
     )

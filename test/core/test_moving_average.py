@@ -1,0 +1,128 @@
+"""Moving averages: seen in a record, undone, and told of."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import mr_damper_ros as mr
+from mr_damper_ros.interface.measured_runs import measured_runs
+from mr_damper_ros.interface.run_doubts import remarks_on
+from mr_damper_ros.io.raw_table import RecordError
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.moving_average import averaged, find_average, undo_average
+from mr_damper_ros.tools import import_record
+
+ROUNDING = 1e-9
+"""Of sums over the whole signal, relative to its size."""
+
+SAMPLES = 6000
+COUNT = 50
+
+
+def motion(seed: int = 0, samples: int = SAMPLES) -> Array:
+    """Random motion with a rest of 100 samples at its begin."""
+    steps = np.random.default_rng(seed).normal(size=samples)
+    steps[:100] = 0.0
+    return np.asarray(np.convolve(np.cumsum(steps), [0.25, 0.5, 0.25], "same"))
+
+
+@settings(max_examples=50, deadline=None)
+@given(count=st.integers(2, 400), seed=st.integers(0, 1000))
+def test_undone_is_what_was_averaged(count: int, seed: int) -> None:
+    values = motion(seed, 1000)
+    size = np.abs(values).max()
+    assert np.allclose(undo_average(averaged(values, count), count), values, atol=ROUNDING * size)
+
+
+@pytest.mark.parametrize("count", [10, 33, 100])
+def test_the_length_of_an_average_is_found(count: int) -> None:
+    assert find_average(averaged(motion(), count)) == count
+
+
+def test_noise_of_the_logger_does_not_hide_it() -> None:
+    noise = 1e-4 * np.random.default_rng(1).normal(size=SAMPLES)
+    assert find_average(averaged(motion(), COUNT) + noise) == COUNT
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_none_is_seen_where_there_is_none(seed: int) -> None:
+    assert find_average(motion(seed)) == 1
+
+
+def test_none_is_seen_in_a_sine_with_noise() -> None:
+    noise = 1e-3 * np.random.default_rng(2).normal(size=SAMPLES)
+    assert find_average(np.tanh(5.0 * np.sin(np.arange(SAMPLES) * 0.02)) + noise) == 1
+
+
+def test_a_short_record_tells_nothing() -> None:
+    assert find_average(averaged(motion(), COUNT)[:200]) == 1
+
+
+def written(folder: Path, displacement: Array, force: Array) -> Path:
+    path = folder / "run.csv"
+    np.savetxt(path, np.column_stack([displacement, force]), delimiter=",", fmt="%.12g")
+    return path
+
+
+def test_a_record_is_imported_as_it_was_before_the_average(tmp_path: Path) -> None:
+    displacement, force = motion(3), 100.0 * motion(4)
+    path = written(tmp_path, averaged(displacement, COUNT), averaged(force, COUNT))
+    found = mr.read_record(
+        path, "displacement:mm,force:N", current=1.0, period=1e-3, moving_average=COUNT
+    )
+    assert found.details["smoothing"] == "a moving average over 50 samples was undone"
+    # Twelve digits were written.
+    assert np.allclose(1e3 * found.displacement, displacement, atol=1e-6)
+    assert np.allclose(found.force, force, atol=1e-4)
+
+
+def test_a_record_that_begins_in_motion_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, motion(3)[2000:], motion(4)[2000:])
+    with pytest.raises(RecordError, match="does not rest in the first 50 samples"):
+        mr.read_record(
+            path, "displacement:mm,force:N", current=1.0, period=1e-3, moving_average=COUNT
+        )
+
+
+@pytest.mark.parametrize("count", [1, SAMPLES])
+def test_an_average_that_cannot_be_is_refused(tmp_path: Path, count: int) -> None:
+    path = written(tmp_path, motion(3), motion(4))
+    with pytest.raises(RecordError, match="cannot be undone in a record of 6000"):
+        mr.read_record(
+            path, "displacement:mm,force:N", current=1.0, period=1e-3, moving_average=count
+        )
+
+
+def test_the_program_undoes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    displacement, force = motion(3), 100.0 * motion(4)
+    path = written(tmp_path, averaged(displacement, COUNT), averaged(force, COUNT))
+    bag = tmp_path / "bag"
+    arguments = [str(path), "--columns", "displacement:mm,force:N", "--period", "0.001"]
+    arguments += ["--current", "1", "--undo-moving-average", "50", "--output", str(bag)]
+    assert import_record.main(arguments) == 0
+    (found,) = mr.read_bag(bag)
+    assert np.allclose(found.force, force, atol=1e-4)
+
+
+def test_what_was_averaged_is_said_of_a_run() -> None:
+    displacement, force = averaged(motion(3), COUNT), averaged(motion(4), COUNT)
+    runs = measured_runs(
+        [], displacement=displacement, force=force, current=1.0, period=1e-3, accept_doubtful=True
+    )
+    assert any("moving average" in text and "50 samples" in text for text in remarks_on(runs))
+
+
+@pytest.mark.skipif("MR_DAMPER_DATA" not in os.environ, reason="MR_DAMPER_DATA is not set")
+def test_the_average_of_a_real_record_is_found() -> None:
+    path = Path(os.environ["MR_DAMPER_DATA"], "utfsm", "earthquake.mat")
+    record = mr.read_record(
+        path, "displacement:mm,force:N,-,-", current=0.2, period=1e-3, variable="data"
+    )
+    # As its makers say.
+    assert [find_average(record.displacement), find_average(record.force)] == [300, 300]
