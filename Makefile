@@ -7,6 +7,7 @@ SHELL := bash
 .DEFAULT_GOAL := help
 export PYTHON
 
+TESTED := pytest -n 2 --dist loadgroup
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
@@ -50,11 +51,11 @@ soak: setup ## Kill, interrupt, stream for hours, feed what is hostile: 90 minut
 test: setup ## Run all tests: core, packaging, and nodes over real DDS
 	@. ./env.bash
 	export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
-	exec python -m pytest $(ARGS)
+	exec python -m $(TESTED) $(ARGS)
 
 test-noble: ## Run the core tests with the package versions of Ubuntu 24.04, without ROS
 	@scripts/setup.bash noble
-	exec env -u PYTHONPATH .venv-noble/bin/python -m pytest test/core $(ARGS)
+	exec env -u PYTHONPATH .venv-noble/bin/python -m $(TESTED) test/core $(ARGS)
 
 lint: setup ## Check style, types and the package.xml files
 	@. ./env.bash
