@@ -11,7 +11,6 @@ from benchmarks import earthquake, recordings
 from benchmarks.figure import Figure
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.signals.moving_average import undo_average
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
@@ -24,9 +23,6 @@ LAWS = ("sigmoid", "sigmoid_lag")
 GOOD = 0.75
 """Fit, 1 - NRMSE, of the predicted force in the two seconds after a set."""
 
-_SMOOTHED = 300
-"""Samples over which the makers of the earthquake records averaged them."""
-
 _MOVING = 1e-4
 _BEFORE, _AFTER = 1.0, 9.0
 """Seconds of a record before the motion [m] begins, and after."""
@@ -37,15 +33,7 @@ _NEXT = 2.0
 
 def records(utfsm: Path) -> list[Recording]:
     """The begin of the three earthquakes, their smoothing undone."""
-    shaken = [
-        replace(
-            record,
-            displacement=undo_average(record.displacement, _SMOOTHED),
-            force=undo_average(record.force, _SMOOTHED),
-        )
-        for record in earthquake.records(utfsm)
-    ]
-    return [begin_of(record) for record in shaken]
+    return [begin_of(record) for record in earthquake.unsmoothed_records(utfsm)]
 
 
 def begin_of(record: Recording) -> Recording:

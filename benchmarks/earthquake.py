@@ -27,6 +27,9 @@ CURRENTS = (0.2, 0.6, 1.0)
 """[A], of the columns of force in earthquake.mat."""
 
 _PERIOD = 1e-3
+_SMOOTHED = 300
+"""Samples over which the makers of the records averaged them."""
+
 _BLOCK = 20
 _MOVING = 1e-4
 """The motion has begun once it has gone so far [m] from where it began."""
@@ -44,17 +47,23 @@ class Following:
     looks: int = 3
 
 
-def records(utfsm: Path) -> list[Recording]:
-    """The three records."""
+def records(utfsm: Path, moving_average: int | None = None) -> list[Recording]:
+    """The three records, as delivered, or with a moving average over so many samples undone."""
     return [
         read_record(
             utfsm / "earthquake.mat",
             ",".join(["displacement:mm", *["-"] * number, "force:N", "..."]),
             current=current,
             period=_PERIOD,
+            moving_average=moving_average,
         )
         for number, current in enumerate(CURRENTS)
     ]
+
+
+def unsmoothed_records(utfsm: Path) -> list[Recording]:
+    """The three records as they were before their makers averaged them."""
+    return records(utfsm, _SMOOTHED)
 
 
 @cache

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks import earthquake, recordings
-from benchmarks.cold_start import undone
 from benchmarks.figure import Figure
 from mr_damper_ros.io.records import read_runs
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -29,14 +27,6 @@ def raw_records(utfsm: Path) -> list[Recording]:
     """The runs in the logger's own files, as they came."""
     paths = sorted((utfsm / "raw").glob("ME*.txt"))
     return [run for path in paths for run in read_runs(path, _RAW_COLUMNS, currents=_RAW_CURRENTS)]
-
-
-def shaken_records(utfsm: Path) -> list[Recording]:
-    """The earthquakes, their smoothing undone."""
-    return [
-        replace(r, displacement=undone(r.displacement), force=undone(r.force))
-        for r in earthquake.records(utfsm)
-    ]
 
 
 def largest_step(force: Array, period: float) -> float:
@@ -64,7 +54,9 @@ def figures(laws: Sequence[str] = LAWS) -> list[Figure]:
     if place is not None:
         for law in laws:
             known = earthquake.sinusoid_set(place, law)
-            rough += [_worst(r, known) for r in (raw_records(place), shaken_records(place))]
+            rough += [
+                _worst(r, known) for r in (raw_records(place), earthquake.unsmoothed_records(place))
+            ]
             smoothed.append(_worst(recordings.processed_records(place), known))
     names = ", ".join(laws)
     return [

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import cold_start, earthquake, recordings
+from benchmarks import earthquake, recordings
 from benchmarks.earthquake import Following
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS
@@ -129,14 +129,7 @@ def stepped(records: Sequence[Recording], each: float = _EACH_REAL) -> Recording
 
 def recorded(utfsm: Path, model: str) -> StepError:
     """What comes of the earthquake, from the set for the sinusoid records on."""
-    records = [
-        replace(
-            record,
-            displacement=cold_start.undone(record.displacement),
-            force=cold_start.undone(record.force),
-        )
-        for record in earthquake.records(utfsm)
-    ]
+    records = earthquake.unsmoothed_records(utfsm)
     start = earthquake.sinusoid_set(utfsm, model)
     together = stepped(records)
     constant = stepped(
