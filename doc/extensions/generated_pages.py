@@ -33,7 +33,7 @@ ROS = [
 """What the nodes import and the documentation does without."""
 
 NODES = {
-    "bridge": "An emulated rig, a bag or a record file becomes topics. "
+    "bridge": "An emulated rig, a bag, a record file or topics of other nodes become samples. "
     "A lifecycle node that starts by itself.",
     "identifier": "A fit for every window, and now and then all parameters at once.",
     "live": "A page that shows the running system ([more](../live.md)).",

@@ -10,16 +10,19 @@ from dataclasses import dataclass
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from mr_damper_ros.nodes.bridge_sources import ALL_SOURCES, source_of
 from mr_damper_ros.nodes.bridge_stream import BridgeStream, SubscriberWait
 from mr_damper_ros.nodes.current_commands import CurrentCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.pacing import Pacer, SendingThread
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.rig.sources import SOURCES
+from mr_damper_ros.nodes.topic_source import TopicOptions
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, groups, option
 from mr_damper_ros.signals.blocks import MOST_SAMPLES
+
+_MIRROR = "joint_states"
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,9 @@ class BridgeParameters(ParameterTable):
 
     source: str = option(
         "emulated",
-        "Where the samples come from: an emulated rig, a bag, or a record file.",
-        choices=tuple(SOURCES),
+        "Where the samples come from: an emulated rig, a bag, a record file, topics of other "
+        "nodes.",
+        choices=tuple(ALL_SOURCES),
         read_only=True,
     )
     autostart: bool = option(
@@ -89,11 +93,19 @@ class BridgeParameters(ParameterTable):
         read_only=True,
     )
     sources: dict[str, ParameterTable] = groups(
-        {name: (kind.prefix, kind.options) for name, kind in SOURCES.items()}
+        {name: (kind.prefix, kind.options) for name, kind in ALL_SOURCES.items()}
     )
 
     def objection(self) -> str:
         """Say what the chosen source lacks."""
+        if self.source == "topics" and self.mirror_rate > 0.0:
+            read = self.sources["topics"]
+            assert isinstance(read, TopicOptions)
+            if _MIRROR in (read.displacement_topic.lstrip("/"), read.force_topic.lstrip("/")):
+                return (
+                    f"{_MIRROR} is to be read, and the bridge itself publishes it, too: set "
+                    "mirror_rate to 0"
+                )
         return self.sources[self.source].objection()
 
 
@@ -141,8 +153,11 @@ class BridgeNode(LifecycleNode):
         """Open the source and announce the topics."""
         values = self.parameters.values
         self._pacer = Pacer(values.rate)
-        self._source = SOURCES[values.source](
-            values.sources[values.source], StreamSettings(values.block_size, values.loop)
+        self._source = source_of(
+            values.source,
+            values.sources[values.source],
+            StreamSettings(values.block_size, values.loop),
+            self,
         )
         try:
             found = self._source.open()
@@ -173,9 +188,12 @@ class BridgeNode(LifecycleNode):
         assert self._stream is not None
         stream, values = self._stream, self.parameters.values
         blocks = self._source.blocks(self.get_clock().now().nanoseconds)
+        live = self._source.live
         wait = SubscriberWait(values.wait_for_subscribers, values.wait_timeout)
         self._pacer.start()
-        self._sending = SendingThread(self, self._pacer, lambda: stream.send(blocks, wait))
+        self._sending = SendingThread(
+            self, self._pacer, lambda: stream.send(blocks, wait, live=live)
+        )
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -213,7 +231,7 @@ class BridgeNode(LifecycleNode):
     # --- state ----------------------------------------------------------------------------------
 
     def _find(self) -> Finding:
-        figures = {
+        figures: dict[str, object] = {
             "source": self.parameters.values.source,
             "samples sent": self._stream.sent if self._stream else 0,
         }
@@ -225,6 +243,10 @@ class BridgeNode(LifecycleNode):
             return Finding(WARN, "not active: the source is open, nothing is streamed", figures)
         if self._sending.failure:
             return Finding(ERROR, self._sending.failure, figures)
+        state = self._source.state()
+        figures.update(state.values)
+        if state.fault:
+            return Finding(WARN, state.fault, figures)
         return Finding(OK, self._stream.state, figures)
 
     def _find_current(self) -> Finding:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -71,11 +72,12 @@ class BridgeStream:
         for outlet in self._outlets.values():
             self._node.destroy_publisher(outlet.publisher)
 
-    def send(self, blocks: Iterator[RigBlock], wait: SubscriberWait) -> None:
+    def send(self, blocks: Iterator[RigBlock], wait: SubscriberWait, *, live: bool = False) -> None:
         """Publish all blocks, each when its last sample is due, or until the pacer is stopped.
 
-        They are stamped anew: the first sample is taken when all is ready to send it, and where
-        sending was held up for longer than can be made good, the stamps pause, too.
+        Those of a ``live`` source go out as they come, with their stamps. Others are stamped anew:
+        the first sample is taken when all is ready to send it, and where sending was held up for
+        longer than can be made good, the stamps pause, too.
         """
         self.sent = 0
         self._wait_for(wait)
@@ -84,18 +86,7 @@ class BridgeStream:
         thermometer = Meter(_TEMPERATURE_PERIOD)
         mirror = _Mirror(self._mirror_rate, self._frame_id) if self._mirror_rate else None
         block = None
-        later_ns: int | None = None
-        for made in blocks:
-            if later_ns is None and made.sample_count > 0:
-                # Its first sample is taken now, and it goes out with its last.
-                first_ns = made.due_ns - (made.stamp_ns(made.sample_count - 1) - made.start_ns)
-                later_ns = self._node.get_clock().now().nanoseconds - first_ns
-                self._pacer.begin(first_ns)
-            if self._pacer.stopped or not self._pacer.wait_until(made.due_ns):
-                return
-            if made.sample_count == 0 or later_ns is None:
-                continue
-            block = replace(made, start_ns=made.start_ns + later_ns + self._pacer.left_out_ns)
+        for block in self._as_they_come(blocks) if live else self._paced(blocks):
             # What belongs to the samples goes first, so that it is known when they arrive.
             for reading in supply.read(block, block.current, block.supply_ahead_ns):
                 self._publish_current(reading)
@@ -109,13 +100,35 @@ class BridgeStream:
             for message in mirror.messages(block) if mirror else ():
                 self._outlets["joint_states"].publish(message)
             self.sent += block.sample_count
-        if block is not None:
+        if self._pacer.stopped:
+            return
+        if block is not None and not math.isnan(block.current[-1]):
             # The current is now known up to the last sample.
             self._publish_current(Reading(_last_stamp(block), float(block.current[-1])))
         for outlet in self._outlets.values():
             outlet.wait_for_acknowledgement()
         self.state = "the recording is at its end: nothing more comes"
         self._node.get_logger().info(f"end of the recording: {self.sent} samples were sent")
+
+    def _as_they_come(self, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
+        for block in blocks:
+            if self._pacer.stopped:
+                return
+            if block.sample_count:
+                yield block
+
+    def _paced(self, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
+        later_ns: int | None = None
+        for made in blocks:
+            if later_ns is None and made.sample_count > 0:
+                # Its first sample is taken now, and it goes out with its last.
+                first_ns = made.due_ns - (made.stamp_ns(made.sample_count - 1) - made.start_ns)
+                later_ns = self._node.get_clock().now().nanoseconds - first_ns
+                self._pacer.begin(first_ns)
+            if self._pacer.stopped or not self._pacer.wait_until(made.due_ns):
+                return
+            if made.sample_count and later_ns is not None:
+                yield replace(made, start_ns=made.start_ns + later_ns + self._pacer.left_out_ns)
 
     def _wait_for(self, wait: SubscriberWait) -> None:
         self.state = "waits for subscribers"

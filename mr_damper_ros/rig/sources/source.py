@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.supplies.current_commander import CurrentCommander
@@ -18,6 +18,13 @@ class StreamSettings:
 
     block_size: int
     loop: bool = False
+
+
+class SourceState(NamedTuple):
+    """How a live source is: what is wrong with it, in a sentence (empty: nothing), and figures."""
+
+    fault: str
+    values: Mapping[str, object]
 
 
 class Source(ABC):
@@ -35,6 +42,9 @@ class Source(ABC):
     """Its options; ``objection`` of the table says what the source lacks to be opened."""
 
     prefix: ClassVar[str]
+
+    live: ClassVar[bool] = False
+    """Whether the samples are measured right now, and stamped: they are sent as they come."""
 
     commander: CurrentCommander | None = None
     """Takes commands of the current, in a source that has a supply of its own, while it is open."""
@@ -58,6 +68,10 @@ class Source(ABC):
         whose time has not come. A source that has to wait for a device gives a block without
         samples every tenth of a second or so, so that streaming can be ended meanwhile.
         """
+
+    def state(self) -> SourceState:
+        """How it is, about once a second, while it is open."""
+        return SourceState("", {})
 
     @abstractmethod
     def close(self) -> None:

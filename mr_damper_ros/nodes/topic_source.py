@@ -1,0 +1,334 @@
+"""Stamped topics of other nodes as a source of samples: joint states, wrenches, any stamped number.
+
+What drives a press or a shaker by ros2_control publishes `sensor_msgs/JointState` and
+`geometry_msgs/WrenchStamped`. Displacement and force may come in one message or on two topics, each
+with stamps of its own; they are joined on the samples of the force.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.messages import to_nanoseconds
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
+from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.channel_join import ChannelJoin, JoinedRun
+from mr_damper_ros.signals.stamped_channel import StampedChannel
+from mr_damper_ros.signals.stamps import fits_a_stamp
+
+_POLL = 0.005
+"""Seconds between two looks at what has come."""
+
+_SILENCE = 2.0
+"""Seconds without a message after which a topic counts as silent."""
+
+_NOTICED_RATE = 5e-6
+"""Difference of the rates of two clocks that is told."""
+
+_FIELD = re.compile(r"(?P<path>\w+(?:\.\w+)*)(?:\[(?P<element>[^\]]+)\])?")
+
+
+@dataclass(frozen=True)
+class TopicOptions(ParameterTable):
+    """The topics of ``source: topics``."""
+
+    displacement_topic: str = option("", "Topic with the displacement.", read_only=True)
+    displacement_type: str = option(
+        "sensor_msgs/JointState", "Type of its messages, which must have a header.", read_only=True
+    )
+    displacement_field: str = option(
+        "position[0]",
+        "Where in a message it is: names with dots in between, and in brackets the number of an "
+        "element, or in a joint state the name of a joint.",
+        read_only=True,
+    )
+    displacement_scale: float = option(
+        1.0, "Metres per unit of it; negative where compression counts positive.", read_only=True
+    )
+    force_topic: str = option("", "Topic with the force; empty: the same.", read_only=True)
+    force_type: str = option("sensor_msgs/JointState", "Type of its messages.", read_only=True)
+    force_field: str = option("effort[0]", "Where in a message it is.", read_only=True)
+    force_scale: float = option(
+        1.0, "Newtons per unit of it; negative where compression counts positive.", read_only=True
+    )
+    stamps: str = option(
+        "clock",
+        "What stamps that jitter mean: clock, the samples were taken evenly and their time was "
+        "read unevenly; sampling, each was taken when its stamp says.",
+        choices=("clock", "sampling"),
+        read_only=True,
+    )
+    own_clocks: bool = option(
+        False,
+        "Each topic is stamped by a clock of its own: both are brought to that of this computer by "
+        "when messages arrive.",
+        read_only=True,
+    )
+    hold_back: float = option(
+        0.0,
+        "Time [s] that values wait for others which they may have overtaken.",
+        minimum=0.0,
+        maximum=1.0,
+        read_only=True,
+    )
+
+    def objection(self) -> str:
+        """Say what is missing."""
+        if not self.displacement_topic:
+            return (
+                "source is topics, but topics.displacement_topic is empty: name the topic with the "
+                "displacement"
+            )
+        for name, scale in (("displacement", self.displacement_scale), ("force", self.force_scale)):
+            if scale == 0.0:
+                return f"topics.{name}_scale is 0: give the unit of the {name}, such as 0.001"
+        return ""
+
+
+class TopicSource(Source):
+    """Samples from what other nodes publish; messages are taken in where the node spins."""
+
+    options = TopicOptions
+    prefix = "topics."
+    live = True
+
+    def __init__(self, settings: TopicOptions, stream: StreamSettings, node: Node) -> None:
+        super().__init__(settings, stream)
+        self._node = node
+        self._inputs: list[_Input] = []
+        self._join = self._new_join()
+
+    def open(self) -> list[str]:
+        """Subscribe; raises ValueError where a type or a field is none."""
+        given = self.settings
+        force_topic = given.force_topic or given.displacement_topic
+        try:
+            for name, topic, kind, field, scale in (
+                ("displacement", given.displacement_topic, given.displacement_type,
+                 given.displacement_field, given.displacement_scale),
+                ("force", force_topic, given.force_type, given.force_field, given.force_scale),
+            ):  # fmt: skip
+                self._inputs.append(_Input(self._node, name, topic, kind, field, scale))
+        except ValueError:
+            self.close()
+            raise
+        return [f"{item.name} from {item.topic}, {item.field}" for item in self._inputs]
+
+    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
+        """The samples as they come, with the stamps of the force."""
+        displacement, force = self._inputs
+        join = self._join = self._new_join()
+        for item in self._inputs:
+            item.arrived.clear()
+        pieces: deque[JoinedRun] = deque()
+        last_ns = start_ns
+        while True:
+            force.hand_on(join.lead)
+            displacement.hand_on(join.follow)
+            pieces.extend(join.take())
+            sent = False
+            while pieces:
+                block = self._block(pieces)
+                if block is None:
+                    break
+                last_ns = block.stamp_ns(block.sample_count - 1)
+                sent = True
+                yield block
+            if not sent:
+                time.sleep(_POLL)
+                yield _nothing(last_ns)
+
+    def state(self) -> SourceState:
+        """How the topics come in, and what of it was of no use."""
+        join = self._join
+        values: dict[str, object] = {
+            f"{name} {what}": count
+            for name, channel in (("force", join.leader), ("displacement", join.follower))
+            for what, count in (
+                *vars(channel.counts).items(),
+                ("lost", channel.lost),
+                ("unclear", channel.unclear),
+                ("rate [Hz]", f"{1.0 / channel.period:.6g}"),
+            )
+        }
+        values["force without displacement"] = join.without_partner
+        return SourceState(self._fault(), values)
+
+    def close(self) -> None:
+        """Hear nothing more."""
+        for item in self._inputs:
+            item.close()
+        self._inputs = []
+
+    def _new_join(self) -> ChannelJoin:
+        given = self.settings
+        return ChannelJoin(
+            StampedChannel(given.hold_back),
+            StampedChannel(given.hold_back),
+            own_clocks=given.own_clocks,
+            sampled_at_stamps=given.stamps == "sampling",
+        )
+
+    def _block(self, pieces: deque[JoinedRun]) -> RigBlock | None:
+        """The next block, cut off the pieces; None where one that may still grow is too short."""
+        size = self.stream.block_size
+        piece = pieces.popleft()
+        while len(pieces) and piece.leading.size < size and pieces[0].index == _end(piece):
+            after = pieces.popleft()
+            piece = JoinedRun(
+                piece.index,
+                piece.start_ns,
+                np.concatenate([piece.leading, after.leading]),
+                np.concatenate([piece.following, after.following]),
+            )
+        count = piece.leading.size
+        if count < size and not pieces:
+            pieces.appendleft(piece)
+            return None
+        period = self._join.leader.period
+        if count > size:
+            pieces.appendleft(
+                JoinedRun(
+                    piece.index + size,
+                    piece.start_ns + round(size * period * 1e9),
+                    piece.leading[size:],
+                    piece.following[size:],
+                )
+            )
+        force, displacement = piece.leading[:size], piece.following[:size]
+        unknown = np.full(force.size, np.nan)
+        return RigBlock(piece.start_ns, piece.index, period, displacement, force, unknown, unknown)
+
+    def _fault(self) -> str:
+        """What is wrong with the topics, in a sentence; empty for nothing."""
+        for item in self._inputs:
+            fault = item.fault()
+            if fault:
+                return fault
+        join = self._join
+        apart = join.follower.clock.rate - join.leader.clock.rate
+        if not self.settings.own_clocks and abs(apart) > _NOTICED_RATE:
+            return (
+                f"the clocks of the two topics drift by {1e6 * abs(apart):.0f} ppm: set "
+                "topics.own_clocks, else displacement and force come apart"
+            )
+        return ""
+
+
+class _Input:
+    """One topic: what has arrived, as stamp, arrival and value."""
+
+    def __init__(
+        self, node: Node, name: str, topic: str, kind: str, field: str, scale: float
+    ) -> None:
+        self.name, self.field = name, field
+        self._node = node
+        self._scale = scale
+        self._read = _reader(field, name)
+        self._unreadable = ""
+        self._last = time.monotonic()
+        self.arrived: deque[tuple[int, int, float]] = deque()
+        self._subscription = node.create_subscription(
+            _message_type(kind, name),
+            topic,
+            self._take,
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self.topic = self._subscription.topic_name
+
+    def close(self) -> None:
+        """Hear nothing more."""
+        self._node.destroy_subscription(self._subscription)
+
+    def hand_on(self, take: Callable[[int, int, float], None]) -> None:
+        """Hand on what has arrived."""
+        while self.arrived:
+            take(*self.arrived.popleft())
+
+    def fault(self) -> str:
+        """What is wrong with the topic, in a sentence; empty for nothing."""
+        unreadable, self._unreadable = self._unreadable, ""
+        if unreadable:
+            return unreadable
+        if time.monotonic() - self._last < _SILENCE:
+            return ""
+        if self._node.count_publishers(self.topic) == 0:
+            return f"nobody publishes {self.topic}, which is to hold the {self.name}"
+        return (
+            f"nothing arrives on {self.topic}: does its publisher stand still, or is it best "
+            "effort (then set qos_overrides)?"
+        )
+
+    def _take(self, message: Any) -> None:
+        self._last = time.monotonic()
+        stamp_ns = to_nanoseconds(message.header.stamp)
+        try:
+            value = self._scale * self._read(message)
+        except (AttributeError, IndexError, ValueError, TypeError):
+            self._unreadable = f"{self.topic} holds no {self.field} for the {self.name}"
+            return
+        if not fits_a_stamp(stamp_ns) or stamp_ns == 0:
+            self._unreadable = f"the messages on {self.topic} have no stamp: they cannot be used"
+            return
+        self.arrived.append((stamp_ns, self._node.get_clock().now().nanoseconds, value))
+
+
+def _reader(field: str, name: str) -> Callable[[Any], float]:
+    """What takes a number out of a message; raises ValueError where the field is none."""
+    match = _FIELD.fullmatch(field.strip())
+    if match is None:
+        raise ValueError(
+            f"topics.{name}_field is '{field}': write it like position[0], effort[rod] or "
+            "wrench.force.x"
+        )
+    path, element = match["path"].split("."), match["element"]
+
+    def read(message: Any) -> float:
+        value = message
+        for part in path:
+            value = getattr(value, part)
+        if element is None:
+            return float(value)
+        index = int(element) if element.isdigit() else list(message.name).index(element)
+        return float(value[index])
+
+    return read
+
+
+def _message_type(text: str, name: str) -> type:
+    """The type of a text such as sensor_msgs/JointState; raises ValueError."""
+    package, _, kind = text.replace("/msg/", "/").partition("/")
+    try:
+        found: Any = getattr(import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(
+            f"topics.{name}_type is '{text}', which is no message that is installed: write it like "
+            "geometry_msgs/WrenchStamped"
+        ) from error
+    if "header" not in found.get_fields_and_field_types():
+        raise ValueError(
+            f"topics.{name}_type is '{text}', whose messages have no header and so no stamp"
+        )
+    return found  # type: ignore[no-any-return]
+
+
+def _end(run: JoinedRun) -> int:
+    return run.index + run.leading.size
+
+
+def _nothing(stamp_ns: int) -> RigBlock:
+    """A block without samples, so that streaming can be ended meanwhile."""
+    none = np.empty(0)
+    return RigBlock(stamp_ns, 0, 1.0, none, none, none, none)

@@ -1,0 +1,160 @@
+"""Samples that are taken evenly, stamped unevenly, lost now and then, and counted by nobody.
+
+Each stamp is put beside the clock behind the stamps (:mod:`mr_damper_ros.signals.stamp_clock`),
+which tells the number of the sample. Where the stamps jitter by half a period, one that is late can
+be a late sample or one after a loss; that shows only with the next ones. So the latest few wait,
+and those that stay unclear are left out: a sample in the wrong place is worse than none.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.stamp_clock import StampClock
+
+_HALF, _MARGIN = 0.5, 0.12
+"""Sample periods that a stamp may be off, and by how much the clock may be wrong besides."""
+
+_WAITING = 3
+"""Samples that wait for the next ones to tell where they belong."""
+
+_LONGEST = 1.0
+"""Seconds without a stamp after which the clock is not known well enough to count through."""
+
+_ENOUGH, _FEWEST = 256, 12
+"""Stamps that a clock is found from; where they come slowly, fewer have to do:"""
+
+_LONGEST_START = 1.0
+"""Seconds after which it is found from what has come."""
+
+_STRETCH = 16
+"""Stamps whose mean tells a loss from jitter."""
+
+
+@dataclass(frozen=True)
+class EvenSample:
+    """A sample by its number, when it was taken by the clock [ns], its stamp and its value."""
+
+    index: int
+    time_ns: int
+    stamp_ns: int
+    value: float
+
+
+class EvenStamps:
+    """Finds the numbers and times of samples; stamps [ns] come in their order.
+
+    The period is found from the first few hundred. ``lost`` counts the numbers that were skipped,
+    ``unclear`` the samples that were left out.
+    """
+
+    def __init__(self) -> None:
+        self.period = math.nan
+        """Time [s] between two samples; NaN until it is known."""
+        self._clock: StampClock | None = None
+        self._begun: list[tuple[int, float]] = []
+        self._next = 0
+        self._last_ns = 0
+        # With how late each was stamped [sample periods].
+        self._waiting: list[tuple[EvenSample, float]] = []
+        self.lost = 0
+        self.unclear = 0
+
+    def add(self, stamp_ns: int, value: float) -> list[EvenSample]:
+        """Take in a sample; returns those that are certain now."""
+        certain: list[EvenSample] = []
+        if self._clock is not None:
+            late_ns = stamp_ns - self._clock.at(self._next)
+            if abs(late_ns) < _LONGEST * NANOSECONDS:
+                return self._place(stamp_ns, value, late_ns / (self.period * NANOSECONDS))
+            certain = [sample for sample, _ in self._waiting]
+            skipped = max(round(late_ns / (self.period * NANOSECONDS)), 0)
+            self.lost += skipped
+            self._next += skipped
+            self._clock, self._waiting = None, []
+        self._begun.append((stamp_ns, value))
+        since = (stamp_ns - self._begun[0][0]) / NANOSECONDS
+        if len(self._begun) >= _ENOUGH or (len(self._begun) >= _FEWEST and since >= _LONGEST_START):
+            certain += self._begin()
+        return certain
+
+    def _begin(self) -> list[EvenSample]:
+        """Find the clock from what has come, and begin with that."""
+        begun, self._begun = self._begun, []
+        self.period, numbers, first_ns = _count([stamp for stamp, _ in begun])
+        clock = StampClock(self._next, first_ns, self.period)
+        pairs = [(self._next + int(n), stamp) for n, (stamp, _) in zip(numbers, begun, strict=True)]
+        for index, stamp in (*pairs, *reversed(pairs)):
+            clock.learn(index, stamp)
+        self._clock = clock
+        # A loss among the very first would not show: they are left out.
+        skipped = min(_STRETCH, len(begun) // 3)
+        self._next += int(numbers[skipped])
+        certain: list[EvenSample] = []
+        for stamp_ns, value in begun[skipped:]:
+            late = (stamp_ns - clock.at(self._next)) / (self.period * NANOSECONDS)
+            certain += self._place(stamp_ns, value, late)
+        return certain
+
+    def _place(self, stamp_ns: int, value: float, late: float) -> list[EvenSample]:
+        clock = self._clock
+        assert clock is not None
+        if late > _HALF + _MARGIN:
+            skipped = math.ceil(late - _HALF - _MARGIN)
+            self._leave_out_late_ones()
+            self.lost += skipped
+            self._next += skipped
+            late -= skipped
+        elif late < -_HALF - _MARGIN and self._waiting:
+            # The one before was taken for a later one than it is.
+            self._next -= 1
+            self._waiting.pop()
+            self.unclear += 1
+            late += 1.0
+        clock.learn(self._next, stamp_ns)
+        sample = EvenSample(self._next, clock.at(self._next), stamp_ns, value)
+        self._waiting.append((sample, late))
+        self._next += 1
+        if len(self._waiting) <= _WAITING:
+            return []
+        # What has been learnt since makes its time better.
+        sample = self._waiting.pop(0)[0]
+        return [replace(sample, time_ns=clock.at(sample.index))]
+
+    def _leave_out_late_ones(self) -> None:
+        """Samples were lost, and of those stamped so late it is not clear on which side."""
+        while self._waiting and self._waiting[-1][1] >= _HALF - _MARGIN:
+            self._waiting.pop()
+            self.unclear += 1
+
+
+def _count(stamps_ns: list[int]) -> tuple[float, np.ndarray, int]:
+    """Period [s] of samples with these stamps, their numbers (n,), and the time of number 0 [ns].
+
+    A loss is where the mean of the stamps before and after it are a period further apart than the
+    count says.
+    """
+    stamps: Array = (np.asarray(stamps_ns, dtype=np.int64) - stamps_ns[0]).astype(np.float64)
+    n = stamps.size
+    stretch = min(_STRETCH, n // 3)
+    period = float(np.median(stamps[stretch:] - stamps[:-stretch])) / stretch
+    numbers = np.arange(n)
+    offset = 0.0
+    for _ in range(2):
+        late = stamps / period - np.arange(n)
+        sums = np.concatenate([[0.0], np.cumsum(late)])
+        place = np.arange(stretch, n - stretch + 1)
+        means = (sums[place + stretch] - 2.0 * sums[place] + sums[place - stretch]) / stretch
+        numbers = np.arange(n)
+        while means.size and means.max() > 0.6:
+            worst = int(np.argmax(means))
+            numbers[place[worst] :] += max(round(float(means[worst])), 1)
+            means[max(worst - stretch, 0) : worst + stretch + 1] = 0.0
+        slope, offset = np.polyfit(numbers, stamps, 1)
+        period = float(slope)
+    return period / NANOSECONDS, numbers, stamps_ns[0] + round(float(offset))
