@@ -12,7 +12,16 @@ from setuptools.command.install_scripts import install_scripts
 NAME = "mr_damper_ros"
 NODES = ("bridge", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
-    *("demo", "identify", "import_record", "live_rig", "reproduce", "thesis_bags", "validate"),
+    *(
+        "demo",
+        "identify",
+        "identify_many",
+        "import_record",
+        "live_rig",
+        "reproduce",
+        "thesis_bags",
+        "validate",
+    ),
     "watch",
 )
 
@@ -96,6 +105,7 @@ setup(
     install_requires=["setuptools"],
     extras_require={
         "test": ["pytest"],
+        "many": ["distributed==2026.8.0", "pyarrow==26.0.1"],
         "files": ["openpyxl==3.1.5", "npTDMS==1.13.0"],
         "visa": ["PyVISA==1.16.2", "PyVISA-py==0.8.1"],
     },

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mr_damper_ros.interface.fit_result import Identification
     from mr_damper_ros.interface.identification import identify
     from mr_damper_ros.interface.law_comparison import choose_law
+    from mr_damper_ros.interface.many_dampers import ManyDampers, identify_many
     from mr_damper_ros.interface.recorded_stream import follow
     from mr_damper_ros.interface.validation import Validation, validate
     from mr_damper_ros.io.bag_reader import read_bag
@@ -40,6 +41,7 @@ __all__ = [
     "ForcePredictor",
     "Identification",
     "LawChoice",
+    "ManyDampers",
     "ParameterSet",
     "PredictorSettings",
     "Recording",
@@ -50,6 +52,7 @@ __all__ = [
     "choose_law",
     "follow",
     "identify",
+    "identify_many",
     "read_bag",
     "read_record",
     "read_runs",
@@ -62,6 +65,7 @@ _HOMES = {
     "ForcePredictor": "tracking.predictor",
     "Identification": "interface.fit_result",
     "LawChoice": "estimation.law_choice",
+    "ManyDampers": "interface.many_dampers",
     "ParameterSet": "models.parameter_set",
     "PredictorSettings": "tracking.predictor",
     "Recording": "signals.recording",
@@ -72,6 +76,7 @@ _HOMES = {
     "choose_law": "interface.law_comparison",
     "follow": "interface.recorded_stream",
     "identify": "interface.identification",
+    "identify_many": "interface.many_dampers",
     "read_bag": "io.bag_reader",
     "read_record": "io.records",
     "read_runs": "io.records",

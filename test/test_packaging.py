@@ -14,7 +14,16 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 NODES = ("bridge", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
-    *("demo", "identify", "import_record", "live_rig", "reproduce", "thesis_bags", "validate"),
+    *(
+        "demo",
+        "identify",
+        "identify_many",
+        "import_record",
+        "live_rig",
+        "reproduce",
+        "thesis_bags",
+        "validate",
+    ),
     "watch",
 )
 MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
@@ -136,7 +145,7 @@ KEYS = {
 }
 """Keys of rosdep for what is no ROS package; those are called like the modules they hold."""
 
-OPTIONAL = {"cma", "nptdms", "openpyxl", "pyvisa"}
+OPTIONAL = {"cma", "distributed", "nptdms", "openpyxl", "pyarrow", "pyvisa"}
 """What is used where it is installed."""
 
 BROUGHT_BY_ROSBAGS = {"lz4", "backports"}

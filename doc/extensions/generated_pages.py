@@ -58,6 +58,7 @@ SYMBOLS = {
 PROGRAMS = (
     "import_record",
     "identify",
+    "identify_many",
     "validate",
     "watch",
     "live_rig",

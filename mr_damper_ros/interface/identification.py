@@ -117,7 +117,7 @@ def identify(
     >>> result.coefficients["alpha"].unit
     's/m'
     """
-    start_values = _start_values(start, model)
+    start_values = start_values_of(start, model)
     settings = EvolutionSettings(strategy=strategy, generations=generations, seed=seed)
     with ProcessPool(workers) as processes:
         measured = measured_runs(
@@ -129,25 +129,51 @@ def identify(
             accept_doubtful=accept_doubtful,
             processes=processes,
         )
-        windows = all_windows(measured)
-        law = MODELS[model]
-        record = SearchRecord(law, windows, start_values, settings, method)
-        if resume is not None and Path(resume).exists():
-            _take(record, Path(resume))
-        began = time.monotonic()
-        searches = identify_from_seeds(
-            law,
-            windows,
-            start_values,
-            settings,
-            starts,
-            report,
+        return identify_measured(
+            measured,
+            model=model,
             method=method,
+            start_values=start_values,
+            settings=settings,
+            starts=starts,
             processes=processes,
-            record=record,
-            keep=None if resume is None else partial(_keep, Path(resume)),
+            resume=None if resume is None else Path(resume),
+            report=report,
         )
-        duration = time.monotonic() - began
+
+
+def identify_measured(
+    measured: Sequence[MeasuredRun],
+    *,
+    model: str,
+    method: str,
+    start_values: Array,
+    settings: EvolutionSettings,
+    starts: int = 1,
+    processes: ProcessPool,
+    resume: Path | None = None,
+    report: Report | None = None,
+) -> Identification:
+    """:func:`identify` for runs that are read already, from values (p,) to start with."""
+    windows = all_windows(measured)
+    law = MODELS[model]
+    record = SearchRecord(law, windows, start_values, settings, method)
+    if resume is not None and resume.exists():
+        _take(record, resume)
+    began = time.monotonic()
+    searches = identify_from_seeds(
+        law,
+        windows,
+        start_values,
+        settings,
+        starts,
+        report,
+        method=method,
+        processes=processes,
+        record=record,
+        keep=None if resume is None else partial(_keep, resume),
+    )
+    duration = time.monotonic() - began
     fitted = _fitted(searches, measured)
     nrmse = error_over(run.comparison for run in fitted).nrmse
     return Identification(
@@ -160,7 +186,8 @@ def identify(
     )
 
 
-def _start_values(source: ParameterSet | str | os.PathLike[str] | None, model: str) -> Array:
+def start_values_of(source: ParameterSet | str | os.PathLike[str] | None, model: str) -> Array:
+    """Values (p,) that a search of the model starts from; the model's own where there is None."""
     law = known_model(model)
     if source is None:
         return law.initial_values()[0]

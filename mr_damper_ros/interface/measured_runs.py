@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.recording_list import RECORD_ENDINGS
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
@@ -26,10 +27,6 @@ from mr_damper_ros.tracking.screening import (
 
 RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 """A bag's path, a recording, or any number of these."""
-
-_RECORD_ENDINGS = frozenset(
-    {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms"}
-)
 
 _WAY_OUT = "accept_doubtful, --accept-doubtful: take it all the same"
 
@@ -157,7 +154,7 @@ def _flat(sources: Iterable[RunSource]) -> list[str | Recording]:
 
 
 def _recordings(path: Path) -> list[Recording]:
-    if path.suffix.lower() in _RECORD_ENDINGS and path.is_file():
+    if path.suffix.lower() in RECORD_ENDINGS and path.is_file():
         raise ValueError(
             f"{path} is no bag: its columns and units must be told, to read_record in Python or "
             "to import_record, which makes a bag of it"

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.interface.figure_style import DASHES, INK, legend_above, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text, to_error, with_error
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.published_conditions import (
@@ -23,9 +25,7 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.errata import METHOD_TITLES, disagreement, find_errata
-from mr_damper_ros.thesis.report import Block, Picture, Table, Text, to_error, with_error
 from mr_damper_ros.thesis.runs import coefficients, loop, title, window
-from mr_damper_ros.thesis.style import DASHES, INK, legend_above, panels
 
 COEFFICIENT_UNITS = {
     "f_t": "N",

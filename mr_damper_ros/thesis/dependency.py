@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.interface.figure_style import DASHES, INK, MARKS, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.published_conditions import Condition, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
+from mr_damper_ros.thesis.compared import Compared, comparison
 from mr_damper_ros.thesis.conditions import identified
 from mr_damper_ros.thesis.errata import sound_conditions
-from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison
 from mr_damper_ros.thesis.runs import loop
-from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels
 
 FREQUENCY_SERIES = tuple(f"5.0mm_{f}Hz_0.5A" for f in (1, 3, 5))
 STROKE_SERIES = tuple(f"{a:.1f}mm_1Hz_0.5A" for a in (2.5, 5.0, 7.5))

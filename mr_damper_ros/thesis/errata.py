@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.interface.figure_style import DASHES, INK, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.published_conditions import (
     CONDITIONS,
@@ -30,9 +32,7 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_co
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import loop, title
-from mr_damper_ros.thesis.style import DASHES, INK, panels
 
 Row = tuple[Condition, str]
 

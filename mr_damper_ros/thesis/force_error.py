@@ -11,6 +11,8 @@ import numpy as np
 from scipy import stats
 
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
@@ -18,11 +20,10 @@ from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
+from mr_damper_ros.thesis.compared import Compared, comparison
 from mr_damper_ros.thesis.nelder_mead import fminsearch
 from mr_damper_ros.thesis.published_runs import DISPLACEMENT_NOISE
-from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison
 from mr_damper_ros.thesis.runs import recording, window
-from mr_damper_ros.thesis.style import DASHES, GREY, INK, panels
 
 CONDITION = "2.5mm_1Hz_0.0A"
 

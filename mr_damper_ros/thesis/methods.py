@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.interface.figure_style import DASHES, INK, MARKS, legend_above, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.published_conditions import PUBLISHED_METHODS, find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
@@ -18,9 +20,7 @@ from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.de import evolve
 from mr_damper_ros.thesis.errata import METHOD_TITLES
 from mr_damper_ros.thesis.nelder_mead import fminsearch
-from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import cycle, loop
-from mr_damper_ros.thesis.style import DASHES, INK, MARKS, legend_above, panels
 
 CONDITIONS = tuple(f"2.5mm_1Hz_{current:.1f}A" for current in (0.0, 0.5, 1.0, 1.5))
 CURRENTS = tuple(find(name).current for name in CONDITIONS)

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.interface.figure_style import GREY, INK, MARKS, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.errata import sound_conditions
-from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import title, window
-from mr_damper_ros.thesis.style import GREY, INK, MARKS, panels
 
 SAMPLES = 500
 """About so many samples, evenly taken, are fitted; the error is that of the whole record."""

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from mr_damper_ros.interface.figure_style import DASHES, INK, MARKS, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
@@ -27,9 +29,7 @@ from mr_damper_ros.thesis.optimiser_methods import (
     EvaluationMeter,
     available,
 )
-from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import cycle, loop
-from mr_damper_ros.thesis.style import DASHES, INK, MARKS, panels
 
 BUDGET, QUICK_BUDGET = 20000, 5000
 

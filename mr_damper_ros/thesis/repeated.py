@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.interface.figure_style import GREY, INK, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     force_from_coefficients,
@@ -19,9 +21,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.de import evolve
-from mr_damper_ros.thesis.report import Block, Picture, Table, Text
 from mr_damper_ros.thesis.runs import cycle, title
-from mr_damper_ros.thesis.style import GREY, INK, panels
 
 AS_CAPTIONED = "5.0mm_1Hz_0.0A"
 AS_FOUND = "5.0mm_1Hz_1.5A"

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mr_damper_ros.interface.figure_style import styled
+from mr_damper_ros.interface.report_page import Block, Chapter, write_report
 from mr_damper_ros.thesis import (
     conditions,
     dependency,
@@ -22,8 +24,6 @@ from mr_damper_ros.thesis import (
 )
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.published_runs import PROVENANCE
-from mr_damper_ros.thesis.report import Block, Chapter, write_report
-from mr_damper_ros.thesis.style import styled
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.interface.figure_style import DASHES, INK, MARKS, legend_above, panels
+from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
-from mr_damper_ros.thesis.report import Block, Compared, Picture, Table, Text, comparison, percent
+from mr_damper_ros.thesis.compared import Compared, comparison, percent
 from mr_damper_ros.thesis.runs import Loop, loop, window
-from mr_damper_ros.thesis.style import DASHES, INK, MARKS, legend_above, panels
 
 CONDITION = "2.5mm_1Hz_0.0A"
 WITH_CURRENT = "2.5mm_1Hz_1.0A"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -50,3 +51,42 @@ def answering() -> None:
 
 def crash(*arguments: str) -> None:
     os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def journalled(argument: tuple[str, str, float]) -> dict[str, str]:
+    """Writes into a journal that it has begun, takes its time, and tells its process."""
+    journal, name, seconds = argument
+    with open(journal, "a", encoding="utf-8") as file:
+        file.write(f"{name}\n")
+    time.sleep(seconds)
+    return {"name": name, "process": str(os.getpid())}
+
+
+def deadly_once(argument: tuple[str, str, float]) -> dict[str, str]:
+    """Its process dies with it the first time."""
+    journal, name, _ = argument
+    begun = Path(journal).read_text("utf-8").split() if Path(journal).exists() else []
+    document = journalled(argument)
+    if name.startswith("deadly") and name not in begun:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return document
+
+
+def deadly(argument: tuple[str, str, float]) -> dict[str, str]:
+    """Its process dies with it every time."""
+    document = journalled(argument)
+    if argument[1].startswith("deadly"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return document
+
+
+def unwilling(argument: tuple[str, str, float]) -> dict[str, str]:
+    raise RuntimeError("not here")
+
+
+def always(document: dict[str, str]) -> bool:
+    return True
+
+
+def never(document: dict[str, str]) -> bool:
+    return False

@@ -13,24 +13,24 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mr_damper_ros.models.published_conditions import find, parameters
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.thesis import facts, identifiability, one_set, optimisers, repeated, sensitivity
-from mr_damper_ros.thesis.campaign import Campaign, Settings
-from mr_damper_ros.thesis.de import STRATEGIES, evolve
-from mr_damper_ros.thesis.optimiser_methods import available
-from mr_damper_ros.thesis.report import (
+from mr_damper_ros.interface.figure_style import styled
+from mr_damper_ros.interface.report_page import (
     Chapter,
-    Compared,
     Table,
     Text,
     shown,
     with_error,
     write_report,
 )
+from mr_damper_ros.models.published_conditions import find, parameters
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
+from mr_damper_ros.thesis import facts, identifiability, one_set, optimisers, repeated, sensitivity
+from mr_damper_ros.thesis.campaign import Campaign, Settings
+from mr_damper_ros.thesis.compared import Compared
+from mr_damper_ros.thesis.de import STRATEGIES, evolve
+from mr_damper_ros.thesis.optimiser_methods import available
 from mr_damper_ros.thesis.runs import cycle
-from mr_damper_ros.thesis.style import styled
 from mr_damper_ros.tools import reproduce
 
 BOTTOM = 1e-6

@@ -1,4 +1,4 @@
-"""What a section of the report is made of, and the page itself: one file, figures inside."""
+"""A report as one HTML file with its figures inside; figures and tables lie beside it as files."""
 
 from __future__ import annotations
 
@@ -43,53 +43,6 @@ class Picture:
 
 
 Block = Text | Table | Picture
-
-
-@dataclass(frozen=True)
-class Compared:
-    """A value of ours beside the thesis' (None where the thesis states none, or its words).
-
-    ``relative`` is False where the true value is zero, so that a relative difference says nothing.
-    """
-
-    quantity: str
-    unit: str
-    ours: float
-    thesis: float | str | None
-    where: str
-    relative: bool = True
-
-    @property
-    def difference(self) -> float | None:
-        """(ours - thesis) / |thesis|."""
-        if self.thesis is None or isinstance(self.thesis, str) or self.thesis == 0.0:
-            return None
-        if not self.relative or not math.isfinite(self.ours):
-            return None
-        return (self.ours - self.thesis) / abs(self.thesis)
-
-
-def percent(difference: float) -> str:
-    """A relative difference as text, in %."""
-    rounded = round(100.0 * difference, 1)
-    return "0.0 %" if rounded == 0.0 else f"{rounded:+.1f} %".replace("-", "−")
-
-
-def comparison(name: str, caption: str, values: Sequence[Compared]) -> Table:
-    """Table of ours, the thesis' and the relative difference."""
-    rows = [
-        (
-            v.quantity,
-            v.unit,
-            v.ours,
-            "not stated" if v.thesis is None else v.thesis,
-            "" if v.difference is None else percent(v.difference),
-            v.where,
-        )
-        for v in values
-    ]
-    columns = ("Quantity", "Unit", "Ours", "Thesis", "Difference", "In the thesis")
-    return Table(name, caption, columns, rows)
 
 
 _SMALL = 1e-3
@@ -166,7 +119,12 @@ class Chapter:
 
 
 def write_report(
-    folder: Path, title: str, notice: str, headlines: Sequence[str], chapters: Sequence[Chapter]
+    folder: Path,
+    title: str,
+    notice: str,
+    headlines: Sequence[str],
+    chapters: Sequence[Chapter],
+    page: str = "report.html",
 ) -> Path:
     """Write the page, the figures and the tables below ``folder``; returns the page.
 
@@ -183,16 +141,16 @@ def write_report(
         parts += [_block(folder, block) for block in chapter.blocks]
         parts.append("</section>")
     body = "\n".join(parts)
-    page = folder / "report.html"
+    place = folder / page
     folder.mkdir(parents=True, exist_ok=True)
-    page.write_text(
+    place.write_text(
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>\n"
         f"<body>{body}</body></html>\n",
         encoding="utf-8",
     )
-    return page
+    return place
 
 
 def _block(folder: Path, block: Block) -> str:

@@ -1,0 +1,255 @@
+"""A production lot: how far its dampers differ in force, and which of them stand out.
+
+Forces are compared, at operating points that the dampers have in common, and not parameters: what
+the recordings leave open scatters from damper to damper and says nothing about them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
+
+LEAST_DAMPERS = 5
+"""Of fewer, none can be said to stand out."""
+
+_LIMIT = 3.5
+"""Deviations, in robust standard deviations, beyond which a damper stands out at the least.
+
+Iglewicz and Hoaglin, "How to detect and handle outliers", 1993.
+"""
+
+_BY_CHANCE = 0.5
+"""In a lot without outliers, so many dampers may be named."""
+
+_POOR = 1.5
+"""A fit that leaves so many times what is usual in the lot is poor."""
+
+_OWN_ERRORS = 3.0
+"""A damper stands out only by more than so many of its own standard errors."""
+
+_TO_SIGMA = 1.4826
+"""From the median absolute deviation to the standard deviation, for a normal distribution."""
+
+_PHASES = 64
+"""Samples of the cycle in which the force is looked at."""
+
+_EDGE = 0.02
+"""A damper identified up to nearly a point, to this part, counts there."""
+
+_AMPLITUDE = 0.01
+"""Amplitude [m] of that cycle; at one peak velocity, the force hardly depends on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownDamper:
+    """An identified damper: its set, the covariance (p, p), and the NRMSE of the fit."""
+
+    name: str
+    parameter_set: ParameterSet
+    covariance: Array
+    nrmse: float
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> KnownDamper:
+        """The damper of a document of :func:`identify_group` without a failure."""
+        return cls(
+            document["damper"],
+            ParameterSet.from_yaml(document["set"]),
+            np.array(document["covariance"]),
+            document["nrmse"],
+        )
+
+    def covers(self, peak_velocity: float, current: float) -> bool:
+        """Whether the damper was identified there."""
+        return all(
+            low - _EDGE * abs(high) <= value <= high * (1.0 + _EDGE)
+            for value, (low, high) in (
+                (peak_velocity, self.parameter_set.peak_velocity_range),
+                (current, self.parameter_set.current_range),
+            )
+        )
+
+    def peak_forces(self, points: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
+        """Largest force [N] of a cycle in extension at (m/s, A), and its standard error, (k,)."""
+        cycles = [_cycle(*point) for point in points]
+        values = self.parameter_set.values
+        problem = self.parameter_set.law.pooled_problem(cycles, [1.0] * len(cycles), values)
+        # The force of the cycles is zero, so that the residual is the force of the set.
+        force = problem.residual(values).reshape(len(points), _PHASES)
+        gradient = problem.jacobian(values).reshape(len(points), _PHASES, values.size)
+        places = np.arange(len(points)), np.argmax(force, axis=1)
+        slope = gradient[places]
+        return force[places], np.sqrt(np.einsum("kp,pq,kq->k", slope, self.covariance, slope))
+
+
+@lru_cache(maxsize=64)
+def _cycle(peak_velocity: float, current: float) -> Window:
+    phase = 2.0 * math.pi * (np.arange(_PHASES) + 0.5) / _PHASES
+    period = 2.0 * math.pi * _AMPLITUDE / (peak_velocity * _PHASES)
+    return Window.from_samples(_AMPLITUDE * np.sin(phase), np.zeros(_PHASES), current, period)
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """How far a quantity differs over the lot.
+
+    ``label`` names it, with ``unit``; ``values`` and their standard ``errors`` (n,) are NaN where a
+    damper does not tell.
+    """
+
+    label: str
+    unit: str
+    values: Array
+    errors: Array
+
+    @property
+    def known(self) -> Array:
+        """The values that are there."""
+        return self.values[np.isfinite(self.values)]
+
+    @property
+    def median(self) -> float:
+        """Median over the lot; NaN where nobody tells."""
+        return float(np.median(self.known)) if self.known.size else math.nan
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation over the lot, as most dampers have it whatever the others do."""
+        if not self.known.size:
+            return math.nan
+        return _TO_SIGMA * float(np.median(np.abs(self.known - self.median)))
+
+    @property
+    def scores(self) -> Array:
+        """Deviations from the median in standard deviations (n,), zero where nobody differs."""
+        if not self.deviation > 0.0:
+            return np.zeros(self.values.size)
+        return np.nan_to_num((self.values - self.median) / self.deviation)
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A damper that stands out in a quantity: by ``score`` robust standard deviations."""
+
+    damper: str
+    quantity: str
+    unit: str
+    value: float
+    median: float
+    score: float
+
+    @property
+    def sentence(self) -> str:
+        """What is unusual, in words."""
+        part = f" ({self.value / self.median - 1.0:+.0%})" if self.median else ""
+        return (
+            f"{self.damper}: {self.quantity} {self.value:.4g} {self.unit}".rstrip()
+            + f", where the lot has {self.median:.4g}{part}, {abs(self.score):.1f} of its standard "
+            "deviations off"
+        )
+
+
+class Population:
+    """A lot of identified dampers."""
+
+    def __init__(self, dampers: Sequence[KnownDamper]) -> None:
+        self.dampers = tuple(dampers)
+
+    @cached_property
+    def points(self) -> list[tuple[float, float]]:
+        """Operating points (m/s, A) within what most dampers were identified at."""
+        if not self.dampers:
+            return []
+        ranges = [
+            (d.parameter_set.peak_velocity_range, d.parameter_set.current_range)
+            for d in self.dampers
+        ]
+        (slow, fast), (low, high) = np.median(np.array(ranges), axis=0).tolist()
+        speeds = (slow, math.sqrt(slow * fast), fast)
+        currents = (low, 0.5 * (low + high), high)
+        rounded = [(_round(v), _round(i)) for i in currents for v in speeds if v > 0.0]
+        return list(dict.fromkeys(rounded))
+
+    @cached_property
+    def forces(self) -> list[Spread]:
+        """Of each point, the largest force of the dampers that were identified there."""
+        shape = len(self.dampers), len(self.points)
+        values, errors = np.full(shape, math.nan), np.full(shape, math.nan)
+        for row, damper in enumerate(self.dampers):
+            places = [k for k, point in enumerate(self.points) if damper.covers(*point)]
+            if places:
+                chosen = [self.points[k] for k in places]
+                values[row, places], errors[row, places] = damper.peak_forces(chosen)
+        return [
+            Spread(f"force at {v:g} m/s and {i:g} A", "N", values[:, k], errors[:, k])
+            for k, (v, i) in enumerate(self.points)
+        ]
+
+    @cached_property
+    def limit(self) -> float:
+        """Robust standard deviations beyond which a damper stands out.
+
+        So large that in a lot without outliers chance alone would name half a damper.
+        """
+        comparisons = max(len(self.dampers) * (len(self.points) + 1), 1)
+        return max(_LIMIT, NormalDist().inv_cdf(1.0 - 0.5 * _BY_CHANCE / comparisons))
+
+    @cached_property
+    def outliers(self) -> list[Outlier]:
+        """Dampers that stand out in force, each by where it does most, and then those in misfit."""
+        worst: dict[str, Outlier] = {}
+        for spread in self.forces:
+            for outlier in self._beyond(spread):
+                before = worst.get(outlier.damper)
+                if before is None or abs(outlier.score) > abs(before.score):
+                    worst[outlier.damper] = outlier
+        return [*sorted(worst.values(), key=lambda one: -abs(one.score)), *self._poor_fits()]
+
+    def _beyond(self, spread: Spread) -> Iterator[Outlier]:
+        if spread.known.size < LEAST_DAMPERS:
+            return
+        for damper, value, error, score in zip(
+            self.dampers, spread.values, spread.errors, spread.scores, strict=True
+        ):
+            own = _OWN_ERRORS * error
+            if abs(score) > self.limit and abs(value - spread.median) > own:
+                yield Outlier(
+                    damper.name,
+                    spread.label,
+                    spread.unit,
+                    float(value),
+                    spread.median,
+                    float(score),
+                )
+
+    def _poor_fits(self) -> list[Outlier]:
+        """Dampers whose force the law leaves far more of than of the others'."""
+        logarithms = np.array([math.log(max(damper.nrmse, 1e-9)) for damper in self.dampers])
+        spread = Spread("NRMSE", "", logarithms, np.zeros(logarithms.size))
+        found = [
+            Outlier(
+                outlier.damper,
+                "NRMSE",
+                "",
+                math.exp(outlier.value),
+                math.exp(outlier.median),
+                outlier.score,
+            )
+            for outlier in self._beyond(spread)
+            if outlier.value - outlier.median > math.log(_POOR)
+        ]
+        return sorted(found, key=lambda one: -one.score)
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.3g}")

@@ -1,0 +1,212 @@
+"""Which recordings there are in folders, patterns and lists, and of which damper each one is."""
+
+from __future__ import annotations
+
+import csv
+import glob
+import math
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.models.parameter_set import SpokenError
+from mr_damper_ros.signals.recording import Recording
+
+RECORD_ENDINGS = frozenset(
+    {".txt", ".csv", ".tsv", ".dat", ".asc", ".mat", ".xlsx", ".xlsm", ".tdms"}
+)
+"""Files of laboratories, which need to be told what their columns hold."""
+
+_BAG_FILE = ".mcap"
+_METADATA = "metadata.yaml"
+_PATTERN_SIGNS = frozenset("*?[")
+
+
+class ListError(SpokenError):
+    """Recordings that cannot be found or told apart; the message says what to change."""
+
+
+@dataclass(frozen=True)
+class RecordFormat:
+    """How record files are read, as in :func:`mr_damper_ros.read_record`.
+
+    ``columns`` say what a file holds; ``current`` [A] and ``period`` [s] where no column does;
+    ``variable`` is a matrix, a sheet or a group.
+    """
+
+    columns: str
+    current: float | None = None
+    period: float | None = None
+    variable: str | None = None
+
+    def read(self, path: Path, current: float | None) -> Recording:
+        """The recording in a file, at a current [A] of its own where it has one."""
+        return read_record(
+            path,
+            self.columns,
+            current=self.current if current is None else current,
+            period=self.period,
+            variable=self.variable,
+        )
+
+
+@dataclass(frozen=True)
+class ListedRecording:
+    """A recording at ``path`` of ``damper``; ``current`` [A] where its name or the list tells."""
+
+    path: Path
+    damper: str
+    current: float | None = None
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A file at ``path`` that was not taken, and why, in words."""
+
+    path: Path
+    reason: str
+
+
+def find_recordings(
+    sources: Iterable[str | os.PathLike[str]],
+    *,
+    pattern: str | None = None,
+    with_records: bool = False,
+) -> tuple[list[ListedRecording], list[LeftOut]]:
+    """The recordings in folders, of patterns with ``*``, and at paths, and what was left out.
+
+    A bag is a folder with its metadata.yaml, or a .mcap file; record files are taken where
+    ``with_records``. ``pattern`` is a regular expression that is searched for in the path below
+    the source: its group ``damper``, or the first one, is the name of the damper, and a group
+    ``current`` the current [A]. Without a pattern the recordings in one folder are of one damper.
+
+    Raises ListError where a source holds no recording, or the pattern is wrong.
+    """
+    named = _namer(pattern)
+    found: dict[Path, ListedRecording] = {}
+    left_out: list[LeftOut] = []
+    for source in sources:
+        roots = _roots(os.fspath(source))
+        paths = [(path, root) for root in roots for path in _recordings(root, with_records)]
+        if not paths:
+            raise ListError(
+                f"there is no recording in {os.fspath(source)}: give folders or .mcap files of "
+                "bags, or say what the columns of the record files hold"
+            )
+        for path, root in paths:
+            base = root if root.is_dir() and root != path else path.parent
+            try:
+                found.setdefault(path, named(path, base))
+            except ListError as error:
+                left_out.append(LeftOut(path, str(error)))
+    return list(found.values()), left_out
+
+
+def read_list(path: str | os.PathLike[str]) -> tuple[list[ListedRecording], list[LeftOut]]:
+    """The recordings that a CSV file lists, in columns ``path``, ``damper`` and maybe ``current``.
+
+    Paths are relative to the folder of the list; the current is in ampere. Raises ListError where
+    the columns are missing or nothing is listed, and OSError.
+    """
+    place = Path(path)
+    try:
+        with place.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ListError(f"{place} is no list: give a CSV file of UTF-8 text ({error})") from error
+    for column in ("path", "damper"):
+        if not rows or rows[0].get(column) is None:
+            raise ListError(
+                f"{place} has no column '{column}': its first line must name path, damper and, "
+                "where wanted, current"
+            )
+    found: dict[Path, ListedRecording] = {}
+    left_out = []
+    for row in rows:
+        recording = place.parent / (row["path"] or "")
+        try:
+            if not (row["damper"] or "").strip():
+                raise ListError("the list does not say of which damper it is")
+            current = _current(row.get("current"))
+            found.setdefault(recording, ListedRecording(recording, row["damper"].strip(), current))
+        except ListError as error:
+            left_out.append(LeftOut(recording, str(error)))
+    return list(found.values()), left_out
+
+
+def _roots(source: str) -> list[Path]:
+    path = Path(source)
+    if path.exists() or not _PATTERN_SIGNS & set(source):
+        if not path.exists():
+            raise ListError(f"there is no {source}")
+        return [path]
+    return [Path(name) for name in sorted(glob.glob(source, recursive=True))]
+
+
+def _recordings(root: Path, with_records: bool) -> Iterator[Path]:
+    if not root.is_dir():
+        if _is_recording(root, with_records):
+            yield root
+        return
+    for folder, below, files in os.walk(root):
+        if _METADATA in files:
+            below.clear()
+            yield Path(folder)
+            continue
+        below.sort()
+        yield from (
+            path
+            for path in (Path(folder, name) for name in sorted(files))
+            if _is_recording(path, with_records)
+        )
+
+
+def _is_recording(path: Path, with_records: bool) -> bool:
+    ending = path.suffix.lower()
+    return ending == _BAG_FILE or (with_records and ending in RECORD_ENDINGS)
+
+
+def _namer(pattern: str | None) -> Callable[[Path, Path], ListedRecording]:
+    if pattern is None:
+        return _named_by_folder
+    try:
+        expression = re.compile(pattern)
+    except re.error as error:
+        raise ListError(f"the pattern {pattern!r} is no regular expression: {error}") from error
+    if not expression.groups:
+        raise ListError(
+            f"the pattern {pattern!r} has no group: put the name of the damper in brackets, as in "
+            "(D[0-9]+)_"
+        )
+    damper: str | int = "damper" if "damper" in expression.groupindex else 1
+    tells_current = "current" in expression.groupindex
+
+    def named(path: Path, base: Path) -> ListedRecording:
+        shown = path.relative_to(base).as_posix()
+        found = expression.search(shown)
+        if found is None or not found[damper]:
+            raise ListError(f"the pattern {pattern!r} is not found in its name")
+        current = _current(found["current"]) if tells_current else None
+        return ListedRecording(path, found[damper], current)
+
+    return named
+
+
+def _named_by_folder(path: Path, base: Path) -> ListedRecording:
+    below = path.parent.relative_to(base).as_posix()
+    return ListedRecording(path, base.resolve().name if below == "." else below)
+
+
+def _current(text: str | None) -> float | None:
+    if text is None or not text.strip():
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ListError(f"its current is {text!r}: give a number of amperes")
+    return value

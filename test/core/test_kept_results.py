@@ -1,0 +1,211 @@
+"""Results that are kept as they finish: nothing is lost, and nothing is done twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pool_tasks
+import pytest
+
+from mr_damper_ros.processes.kept_results import (
+    KeptTask,
+    ResultFolder,
+    WorkersError,
+    file_stem,
+    finish,
+)
+from mr_damper_ros.processes.workforce import GivenExecutor, LocalProcesses, Workforce
+
+PATIENCE = 60.0
+"""Seconds after which what is waited for will not come."""
+
+
+class Work:
+    """Tasks that leave a line in a journal when they begin."""
+
+    def __init__(self, folder: Path, names: list[str], seconds: float = 0.0) -> None:
+        self.journal = folder / "journal"
+        self.results = ResultFolder(folder / "results")
+        self.tasks = [KeptTask(n, "as it is", (str(self.journal), n, seconds)) for n in names]
+        self.told: list[str] = []
+        self.lost: list[str] = []
+
+    def do(
+        self,
+        workforce: Workforce,
+        function: Callable[..., dict[str, Any]] = pool_tasks.journalled,
+        final: Callable[[dict[str, Any]], bool] = pool_tasks.always,
+    ) -> None:
+        finish(
+            [task for task in self.tasks if self.results.kept(task) is None],
+            function,
+            workforce,
+            self.results,
+            final=final,
+            finished=lambda task, document: self.told.append(document["name"]),
+            lost=lambda task: self.lost.append(task.name),
+        )
+
+    @property
+    def begun(self) -> Counter[str]:
+        return Counter(self.journal.read_text().split() if self.journal.exists() else [])
+
+    @property
+    def kept(self) -> set[str]:
+        return {task.name for task in self.tasks if self.results.kept(task) is not None}
+
+
+def in_threads() -> GivenExecutor:
+    return GivenExecutor(ThreadPoolExecutor(2))
+
+
+def work(folder: Path, count: int = 6, seconds: float = 0.0) -> Work:
+    return Work(folder, [f"task{number}" for number in range(count)], seconds)
+
+
+@pytest.mark.parametrize("workforce", [in_threads, lambda: LocalProcesses(2)], ids=["any", "own"])
+def test_every_task_is_done_told_and_kept_once(
+    tmp_path: Path, workforce: Callable[[], Workforce]
+) -> None:
+    some = work(tmp_path)
+    some.do(workforce())
+    names = {task.name for task in some.tasks}
+    assert some.begun == Counter(names)
+    assert some.kept == set(some.told) == names
+    assert len(some.told) == len(names)
+
+
+def test_own_processes_are_others_than_this_one(tmp_path: Path) -> None:
+    some = work(tmp_path, 1)
+    some.do(LocalProcesses(1))
+    document = some.results.kept(some.tasks[0])
+    assert document is not None
+    assert document["process"] != str(os.getpid())
+
+
+def test_what_is_kept_is_not_done_again(tmp_path: Path) -> None:
+    some = work(tmp_path)
+    some.do(in_threads())
+    more = work(tmp_path, 8)
+    more.do(in_threads())
+    assert set(more.begun.values()) == {1}
+    assert sorted(more.told) == ["task6", "task7"]
+
+
+def test_another_fingerprint_is_another_task(tmp_path: Path) -> None:
+    some = work(tmp_path, 1)
+    some.do(in_threads())
+    assert some.results.kept(KeptTask("task0", "changed", None)) is None
+
+
+@pytest.mark.parametrize("text", ["", '{"fingerprint": "as it is"', "[]", '"text"'])
+def test_a_damaged_file_is_no_result(tmp_path: Path, text: str) -> None:
+    some = work(tmp_path, 1)
+    some.do(in_threads())
+    some.results.path("task0").write_text(text)
+    assert some.kept == set()
+
+
+def test_what_is_not_final_is_told_and_not_kept(tmp_path: Path) -> None:
+    some = work(tmp_path, 2)
+    some.do(in_threads(), final=pool_tasks.never)
+    assert sorted(some.told) == ["task0", "task1"]
+    assert some.kept == set()
+
+
+def test_the_death_of_a_process_loses_nothing(tmp_path: Path) -> None:
+    some = Work(tmp_path, ["task0", "deadly1", "task2", "task3", "task4"])
+    some.do(LocalProcesses(2), pool_tasks.deadly_once)
+    assert some.kept == set(some.told) == {task.name for task in some.tasks}
+    assert len(some.told) == len(some.tasks)
+    assert some.lost == []
+
+
+def test_who_kills_every_process_is_given_up_alone(tmp_path: Path) -> None:
+    some = Work(tmp_path, ["task0", "deadly1", "task2"])
+    some.do(LocalProcesses(2), pool_tasks.deadly)
+    assert some.lost == ["deadly1"]
+    assert some.kept == {"task0", "task2"}
+
+
+def test_workers_that_can_do_nothing_are_an_error(tmp_path: Path) -> None:
+    with pytest.raises(WorkersError, match="RuntimeError: not here"):
+        work(tmp_path).do(in_threads(), pool_tasks.unwilling)
+
+
+def test_an_interrupt_ends_the_processes_and_keeps_what_is_done(tmp_path: Path) -> None:
+    some = work(tmp_path, 6, seconds=0.2)
+
+    def interrupt(task: KeptTask, document: dict[str, Any]) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        finish(
+            some.tasks,
+            pool_tasks.journalled,
+            LocalProcesses(2),
+            some.results,
+            final=pool_tasks.always,
+            finished=interrupt,
+            lost=lambda task: None,
+        )
+    assert 1 <= len(some.kept) < len(some.tasks)
+
+
+PROGRAM = """
+import sys
+sys.path[:] = {path!r}
+from pathlib import Path
+from mr_damper_ros.processes.kept_results import KeptTask, ResultFolder, finish
+from mr_damper_ros.processes.workforce import LocalProcesses
+import pool_tasks
+
+if __name__ == "__main__":
+    names = [f"task{{number}}" for number in range({count})]
+    tasks = [KeptTask(n, "as it is", ({journal!r}, n, 0.1)) for n in names]
+    finish(tasks, pool_tasks.journalled, LocalProcesses(2), ResultFolder(Path({results!r})),
+           final=pool_tasks.always, finished=lambda *told: None, lost=print)
+"""
+
+
+def test_after_kill_9_of_the_program_the_rest_is_done_and_no_more(tmp_path: Path) -> None:
+    count = 12
+    script = tmp_path / "program.py"
+    places = {"journal": str(tmp_path / "journal"), "results": str(tmp_path / "results")}
+    script.write_text(PROGRAM.format(path=sys.path, count=count, **places))
+    some = work(tmp_path, count)
+    killed = subprocess.Popen([sys.executable, str(script)])
+    until = time.monotonic() + PATIENCE
+    while len(some.kept) < 3 and time.monotonic() < until:
+        time.sleep(0.01)
+    killed.send_signal(signal.SIGKILL)
+    killed.wait(PATIENCE)
+    kept, begun = some.kept, some.begun
+    assert 3 <= len(kept) < count
+    some.do(in_threads())
+    assert some.kept == {task.name for task in some.tasks}
+    assert {name for name in kept if some.begun[name] != begun[name]} == set()
+
+
+def test_files_of_similar_names_differ() -> None:
+    names = ["a/b", "a_b", "a b", "ä", "x" * 300, "x" * 301, "", "."]
+    stems = {file_stem(name) for name in names}
+    assert len(stems) == len(names)
+    assert all(len(stem) < 100 and "/" not in stem for stem in stems)
+
+
+def test_a_result_is_readable_json(tmp_path: Path) -> None:
+    some = work(tmp_path, 1)
+    some.do(in_threads())
+    document = json.loads(some.results.path("task0").read_text())
+    assert document["document"]["name"] == "task0"
