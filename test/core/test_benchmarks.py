@@ -19,6 +19,7 @@ from benchmarks import (
     healthy,
     honest_errors,
     jitter,
+    many_recordings,
     kinematics,
     noise_limit,
     recordings,
@@ -60,6 +61,7 @@ KEYS = [
     *("switched_accepted", "switched_nrmse", "switched_nrmse_ratio"),
     *("switched_drift_scale_error_p95_percent", "cold_start_windows", "cold_start_largest_force"),
     *("step_current_nrmse_ratio", "step_current_nrmse", "reversal_jump", "reversal_jump_smoothed"),
+    *("many_overhead_percent", "many_dask_overhead_percent"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)
@@ -177,6 +179,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "lossy_link": list,
         "hostile_messages": list,
         "jitter": lambda: jitter.figures(8.0, (10,)),
+        "many_recordings": lambda: many_recordings.figures(4, 4),
     }
     found = [figure for name in bench.FULL for figure in short[name]()]
     assert sorted(figure.key for figure in found) == sorted(KEYS)
