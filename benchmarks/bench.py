@@ -86,6 +86,7 @@ FULL: dict[str, Measure] = {
     "many_recordings": many_recordings.figures,
     "streaming_load": _of_nodes("streaming_load"),
     "single_sample": _of_nodes("single_sample"),
+    "live_page": _of_nodes("live_page"),
     "lossy_link": _of_nodes("lossy_link"),
     "hostile_messages": _of_nodes("hostile_messages"),
 }
@@ -105,6 +106,7 @@ QUICK: dict[str, Measure] = {
     "many_recordings": lambda: many_recordings.figures(60, 20),
     "streaming_load": _of_nodes("streaming_load", duration=30.0, latency_duration=30.0),
     "single_sample": _of_nodes("single_sample", duration=15.0, overload_duration=8.0),
+    "live_page": _of_nodes("live_page", duration=30.0, segment=10.0, segments=2),
     "lossy_link": _of_nodes("lossy_link", duration=20.0),
 }
 """Shorter versions of the long ones, for development: their figures are not the real ones."""

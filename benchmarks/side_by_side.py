@@ -120,7 +120,7 @@ class SideBySide:
         self, *, identifier: bool = False, cores: Sequence[int] | None = None, busy: int = 0
     ) -> None:
         with ExitStack() as stack:
-            domain = stack.enter_context(closing(ProfiledDomain()))
+            domain = self.domain = stack.enter_context(closing(ProfiledDomain()))
             folder = stack.enter_context(tempfile.TemporaryDirectory())
             file = Path(folder) / "parameters.yaml"
             known = ParameterSet(

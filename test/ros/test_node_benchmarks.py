@@ -10,7 +10,7 @@ from contextlib import closing
 
 import pytest
 
-from benchmarks import lossy_link, single_sample, streaming_load
+from benchmarks import live_page, lossy_link, single_sample, streaming_load
 from benchmarks.network import LossyLink, NetworkError
 from benchmarks.streaming_load import Counter
 
@@ -34,6 +34,14 @@ def test_every_key_of_single_samples_is_measured_once() -> None:
         "stale_valid",
     ]
     assert all(figure.note for figure in figures)
+
+
+def test_every_key_of_the_page_is_measured_once() -> None:
+    figures = live_page.figures(duration=2.0, segment=4.0, segments=1, warm=1.0)
+    assert [figure.key for figure in figures] == [
+        *("live_cpu_percent", "live_memory_growth_mb", "live_p99_ratio")
+    ]
+    assert all(isinstance(figure.value, float) for figure in figures)
 
 
 def test_a_missing_block_is_counted() -> None:
