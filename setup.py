@@ -29,30 +29,36 @@ TOOLS = (
 HEAR = ["/usr/bin/env", "--block-signal=INT,TERM"]
 """Starts a program with these signals held back until it says that it hears them."""
 
-NODE = """\
+PROGRAM = """\
 #!{interpreter}
-# A signal that comes while Python starts is held back until the node hears it.
+# A signal that comes while Python starts is held back until the program hears it.
 import sys
 
-from {package}.entry_points import {name}
+from {package}.entry_points import {function}
 
-sys.exit({name}())
+sys.exit({function}({arguments}))
 """
 
 
 def interpreter() -> str:
-    """Return what runs a node's program; without holding signals back where `env` cannot."""
+    """Return what runs a program; without holding signals back where `env` cannot."""
     hears = subprocess.run([*HEAR, "true"], capture_output=True, check=False).returncode == 0
     return f"{HEAR[0]} -S {' '.join(HEAR[1:])} {sys.executable}" if hears else sys.executable
 
 
 class Programs:
-    """Part of the commands that install programs: the nodes' are shorter, and hear signals."""
+    """Part of the commands that install programs: ours are shorter, and hear signals."""
 
     def write_script(self, script_name: str, contents: str, *arguments: object) -> None:
         """Write a program; setuptools calls it."""
-        if script_name in NODES:
-            contents = NODE.format(interpreter=interpreter(), package=NAME, name=script_name)
+        if script_name in (*NODES, *TOOLS):
+            is_node = script_name in NODES
+            contents = PROGRAM.format(
+                interpreter=interpreter(),
+                package=NAME,
+                function=script_name if is_node else "tool",
+                arguments="" if is_node else repr(script_name),
+            )
         super().write_script(script_name, contents, *arguments)  # type: ignore[misc]
 
 

@@ -1,8 +1,9 @@
-"""Starts the nodes: loads them with a stop signal already heard.
+"""Starts the programs: loads them with a stop signal already heard.
 
 Loading rclpy and SciPy takes a second or two. A signal that comes meanwhile ends the program as it
-does later: with exit code 0, no traceback. The installed programs hold signals back (see setup.py)
-while Python itself starts, and from the node's end on they are ignored.
+does later: a node with exit code 0, a tool with a sentence, neither with a traceback. The installed
+programs hold signals back (see setup.py) while Python itself starts, and from their end on they are
+ignored.
 
 SciPy takes the most of it. A node that was killed should be back soon, so what a node loads
 imports SciPy only where it is called. The identifier's worker, which loads it before its first
@@ -23,6 +24,9 @@ _WORK = "mr_damper_ros.tracking.worker_preload"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _NOT_INSTALLED = 2
+
+_INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 
 _MISSING = {
     "mr_damper_msgs": "The package mr_damper_msgs is missing: build it too (in a workspace: ln -s "
@@ -68,6 +72,27 @@ def replay() -> int:
 def supply() -> int:
     """Run the node supply."""
     return _run("supply")
+
+
+def tool(name: str) -> int:
+    """Run the tool of this name, a module of the room tools."""
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        os.write(2, f"\n{name}: stopped by Ctrl-C\n".encode())
+        os._exit(_INTERRUPTED)
+
+    hears = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN  # as in the background of a shell
+    if hears:
+        signal.signal(signal.SIGINT, leave)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    main = import_module(f"mr_damper_ros.tools.{name}").main
+    if hears:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        code: int = main()
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return code
 
 
 def _run(name: str, *arguments: object) -> int:

@@ -10,7 +10,7 @@ those. See Belsley, Kuh and Welsch, "Regression Diagnostics", 1980, chapter 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,15 @@ force by less than this part of the largest change."""
 
 _MOST_WORDS = 5
 
+_AS_A_PRODUCT = 0.1
+"""Two parameters are known as a product, or a ratio, where their relative moves agree so far."""
+
+_LEADS_BY = 0.1
+"""Relative move of the parameter that leads, for the words."""
+
+_BEYOND_PERCENT = 10.0
+"""A relative move larger than this is told in the parameter's unit."""
+
 _ROUNDING = 1e-10
 """A move that the samples notice less than this, of what they may notice, is one they do not."""
 
@@ -44,21 +53,12 @@ class Combination:
 
     ``weights``: how far each moves, by name, in spans; the largest is 1, the first is that of the
     parameter which leads. ``standard_error``: of the move, in spans; infinite where the samples do
-    not notice it at all.
+    not notice it at all. ``words``: what is not known, as in "f0 and k2 only as a product".
     """
 
     weights: Mapping[str, float]
     standard_error: float
-
-    @property
-    def words(self) -> str:
-        """The names with the largest weights, as in ``0.38 I1 + k4``."""
-        terms: list[str] = []
-        for name, weight in list(self.weights.items())[:_MOST_WORDS]:
-            size = "" if f"{abs(weight):.2g}" == "1" else f"{abs(weight):.2g} "
-            sign = "- " if weight < 0.0 else "+ "
-            terms.append(f"{sign if terms else ''}{size}{name}")
-        return " ".join(terms) + (" ..." if len(self.weights) > _MOST_WORDS else "")
+    words: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +109,8 @@ def noise_level(misfit: PooledProblem, parameters: Array) -> float:
     return math.sqrt(max(variance, 1e-300))
 
 
-def determination(model: Model, jacobian: Array, spans: Array) -> Determination:
-    """What a Jacobian (n, p) of a residual of unit variance determines."""
+def determination(model: Model, jacobian: Array, spans: Array, parameters: Array) -> Determination:
+    """What a Jacobian (n, p), of a residual of unit variance at ``parameters`` (p,), determines."""
     triangular = triangular_factor(jacobian) * spans
     _, values, rows = np.linalg.svd(triangular, full_matrices=True)
     names = model.parameter_names
@@ -123,7 +123,7 @@ def determination(model: Model, jacobian: Array, spans: Array) -> Determination:
         singular_values=singular,
         rank=int(np.sum(~loose)),
         condition=_condition(singular),
-        open=_combinations(rows[loose], triangular, names, np.array(scales)),
+        open=_combinations(rows[loose], triangular, model, np.array(scales), (parameters, spans)),
     )
 
 
@@ -133,13 +133,18 @@ def _condition(singular: Array) -> float:
 
 
 def _combinations(
-    directions: Array, triangular: Array, names: Sequence[str], scales: np.ndarray
+    directions: Array,
+    triangular: Array,
+    model: Model,
+    scales: np.ndarray,
+    values_and_spans: tuple[Array, Array],
 ) -> tuple[Combination, ...]:
     """A basis of the span of the rows (d, p) in which each row is led by another parameter.
 
     Gauss-Jordan elimination, complete pivoting: singular vectors mix what has nothing to do with
     each other.
     """
+    names, (values, spans) = model.parameter_names, values_and_spans
     basis = np.array(directions)
     preference = np.where(scales, 1.0, _PREFER_SHAPE)
     leads: list[int] = []
@@ -166,5 +171,40 @@ def _combinations(
         weights = {names[k]: float(move[k]) for k in order if told[k]}
         noticed = float(np.linalg.norm(triangular @ move))
         error = 1.0 / noticed if noticed > _ROUNDING * largest else math.inf
-        combinations.append(Combination(weights, error))
+        moves = {names[k]: (values[k], move[k] * spans[k]) for k in order if told[k]}
+        combinations.append(Combination(weights, error, _words(moves, model.units)))
     return tuple(combinations)
+
+
+def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
+    """What is open, for value and move of each parameter, that which leads first."""
+    lead, *others = moves
+    if not others:
+        return lead
+    relative = {name: move / value if value else math.inf for name, (value, move) in moves.items()}
+    if len(others) == 1:
+        ratio = relative[lead] / relative[others[0]]
+        if abs(ratio + 1.0) < _AS_A_PRODUCT:
+            return f"{lead} and {others[0]} only as a product"
+        if abs(ratio - 1.0) < _AS_A_PRODUCT:
+            return f"{lead} and {others[0]} only as a ratio"
+    _, move = moves[lead]
+    step = _LEADS_BY if math.isinf(relative[lead]) else _LEADS_BY / abs(relative[lead])
+    step = math.copysign(step, move)
+    changes = [
+        _change(name, step * moves[name][1], moves[name][0], units[name])
+        for name in (lead, *others[:_MOST_WORDS])
+    ]
+    more = " and others move" if len(others) > _MOST_WORDS else ""
+    listed = ", ".join(others[:-1]) + f" and {others[-1]}" if len(others) > 1 else others[0]
+    together = f"{lead} and {listed}" if len(others) == 1 else f"{lead}, {listed}"
+    return f"{together} only together: as {changes[0]}, {', '.join(changes[1:])}{more}"
+
+
+def _change(name: str, move: float, value: float, unit: str) -> str:
+    part = move / value if value else math.inf
+    if abs(part) > _BEYOND_PERCENT:
+        way = "rises" if move > 0.0 else "falls"
+        return f"{name} {way} by {abs(move):.2g}{'' if unit == '1' else f' {unit}'}"
+    # Of a negative number it is the size that grows or shrinks.
+    return f"{name} {'grows' if part > 0.0 else 'shrinks'} by {100.0 * abs(part):.2g} %"

@@ -47,7 +47,7 @@ class EvolutionSettings(CheckedSettings):
 class GlobalProgress:
     """How far a long search is: ``best_cost`` is that of the present ``stage`` [1].
 
-    ``time_left`` [s] is an estimate for all that remains.
+    ``time_left`` [s] is an estimate for all that remains; both are NaN where they are not known.
     """
 
     stage: str
@@ -65,7 +65,7 @@ class ProgressClock:
     """Counts generations over the stages of a search and estimates the time left."""
 
     def __init__(self, generations: int, report: Report | None) -> None:
-        self._total = generations
+        self._total = max(generations, 1)
         self._done = 0
         self._report = report
         self._last_report = time.monotonic()
@@ -74,6 +74,10 @@ class ProgressClock:
         self._stage_began = self._last_report
         self._stage_done = 0
         self.stopped = False
+
+    def expect(self, generations: int) -> None:
+        """So many from now on, as far as that is known."""
+        self._total = max(self._done + generations, 1)
 
     def tick(self, stage: str, best_cost: float) -> None:
         """One generation more."""
@@ -87,8 +91,10 @@ class ProgressClock:
         if self._report is None or self.stopped:
             return
         self._last_report = time.monotonic()
-        pace = (self._last_report - self._stage_began) / max(self._stage_done, 1)
-        left = max(self._total - self._done, 0) * pace
+        left = math.nan
+        if self._stage_done:
+            pace = (self._last_report - self._stage_began) / self._stage_done
+            left = max(self._total - self._done, 0) * pace
         progress = GlobalProgress(stage, self._done, self._total, best_cost, left)
         self.stopped = not self._report(progress)
 

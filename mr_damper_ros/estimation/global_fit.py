@@ -9,9 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import least_squares_covariance
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, Report
+from mr_damper_ros.estimation.differential_evolution import (
+    EvolutionSettings,
+    ProgressClock,
+    Report,
+)
 from mr_damper_ros.estimation.global_search import Candidate, GlobalSearch
-from mr_damper_ros.estimation.local_search import StopRequestedError
+from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
 from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
@@ -20,9 +24,6 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import pooled
 
 GLOBAL_METHODS = ("global", "nelder_mead", "least_squares", "differential_evolution")
-
-_CONVERGED = "converged"
-_STOPPED = "stopped before it converged: this is the best so far"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +89,16 @@ def identify_global(
     if method not in GLOBAL_METHODS:
         raise ValueError(f"method '{method}' is unknown: use one of {', '.join(GLOBAL_METHODS)}")
     start = np.asarray(start, dtype=float)
-    search = GlobalSearch(model, windows, start, settings, report, known)
-    stopped = False
+    search = GlobalSearch(model, windows, start, settings, ProgressClock(1, report), known)
     try:
         search.run(method)
+        ending = Ending.EXHAUSTED if search.exhausted else Ending.CONVERGED
     except StopRequestedError:
-        stopped = True
-        search.best = min((search.best, start), key=search.pooled.mean_square)
-    return _result(search, method, stopped)
+        ending = Ending.STOPPED
+    return _result(search, method, ending)
 
 
-def _result(search: GlobalSearch, method: str, stopped: bool) -> GlobalFit:
+def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
     model, best = search.model, search.best
     places = [
         place
@@ -136,10 +136,10 @@ def _result(search: GlobalSearch, method: str, stopped: bool) -> GlobalFit:
         covariance=covariance,
         nrmse=np.array([error.nrmse for error in errors_of_set]),
         evaluations=search.evaluations,
-        success=not (stopped or search.shortcoming),
-        message=_STOPPED if stopped else search.shortcoming or _CONVERGED,
+        success=ending is Ending.CONVERGED and not search.shortcoming,
+        message=search.shortcoming or ending.value,
         noise=np.array([fit.rmse for fit in search.fits]),
         cost=misfit.mean_square(best),
         candidates=tuple(search.candidates),
-        stopped=stopped,
+        stopped=ending is Ending.STOPPED,
     )

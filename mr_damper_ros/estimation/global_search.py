@@ -17,33 +17,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.estimation.adaptation import adapted
-from mr_damper_ros.estimation.covariance import correlation_length
 from mr_damper_ros.estimation.determination import noise_level
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     ProgressClock,
-    Report,
     evolve,
 )
-from mr_damper_ros.estimation.free_parameters import FreeParameters
-from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
+from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.observability import (
     current_varies,
     determined_parameters,
+    not_known,
     operating_points_within,
     parameter_ranges,
     varied_parameters,
 )
-from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.estimation.pooled_polish import PooledPolish
+from mr_damper_ros.estimation.separate_fits import SeparateFits
+from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import CoefficientTable, PooledProblem
+from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.signals.arrays import Array
-
-_SEARCH_SAMPLES = 8000
-_FEWEST_SEARCH_SAMPLES = 250
-"""The search thins the windows to so many samples in all, and each to no fewer than that; the
-last polish uses all samples."""
 
 _EVOLUTION_SAMPLES = 200
 """Samples per window where differential evolution evaluates thousands of sets."""
@@ -54,14 +49,7 @@ _CLEARLY_BETTER = 0.98
 _MOST_ROUNDS = 4
 """So often the extension is found anew, as long as that changes what the windows determine."""
 
-_MEANINGLESS = 0.01
-"""A step that lowers the misfit by so many of its variances is a tenth of a standard error."""
-
-_SMALLEST = 0.05
-"""A parameter counts as no smaller than this part of its range or typical size."""
-
-_ON_BOUND = 1e-3
-"""A parameter this part of its size from a bound lies on it."""
+_KNOWN = "an earlier search"
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +73,11 @@ class GlobalSearch:
         windows: Sequence[Window],
         start: Array,
         settings: EvolutionSettings,
-        report: Report | None,
+        clock: ProgressClock,
         known: Array | None,
+        later: int = 0,
     ) -> None:
-        """Raises ValueError where there are no windows, or a force does not change."""
+        """``later`` generations follow this search; ValueError where there are no windows."""
         if not windows:
             raise ValueError("there are no windows to identify from")
         self.model = model
@@ -97,18 +86,9 @@ class GlobalSearch:
         self._start = start
         self._settings = settings
         self._names = model.parameter_names
-        self._thinned = thinned_for_search(windows)
         top_current = max(float(np.max(np.abs(window.current))) for window in windows)
         self._neutral = model.without_dependence(start, top_current)
-        self.evaluations = 0
-        self._fit_windows(self._neutral)
-        speeds, currents = operating_points_within(windows)
-        self._varied = varied_parameters(model, speeds, currents)
-        self._varied_between = varied_parameters(
-            model,
-            [fit.operating_point[0] for fit in self.fits],
-            [fit.operating_point[1] for fit in self.fits],
-        )
+        self._varied = varied_parameters(model, *operating_points_within(windows))
         self._bounds = parameter_ranges(model, windows)
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
         # What one run determines besides the coefficients, such as a compliance.
@@ -121,22 +101,61 @@ class GlobalSearch:
                 for name, size in zip(self._names, model.typical_sizes(windows), strict=True)
             ]
         )
-        self._report = report
+        self._clock = clock
+        self._later = later
+        self._polish = PooledPolish(model, self._sizes, self._clock)
+        self._evaluations = 0
         self.free: frozenset[str] = frozenset()
         self.best = start
         self.shortcoming = ""
         self.candidates: list[Candidate] = []
+        self._separate = SeparateFits(model, windows, clock)
+
+    @property
+    def evaluations(self) -> int:
+        """Of the force, or of its cheaper stand-ins, so far."""
+        return self._evaluations + self._polish.evaluations + self._separate.evaluations
+
+    @property
+    def fits(self) -> list[WindowFit]:
+        """Of each window by itself."""
+        return self._separate.fits
+
+    @property
+    def pooled(self) -> PooledProblem:
+        """The misfit that is searched with."""
+        return self._separate.pooled
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the last local search ended at its limit of steps."""
+        return self._polish.exhausted
 
     def run(self, method: str) -> None:
         """Search by one of the methods of :func:`identify_global`.
 
         Raises StopRequestedError where the report has stopped it; ``best`` then is the best so far.
         """
+        try:
+            self._run(method)
+        except StopRequestedError:
+            known = [self.best, self._start, self.fits[0].parameters]
+            if self._polish.latest is not None:
+                known.append(self._polish.latest)
+            self.best = min(known, key=self.pooled.mean_square)
+            raise
+
+    def _run(self, method: str) -> None:
         # The laws from two starts, and once more if the samples leave parameters open.
-        laws = 2 * self._settings.generations * self.model.searched_laws(self._varied_between)
-        again = laws if self._current_varies else 0
         direct = self._settings.generations if method == "differential_evolution" else 0
-        self._clock = ProgressClock(max(2 * laws + direct + again, 1), self._report)
+        most = self._most_generations + direct
+        self._clock.expect(2 * most if self.model.simpler else most)
+        self._separate.fit(self._neutral)
+        simple = self._by_simpler_law(method, later=most)
+        self._varied_between = varied_parameters(self.model, *self._separate.operating_points)
+        laws = 2 * self._generations(self._varied_between)
+        again = laws if self._current_varies else 0
+        self._clock.expect(2 * laws + direct + again + self._later)
         candidates = self._candidates(self._varied_between)
         self.best = self._best_of(candidates)
         self.free = self._determined(self.best)
@@ -145,35 +164,71 @@ class GlobalSearch:
         else:
             # The scales must adapt to the values that undetermined parameters are held at.
             determined = self._varied_between & self.free
-            again = 2 * self._settings.generations * self.model.searched_laws(determined)
+            again = 2 * self._generations(determined)
             self._clock.skip(laws - again)
             candidates = self._candidates(determined)
         if method == "differential_evolution":
             self.best = self._best_of(candidates)
             by_laws = self.pooled.mean_square(self.best)
             candidates = {"all free parameters": self._evolve_samples()}
+        self.best = self._best_of({"laws": self.best, **candidates})
         if self._clock.stopped:
-            self.best = self._best_of({"laws": self.best, **candidates})
             raise StopRequestedError
-        for origin, parameters in candidates.items():
-            polished = self._local(self.pooled, parameters, method == "nelder_mead")
+        for origin, parameters in {**candidates, **simple}.items():
+            polished = self._polish.search(
+                self.pooled, parameters, self.free, nelder_mead=method == "nelder_mead"
+            )
             cost = self.pooled.mean_square(polished)
             self.candidates.append(Candidate(origin, polished, cost))
             self.best = self._best_of({"so far": self.best, origin: polished})
         first, best = self.candidates[0], min(self.candidates, key=lambda found: found.cost)
         # The first keeps most of the start: the others must be better, not just different.
-        self.best = (best if best.cost < _CLEARLY_BETTER * first.cost else first).parameters
+        clearly = best.cost < _CLEARLY_BETTER * first.cost or best.origin == _KNOWN
+        self.best = (best if clearly else first).parameters
         if self._current_varies:
             self._search_again()
         if self._common or self._current_varies:
             self._take_in_what_is_common()
         self._return_to_start()
-        self.best = self._local(self.whole_misfit(), self.best, False)
+        self.best = self._polish.search(self.whole_misfit(), self.best, self.free)
+        self._let_go_of_what_is_not_known()
+        whole = self.whole_misfit()
+        for contained in simple.values():
+            if whole.mean_square(contained) < whole.mean_square(self.best):
+                self.best = self._polish.search(whole, contained, self.free)
         if method == "differential_evolution" and self.pooled.mean_square(self.best) > by_laws:
             self.shortcoming = (
                 "differential evolution ended in a poorer minimum than the laws of the method "
                 "global give: allow more generations, or use that method"
             )
+
+    def _by_simpler_law(self, method: str, later: int) -> dict[str, Array]:
+        """What the law finds that this one contains, as a candidate; none where it contains none.
+
+        A law with more freedom has more minima, of which the simpler one leads to a good one.
+        """
+        simpler = self.model.simpler
+        if simpler is None:
+            return {}
+        start = self.model.to_simpler(self._start)
+        search = GlobalSearch(
+            simpler, self.windows, start, self._settings, self._clock, None, later
+        )
+        try:
+            search.run(method)
+        finally:
+            self._evaluations += search.evaluations
+            self.best = self.model.from_simpler(search.best)
+        return {f"the simpler law {simpler.name}": self.best}
+
+    @property
+    def _most_generations(self) -> int:
+        fits = 6 if self._current_varies else 4
+        return fits * self._generations(frozenset(self._names))
+
+    def _generations(self, free: frozenset[str]) -> int:
+        """At most so many of a fit of the laws."""
+        return self._settings.generations * self.model.searched_laws(free)
 
     def _return_to_start(self) -> None:
         """Give what is not determined the start's value, as far as the windows agree with it.
@@ -187,6 +242,21 @@ class GlobalSearch:
             if names and set(names) <= set(still):
                 self._try_start_of(names)
 
+    def _let_go_of_what_is_not_known(self) -> None:
+        """Hold what all samples, at the very minimum, do not determine after all.
+
+        At its start's value, where the windows agree with that; else where it is. Of those that
+        trade with each other the one is held that can be at its start.
+        """
+        while self.free:
+            whole = self.whole_misfit()
+            names = not_known(self.model, whole, self.best, self.free, self._ranges)
+            if not names:
+                return
+            possible = (name for name in names if self._try_start_of([name]))
+            self.free -= {next(possible, names[0])}
+            self.best = self._polish.search(self.whole_misfit(), self.best, self.free)
+
     def _moved(self) -> list[str]:
         """Shape parameters that are not determined and not where the start has them."""
         determined = self._determined(self.best)
@@ -197,7 +267,8 @@ class GlobalSearch:
             and self.best[self._names.index(name)] != self._start[self._names.index(name)]
         ]
 
-    def _try_start_of(self, names: Sequence[str]) -> None:
+    def _try_start_of(self, names: Sequence[str]) -> bool:
+        """Give the named parameters the start's values; False where the windows do not agree."""
         best, free = self.best, self.free
         places = [self._names.index(name) for name in names]
         trial = best.copy()
@@ -206,40 +277,26 @@ class GlobalSearch:
         linear = self.free.intersection(self.model.linear)
         try:
             follows = adapted(self.model, self.windows, best, trial, linear)
-            found = self._local(self.pooled, follows, False)
+            found = self._polish.search(self.pooled, follows, self.free)
         except StopRequestedError:
             self.best, self.free = best, free
             raise
         if _CLEARLY_BETTER * self.pooled.mean_square(found) <= self.pooled.mean_square(best):
             self.best = found
-        else:
-            self.free = free
-
-    def _fit_windows(self, start: Array, known: Array | None = None) -> None:
-        """Fit each window from ``start``; that of varying current from ``known``, if it is better.
-
-        Without its dependence on the current no law comes near to the force of such a window.
-        """
-        self.fits = []
-        for window in self._thinned:
-            starts = [start]
-            if known is not None and current_varies(window):
-                starts.append(known)
-            fits = [fit_window(self.model, window, each, method="least_squares") for each in starts]
-            self.fits.append(min(fits, key=lambda fit: fit.rmse))
-        self.pooled = self._misfit(self._thinned)
-        self.evaluations += sum(fit.evaluations for fit in self.fits)
+            return True
+        self.free = free
+        return False
 
     def _search_again(self) -> None:
         """From the laws over coefficients that the varying current no longer blurs.
 
         All that was varied may move: what of it is determined, only a good fit can tell.
         """
-        self._fit_windows(self._neutral, self.best)
+        self._separate.fit(self._neutral, self.best)
         self.best = self._best_of({found.origin: found.parameters for found in self.candidates})
         self.free = self._varied
         for origin, parameters in self._candidates(self._varied_between).items():
-            found = self._local(self.pooled, parameters, False)
+            found = self._polish.search(self.pooled, parameters, self.free)
             self.best = self._best_of({"so far": self.best, origin: found})
         self.free = self._determined(self.best)
 
@@ -254,18 +311,15 @@ class GlobalSearch:
             before = self.free
             neutral = self._neutral.copy()
             neutral[places] = self.best[places]
-            self._fit_windows(neutral, self.best)
+            self._separate.fit(neutral, self.best)
             self.free = self._determined(self.best)
-            self.best = self._local(self.pooled, self.best, False)
+            self.best = self._polish.search(self.pooled, self.best, self.free)
             if self.free == before:
                 break
 
     def whole_misfit(self) -> PooledProblem:
         """Of all samples, but those that with the best set still depend on an unknown past."""
-        return self._misfit(self.windows, self.best)
-
-    def _misfit(self, windows: Sequence[Window], known: Array | None = None) -> PooledProblem:
-        return self.model.pooled_problem(windows, [fit.rmse for fit in self.fits], known)
+        return self._separate.misfit(self.windows, self.best)
 
     def _candidates(self, free: frozenset[str]) -> dict[str, Array]:
         """Where to start on the samples, by origin.
@@ -281,19 +335,14 @@ class GlobalSearch:
             ),
         }
         if self._known is not None:
-            candidates["an earlier search"] = self._known
+            candidates[_KNOWN] = self._known
         return candidates
 
     def _best_of(self, candidates: Mapping[str, Array]) -> Array:
         return min(candidates.values(), key=self.pooled.mean_square)
 
     def _fit_laws(self, start: Array, free: frozenset[str]) -> Array:
-        table = CoefficientTable(
-            peak_velocity=np.array([fit.operating_point[0] for fit in self.fits]),
-            current=np.array([fit.operating_point[1] for fit in self.fits]),
-            coefficients=np.array([fit.coefficients for fit in self.fits]),
-            errors=np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in self.fits]),
-        )
+        table = self._separate.table()
         return self.model.fit_laws(table, start, free, self._search_law)
 
     def _search_law(
@@ -306,7 +355,7 @@ class GlobalSearch:
         if self._clock.stopped:
             return start
         best, _, count = evolve(cost, bounds, self._settings, self._clock, stage=stage, start=start)
-        self.evaluations += count
+        self._evaluations += count
         return best
 
     def _determined(self, parameters: Array) -> frozenset[str]:
@@ -324,7 +373,7 @@ class GlobalSearch:
             parameter = self.model.parameters[place]
             bounds.append((max(low, parameter.low), min(high, parameter.high)))
         few = [window.thinned(_EVOLUTION_SAMPLES) for window in self.windows]
-        misfit = self._misfit(few)
+        misfit = self._separate.misfit(few)
 
         def cost(individuals: Array) -> Array:
             sets = np.repeat(centre[np.newaxis], individuals.shape[1], axis=0)
@@ -339,61 +388,7 @@ class GlobalSearch:
             stage="all free parameters",
             start=None if self._known is None else self._known[places],
         )
-        self.evaluations += count
+        self._evaluations += count
         result = centre.copy()
         result[places] = found
         return result
-
-    def _local(self, pooled: PooledProblem, start: Array, nelder_mead: bool) -> Array:
-        found = self._polish(pooled, start, self.free, nelder_mead)
-        on_bound = self._nearly_on_bound(found)
-        if on_bound:
-            # The best that is allowed lies on the bound, which a search only approaches.
-            low, high = self.model.bounds
-            for name in on_bound:
-                place = self._names.index(name)
-                nearer = abs(found[place] - low[place]) < abs(found[place] - high[place])
-                found[place] = low[place] if nearer else high[place]
-            found = self._polish(pooled, found, self.free - on_bound, False)
-        return found
-
-    def _nearly_on_bound(self, values: Array) -> frozenset[str]:
-        distance = np.minimum(*(np.abs(values - bound) for bound in self.model.bounds))
-        near = distance < _ON_BOUND * self._sizes
-        return frozenset(name for name in self.free if near[self._names.index(name)])
-
-    def _polish(
-        self, pooled: PooledProblem, start: Array, free: frozenset[str], nelder_mead: bool
-    ) -> Array:
-        places = [place for place, name in enumerate(self._names) if name in free]
-        sizes = np.maximum(np.abs(start[places]), _SMALLEST * self._sizes[places])
-        problem = FreeParameters(pooled, start, places, sizes, self.model.bounds)
-        stage = "Nelder-Mead" if nelder_mead else "least squares"
-        search = LocalSearch(
-            problem,
-            problem.start,
-            lambda: self._clock.poll(stage, search.best_cost / pooled.sample_count),
-        )
-        try:
-            if nelder_mead:
-                search.nelder_mead()
-            independent = _independent(pooled.residual(start))
-            search.least_squares(tolerance=_MEANINGLESS / independent)
-        except StopRequestedError:
-            found = problem.parameters(search.best)
-            self.best = min((self.best, found), key=pooled.mean_square)
-            raise
-        finally:
-            self.evaluations += search.evaluations
-        return problem.parameters(search.best)
-
-
-def thinned_for_search(windows: Sequence[Window]) -> list[Window]:
-    """The windows with as many samples as a search needs."""
-    most = max(_SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
-    return [window.thinned(most) for window in windows]
-
-
-def _independent(residual: Array) -> float:
-    """How many independent samples (n,) amount to: correlated ones count once together."""
-    return residual.size / max(correlation_length(residual), 1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from enum import Enum
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -30,12 +31,23 @@ _HUBER = 1.345
 
 _MOST_STEPS = 300
 
+_MINPACK_LIMIT, _TRUST_REGION_LIMIT = 5, 0
+"""What the two solvers say where they end at their limit of evaluations."""
+
 _LAST_DIGITS = 1.5e-8
 """Relative tolerance of MINPACK: half of the digits there are."""
 
 
 _MARGIN = 1e-3
 """Distance from a bound at which a search starts at least, relative to the value."""
+
+
+class Ending(Enum):
+    """How a search ended, in words."""
+
+    CONVERGED = "converged"
+    STOPPED = "stopped before it converged: this is the best so far"
+    EXHAUSTED = "ended at its limit of steps before it converged: this is the best so far"
 
 
 class Problem(Protocol):
@@ -63,6 +75,7 @@ class LocalSearch(Generic[P]):
     """A problem with the best unknowns found so far and the number of evaluations.
 
     ``should_stop`` is asked at every evaluation; where it says so, StopRequestedError is raised.
+    ``exhausted``: whether the latest least squares ended at its limit of steps.
     """
 
     def __init__(
@@ -72,6 +85,7 @@ class LocalSearch(Generic[P]):
         self.best = start
         self.best_cost = math.inf
         self.evaluations = 0
+        self.exhausted = False
         self._should_stop = should_stop
 
     def residual(self, unknowns: Array) -> Array:
@@ -148,9 +162,11 @@ class LocalSearch(Generic[P]):
 
         from scipy import optimize  # here: see mr_damper_ros.entry_points
 
+        if weights is None and math.isinf(self.best_cost):
+            self.try_out(self.best)
         bounds = self.problem.bounds
         if bounds is None:
-            found, *_ = optimize.leastsq(
+            found, *_, status = optimize.leastsq(
                 residual,
                 self.best,
                 Dfun=jacobian,
@@ -159,8 +175,9 @@ class LocalSearch(Generic[P]):
                 xtol=_LAST_DIGITS,
                 maxfev=most_steps,
             )
+            self.exhausted = status == _MINPACK_LIMIT
         elif np.all(np.isfinite(self.problem.residual(self.best))):
-            found = optimize.least_squares(
+            result = optimize.least_squares(
                 residual,
                 _inside(self.best, *bounds),
                 # A set far from any damper overflows: such a direction is left alone.
@@ -170,7 +187,9 @@ class LocalSearch(Generic[P]):
                 ftol=tolerance,
                 xtol=_LAST_DIGITS,
                 max_nfev=most_steps,
-            ).x
+            )
+            found = result.x
+            self.exhausted = result.status == _TRUST_REGION_LIMIT
         else:
             return
         if weights is not None:

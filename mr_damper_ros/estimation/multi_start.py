@@ -55,6 +55,11 @@ class MultiStart:
         """The one with the lowest cost."""
         return min(self.fits.values(), key=lambda fit: fit.cost)
 
+    def replaced(self, better: GlobalFit) -> MultiStart:
+        """With another fit in the place of the best, which it betters."""
+        seed = min(self.fits, key=lambda seed: self.fits[seed].cost)
+        return MultiStart({**self.fits, seed: better})
+
     @property
     def as_good(self) -> tuple[int, ...]:
         """Seeds whose cost is within 1 % of the best."""

@@ -12,9 +12,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import triangular_factor
+from mr_damper_ros.estimation.covariance import least_squares_covariance, triangular_factor
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.signals.arrays import Array
 
 _DIFFERENT_VELOCITY = 1.2
@@ -25,6 +26,12 @@ _DIFFERENT_CURRENT = 0.02
 
 SURE = 0.25
 """A shape parameter is determined where its standard error is below this part of its range."""
+
+_NOTICED = 0.1
+"""A scale near zero is known as far as it cannot change the force by this part."""
+
+_TRADES = 0.7
+"""Two parameters whose correlation is beyond this trade with each other."""
 
 _INDEPENDENT = 1e-4
 """A column of the Jacobian is independent where this part of it is orthogonal to the others."""
@@ -104,6 +111,47 @@ def determined_parameters(
         chosen.append(surest)
         waiting.remove(surest)
     return frozenset(chosen)
+
+
+def not_known(
+    model: Model,
+    misfit: PooledProblem,
+    parameters: Array,
+    free: frozenset[str],
+    ranges: Mapping[str, float],
+) -> list[str]:
+    """The free parameter of a finished fit that is least known, if it is not; none where all are.
+
+    A shape parameter is known where its error is below a quarter of its range, or of its size where
+    that is larger; a scale where it is below its size or below what changes the force by a tenth.
+    Where it trades with shape parameters, it is known once one of them is held: these come first,
+    or after it if it is a shape parameter itself, the closest first.
+    """
+    places = [place for place, name in enumerate(model.parameter_names) if name in free]
+    names = [model.parameter_names[place] for place in places]
+    values = parameters[places]
+    jacobian = misfit.jacobian(parameters, places)
+    covariance = least_squares_covariance(jacobian, misfit.residual(parameters))
+    errors = np.sqrt(np.diag(covariance))
+    lengths = np.linalg.norm(jacobian, axis=0)
+    strong = np.isin(places, model.strength_indices)
+    noticed = _NOTICED * float(np.linalg.norm(jacobian[:, strong] @ values[strong]))
+    uses = np.maximum(np.abs(values), noticed / np.where(lengths > 0.0, lengths, np.inf))
+    shapes = np.array([name in ranges for name in names])
+    plausible = np.array([ranges.get(name, 0.0) for name in names])
+    uses = np.where(shapes, SURE * np.maximum(plausible, np.abs(values)), uses)
+    doubts = np.nan_to_num(errors / np.where(uses > 0.0, uses, 1e-300), nan=np.inf)
+    worst = int(np.argmax(doubts))
+    if doubts[worst] < 1.0:
+        return []
+    trades = np.nan_to_num(np.abs(covariance[worst]) / (errors * errors[worst]))
+    others = [
+        int(place)
+        for place in np.argsort(-trades)
+        if shapes[place] and place != worst and trades[place] > _TRADES
+    ]
+    ordered = [worst, *others] if shapes[worst] else [*others, worst]
+    return [names[place] for place in ordered]
 
 
 def _worst_doubt(

@@ -53,16 +53,21 @@ class Profile:
     """The profile likelihood of parameter ``name``.
 
     ``ratio`` (m,): twice the fall of the log-likelihood at ``values`` (m,), which rise; chi-squared
-    with one degree of freedom where the value is the true one. ``best``: the value at the minimum.
-    ``interval``: the values that are not rejected at the confidence of 95 %, infinite on a side
-    where none was within the plausible range.
+    with one degree of freedom where the value is the true one. ``best``: the value at the minimum,
+    where ``lowest`` (p,) are all parameters. ``interval``: the values that are not rejected at the
+    confidence of 95 %, infinite on a side where none was within the plausible range.
     """
 
     name: str
     values: Array
     ratio: Array
     best: float
+    lowest: Array
     interval: tuple[float, float]
+
+    def contains(self, value: float) -> bool:
+        """Whether a value is not rejected."""
+        return self.interval[0] <= value <= self.interval[1]
 
 
 class ProfileLikelihood:
@@ -238,6 +243,7 @@ class _Walk:
             values=values,
             ratio=ratio,
             best=float(values[best]),
+            lowest=self._sets[int(np.argmin(self._costs))],
             interval=(
                 _crossing(values[best::-1], roots[best::-1], -math.inf),
                 _crossing(values[best:], roots[best:], math.inf),

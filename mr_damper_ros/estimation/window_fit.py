@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
+from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.repeatability import error_covariances, samples_per_cycle
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
@@ -26,9 +26,6 @@ POOR_START = 0.25
 
 _HOPELESS = 1000.0
 """A start that leaves so many times the sum of squares of the other is not worth polishing."""
-
-_CONVERGED = "converged"
-_STOPPED = "stopped before it converged: this is the best so far"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +92,7 @@ def fit_window(
         raise ValueError("the force does not change: there is nothing to identify")
     contest = _Contest(model, window, should_stop)
     weights = np.ones(window.sample_count)
-    success = True
+    ending = Ending.CONVERGED
     try:
         search = contest.enter(start)
         # "not <=" also holds for a cost that is not a number.
@@ -105,10 +102,12 @@ def fit_window(
         if method == "nelder_mead":
             search.nelder_mead()
         search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)
+        if search.exhausted:
+            ending = Ending.EXHAUSTED
         if robust:
             weights = search.reweighted_least_squares()
     except StopRequestedError:
-        success = False
+        ending = Ending.STOPPED
         search = contest.best
     problem, unknowns = search.problem, search.best
     settled = problem.settled
@@ -122,7 +121,7 @@ def fit_window(
         discrepancy=errors.discrepancy,
         method=method,
         evaluations=contest.evaluations,
-        success=success,
+        ending=ending,
     )
 
 
@@ -133,7 +132,7 @@ def fit_of(
     *,
     method: str,
     evaluations: int,
-    success: bool = True,
+    ending: Ending = Ending.CONVERGED,
     discrepancy: Array | None = None,
 ) -> WindowFit:
     """Unknowns (f,) and their covariances (f, f), however found, as the fit of a window."""
@@ -158,8 +157,8 @@ def fit_of(
         sample_count=window.sample_count,
         method=method,
         evaluations=evaluations,
-        success=success,
-        message=_CONVERGED if success else _STOPPED,
+        success=ending is Ending.CONVERGED,
+        message=ending.value,
         discrepancy=discrepancy,
         coefficient_discrepancy=by_discrepancy,
     )

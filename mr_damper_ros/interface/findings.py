@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,23 +15,18 @@ from mr_damper_ros.estimation.determination import (
     noise_level,
     parameter_spans,
 )
-from mr_damper_ros.estimation.differential_evolution import GlobalProgress, Report
 from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
 from mr_damper_ros.estimation.global_fit import GlobalFit
-from mr_damper_ros.estimation.global_search import thinned_for_search
-from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.observability import parameter_ranges
-from mr_damper_ros.estimation.profile_likelihood import Profile, ProfileLikelihood
+from mr_damper_ros.estimation.profile_likelihood import Profile
+from mr_damper_ros.estimation.profiled_fit import search_misfit
 from mr_damper_ros.interface.estimates import as_json
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.operating_points import PooledProblem
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.tracking.fluid_temperature import TemperatureMap
 
-_POLL = 0.2
-"""Seconds between two looks at whether a profile is to be given up."""
+_MEASURE = "in residuals of the runs fitted one by one"
+"""What a search leaves: the root of its cost."""
 
 _POINTS = 9
 """Temperatures at which a map is written out."""
@@ -55,24 +49,17 @@ class Findings:
         return Findings(self.lines + other.lines, self.document | other.document)
 
 
-def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> PooledProblem:
-    """The misfit that the set was searched with."""
-    found = fit.parameter_set
-    return found.law.pooled_problem(thinned_for_search(windows), fit.noise.tolist(), found.values)
-
-
 def determined(fit: GlobalFit, windows: Sequence[Window], rig: RigRange) -> Findings:
     """What the windows determine, and the runs within the range of the rig that would do more."""
     found = fit.parameter_set
     misfit = search_misfit(fit, windows)
     jacobian = misfit.jacobian(found.values) / noise_level(misfit, found.values)
     spans = parameter_spans(found.law, jacobian, found.values, parameter_ranges(found.law, windows))
-    result = determination(found.law, jacobian, spans)
+    result = determination(found.law, jacobian, spans, found.values)
     noise = float(np.median(fit.noise))
     runs = extra_runs(found.law, misfit, noise, found.values, found.observable, rig)
     lines = [
-        f"the data determine {result.rank} of {len(result.names)} combinations of the parameters "
-        f"(condition {result.condition:.2g})",
+        f"the data determine {result.rank} of {len(result.names)} combinations of the parameters",
         *(f"not determined: {combination.words}" for combination in result.open),
         *_advice(found.observable, runs, rig),
     ]
@@ -118,29 +105,13 @@ def _determination_entry(result: Determination) -> dict[str, Any]:
     }
 
 
-def profiles(
-    fit: GlobalFit,
-    windows: Sequence[Window],
-    names: Sequence[str],
-    processes: ProcessPool,
-    report: Report | None = None,
-) -> Findings:
-    """Profile likelihoods of the named parameters; those not begun when stopped are left out.
-
-    Raises ValueError for a name that the law does not have.
-    """
-    law = fit.parameter_set.law.parameter_names
-    for name in names:
-        if name not in law:
-            raise ValueError(f"there is no parameter '{name}' to profile: use {', '.join(law)}")
-    misfit = search_misfit(fit, windows)
-    ranges = parameter_ranges(fit.parameter_set.law, windows)
-    listen = None if report is None else lambda _, news: report(news)
-    tasks = [(fit.parameter_set, misfit, ranges, name) for name in names]
-    found = [p for p in processes.map(_profile, tasks, listen) if p]
+def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
+    """What the profiles of a fit say."""
+    values = fit.parameter_set.as_dict()
     lines = [
         f"profile of {p.name}: least at {p.best:.6g}, 95 % interval "
         f"{p.interval[0]:.6g} to {p.interval[1]:.6g}"
+        + ("" if p.contains(values[p.name]) else f", WITHOUT THE VALUE FOUND, {values[p.name]:.6g}")
         for p in found
     ]
     document = {
@@ -155,41 +126,20 @@ def profiles(
     return Findings(lines, {"profiles": document})
 
 
-def _profile(task: tuple[ParameterSet, PooledProblem, Any, str], tell: Tell) -> Profile | None:
-    found, misfit, ranges, name = task
-    told = time.monotonic()
-    stopped = False
-
-    def should_stop() -> bool:
-        nonlocal told, stopped
-        if time.monotonic() - told > _POLL:
-            told = time.monotonic()
-            stopped = not tell(GlobalProgress(f"profile of {name}", 0, 1, math.nan, math.nan))
-        return stopped
-
-    try:
-        return ProfileLikelihood(
-            found.law, misfit, found.values, found.observable, ranges, should_stop
-        ).of(name)
-    except StopRequestedError:
-        return None
-
-
 def searches(found: MultiStart) -> Findings:
     """Costs of the searches and of their candidates, and how far they agree."""
     best = found.best
     names = best.parameter_set.law.parameter_names
     lines = []
     if best.candidates:
-        costs = "; ".join(f"{c.cost:.3g} ({c.origin})" for c in best.candidates)
-        lines.append(
-            "mean square that each local search left, where noise alone would leave 1: " + costs
-        )
+        costs = "; ".join(f"{math.sqrt(c.cost):.3g} ({c.origin})" for c in best.candidates)
+        lines.append(f"local searches left, {_MEASURE}: {costs}")
     if len(found.fits) > 1:
         spread, places = found.spread, [fit.cost for fit in found.fits.values()]
         lines.append(
-            f"{len(found.fits)} searches left mean squares of {min(places):.6g} to "
-            f"{max(places):.6g}; {len(found.as_good)} of them lie within 1 % of the best"
+            f"{len(found.fits)} searches left {math.sqrt(min(places)):.6g} to "
+            f"{math.sqrt(max(places)):.6g}, {_MEASURE}; {len(found.as_good)} of them are as good "
+            "as the best"
         )
         if len(found.as_good) > 1:
             widest = int(np.argmax(spread))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import html
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from mr_damper_ros.estimation.differential_evolution import Report
 from mr_damper_ros.estimation.experiment_design import RigRange
 from mr_damper_ros.estimation.multi_start import MultiStart
+from mr_damper_ros.estimation.profiled_fit import profiles_of
 from mr_damper_ros.interface import findings
 from mr_damper_ros.interface.comparison import Comparison, error_entry, error_over
 from mr_damper_ros.interface.estimates import (
@@ -71,7 +72,7 @@ class Identification:
 
     ``parameter_set`` is what was found, ``runs`` how it fits each run, in the order given;
     ``searches`` holds every search that was made; ``duration`` [s] is what they took; ``remarks``
-    say what seems wrong with the runs.
+    say what seems wrong with the runs. ``profiles`` are those that were asked for.
     """
 
     parameter_set: ParameterSet
@@ -80,6 +81,7 @@ class Identification:
     method: str
     duration: float
     remarks: tuple[str, ...] = ()
+    profiles: Findings = field(default_factory=lambda: Findings([], {}))
 
     @property
     def parameters(self) -> dict[str, Estimate]:
@@ -160,11 +162,14 @@ class Identification:
     def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Findings:
         """Profile likelihood of the named parameters, with 95 % intervals.
 
-        Raises ValueError for a name that the model does not have.
+        An interval may lie off the value found: then there is a lower minimum, from which
+        ``identify(..., profile=names)`` searches again. Raises ValueError for a name that the model
+        does not have.
         """
-        windows = all_windows([run.measured for run in self.runs])
+        windows, fit = all_windows([run.measured for run in self.runs]), self.searches.best
         with ProcessPool(workers) as processes:
-            return findings.profiles(self.searches.best, windows, names, processes, report)
+            found = profiles_of(fit, windows, names, processes, report)
+        return findings.profiles(fit, found)
 
     def temperature_maps(self) -> Findings:
         """How the force falls with temperature, from runs in which it was measured."""

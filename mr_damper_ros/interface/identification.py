@@ -20,8 +20,11 @@ from mr_damper_ros.estimation.multi_start import (
     SearchRecordError,
     identify_from_seeds,
 )
+from mr_damper_ros.estimation.profiled_fit import profiled
+from mr_damper_ros.interface import findings
 from mr_damper_ros.interface.comparison import compare, error_over
 from mr_damper_ros.interface.estimates import Estimate
+from mr_damper_ros.interface.findings import Findings
 from mr_damper_ros.interface.fit_result import FittedRun, Identification
 from mr_damper_ros.interface.measured_runs import (
     MeasuredRun,
@@ -56,6 +59,7 @@ def identify(
     workers: int = 1,
     accept_doubtful: bool = False,
     resume: str | os.PathLike[str] | None = None,
+    profile: Sequence[str] = (),
     report: Report | None = None,
 ) -> Identification:
     """Fit one parameter set to all runs given.
@@ -88,6 +92,9 @@ def identify(
         seems wrong is then a remark.
     resume
         File that keeps what each search has found, to go on from.
+    profile
+        Names of parameters whose profile likelihood is wanted. Where one has its minimum far from
+        the value found, the search starts again from there.
     report
         Called with the progress; where it returns False, the best so far is the result.
 
@@ -138,6 +145,7 @@ def identify(
             starts=starts,
             processes=processes,
             resume=None if resume is None else Path(resume),
+            profile=profile,
             report=report,
         )
 
@@ -152,6 +160,7 @@ def identify_measured(
     starts: int = 1,
     processes: ProcessPool,
     resume: Path | None = None,
+    profile: Sequence[str] = (),
     report: Report | None = None,
 ) -> Identification:
     """:func:`identify` for runs that are read already, from values (p,) to start with."""
@@ -173,6 +182,10 @@ def identify_measured(
         record=record,
         keep=None if resume is None else partial(_keep, resume),
     )
+    profiles = Findings([], {})
+    if profile and not searches.best.stopped:
+        fit, found = profiled(searches.best, windows, profile, settings, processes, report)
+        searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
     duration = time.monotonic() - began
     fitted = _fitted(searches, measured)
     nrmse = error_over(run.comparison for run in fitted).nrmse
@@ -183,6 +196,7 @@ def identify_measured(
         method=method,
         duration=duration,
         remarks=remarks_on(measured),
+        profiles=profiles,
     )
 
 

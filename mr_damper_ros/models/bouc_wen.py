@@ -10,7 +10,13 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
 from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.hysteresis import HYSTERESIS, each_sample, hysteresis_step, integrated
+from mr_damper_ros.models.hysteresis import (
+    HYSTERESIS,
+    each_sample,
+    hysteresis_step,
+    integrated,
+    memory_length,
+)
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
@@ -42,6 +48,10 @@ class BoucWen(CurrentDependentModel):
         z, kept = integrated(_yielded, hysteresis, motion, period, state, self.memory)
         viscous = damping * motion.velocity + stiffness * motion.displacement
         return np.asarray(viscous + offset + strength * z), kept
+
+    def memory_length(self, parameters: Array, current: float) -> float:
+        """Some ways to the yield."""
+        return memory_length(self, parameters, current)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """Mostly yield, after a twentieth or a fifth of the amplitude."""

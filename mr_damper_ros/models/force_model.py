@@ -138,6 +138,19 @@ class Model(ABC):
         every = self.parameter_names
         return np.array([every.index(name) for name in names], dtype=int)
 
+    @property
+    def simpler(self) -> Model | None:
+        """The law that this one contains as a special case; None where it contains none."""
+        return None
+
+    def to_simpler(self, values: Array) -> Array:
+        """The parameters of the simpler law that come nearest to these (p,)."""
+        return values
+
+    def from_simpler(self, simple: Array) -> Array:
+        """The set (p,) with the force of parameters of the simpler law."""
+        return simple
+
     def completed(self, values: Array) -> Array:
         """The values (p,), where those at the end are left out that have a default."""
         left_out = [parameter.default for parameter in self.parameters[values.shape[0] :]]
@@ -250,6 +263,13 @@ class Model(ABC):
         # The true past may be further off than either of the two.
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
         return np.asarray(history.places >= min(count, _LONGEST_MEMORY * differs.size))
+
+    def memory_length(self, parameters: Array, current: float) -> float:
+        """Way [m] after which the past is forgotten; 0 for a law that forgets it with time alone.
+
+        For parameters (p,) at a current [A].
+        """
+        return 0.0
 
     def needs_past(self, window: Window) -> bool:
         """Whether the force at the samples of a window depends on what went on between them."""

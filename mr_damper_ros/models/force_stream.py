@@ -13,7 +13,11 @@ from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.signals.arrays import Array
 
 _KEPT = 0.5
-"""Seconds of motion from which a state is found anew: lag and hysteresis forget sooner."""
+"""Seconds of motion from which a state is found anew: a lag forgets sooner. A hysteresis forgets
+with the way: so much more is kept as its model asks for."""
+
+_LONGEST_KEPT = 30.0
+"""Seconds; a damper that hardly moves would else be remembered for ever."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +42,12 @@ class ForceStream:
         self.model = model
         self._period = period
         self._state: State | None = None
-        # Blocks of the last while, each with the state before it, and the samples in them.
-        self._past: deque[tuple[State | None, Motion, Array]] = deque()
+        # Blocks of the last while, each with the state before it and its way [m], and the samples
+        # and the way in them.
+        self._past: deque[tuple[State | None, Motion, Array, float]] = deque()
         self._past_count = 0
+        self._past_way = 0.0
+        self._way_of: tuple[ArrayLike, float] = ((), 0.0)
 
     @property
     def remembers(self) -> bool:
@@ -69,6 +76,9 @@ class ForceStream:
         amperes = np.asarray(current, dtype=float)
         if amperes.shape != motion.velocity.shape:
             amperes = np.broadcast_to(amperes, motion.velocity.shape)
+        if parameters is not self._way_of[0]:
+            one = values.reshape(-1, count)[0]
+            self._way_of = parameters, self.model.memory_length(one, float(amperes.max()))
         with np.errstate(over="ignore", invalid="ignore"):
             force, state = self.model.follow(values, motion, amperes, self._period, self._state)
         return Ahead(force, motion, amperes, state)
@@ -80,19 +90,29 @@ class ForceStream:
         self._state = ahead.state
 
     def _keep(self, ahead: Ahead) -> None:
-        self._past.append((self._state, ahead.motion, ahead.current))
+        way = float(np.abs(ahead.motion.velocity).sum()) * self._period
+        self._past.append((self._state, ahead.motion, ahead.current, way))
         self._past_count += ahead.current.size
-        while (self._past_count - self._past[0][2].size) * self._period >= _KEPT:
-            self._past_count -= self._past.popleft()[2].size
+        self._past_way += way
+        while self._is_spare(self._past[0][2].size, self._past[0][3]):
+            _, _, current, way = self._past.popleft()
+            self._past_count -= current.size
+            self._past_way -= way
+
+    def _is_spare(self, count: int, way: float) -> bool:
+        """Whether the rest is enough without so many samples and so much of the way [m]."""
+        duration = (self._past_count - count) * self._period
+        moved_enough = self._past_way - way >= self._way_of[1]
+        return duration >= _LONGEST_KEPT or (duration >= _KEPT and moved_enough)
 
     def retrace(self, parameters: ArrayLike) -> None:
-        """Follow the last half second once more, with other parameters.
+        """Follow the motion of the last while once more, with other parameters.
 
         What the model remembers is then what it would be had these been in use; a lagging force,
         for one, would else be that of the old parameters for a while.
         """
-        past, self._past, self._past_count = self._past, deque(), 0
+        past, self._past, self._past_count, self._past_way = self._past, deque(), 0, 0.0
         if past:
             self._state = past[0][0]
-        for _, motion, amperes in past:
+        for _, motion, amperes, _ in past:
             self.follow(parameters, motion, amperes)

@@ -21,7 +21,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_dependence import Coefficient
-from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.signals.arrays import Array
 
 HYSTERESIS = (
@@ -32,7 +32,17 @@ HYSTERESIS = (
 )
 """The coefficients of the hysteresis; force and width follow the current."""
 
+_YIELDS = 10.0
+"""So many times the way to the yield, and a hysteresis has forgotten where it began."""
+
 _STEEPEST = 60.0
+
+
+def memory_length(model: Model, parameters: Array, current: float) -> float:
+    """Way [m] after which a law with a hysteresis has forgotten the past: it knows no time."""
+    place = model.coefficient_names.index("yield_length")
+    return _YIELDS * float(model.coefficients_at(parameters, 0.0, current)[place, 0])
+
 
 Integrate = Callable[[list[Array], Motion, float, list[float]], Array]
 """Takes coefficients of one set, each (1 or n), and leaves its last state in the list given."""

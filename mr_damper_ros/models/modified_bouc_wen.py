@@ -15,6 +15,7 @@ from mr_damper_ros.models.hysteresis import (
     each_sample,
     hysteresis_step,
     integrated,
+    memory_length,
     relaxation,
 )
 from mr_damper_ros.models.quantities import LoopReading
@@ -51,6 +52,10 @@ class ModifiedBoucWen(CurrentDependentModel):
         outer_damping, stiffness, offset = coefficients[2:5]
         inner, kept = integrated(_inner_velocity, coefficients, motion, period, state, self.memory)
         return np.asarray(outer_damping * inner + stiffness * motion.displacement + offset), kept
+
+    def memory_length(self, parameters: Array, current: float) -> float:
+        """Some ways to the yield."""
+        return memory_length(self, parameters, current)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """Mostly yield, early or late, in series with a soft or a stiff damper."""

@@ -7,15 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.differences import moved_sets
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import window_weights
 from mr_damper_ros.signals.arrays import Array
-
-_STEP = 1e-6
-"""Step of a difference, relative to the size of the parameter."""
-
-_SMALLEST = 0.1
-"""A parameter counts as no smaller than this part of its typical size."""
 
 
 class PooledDifferences:
@@ -58,11 +53,8 @@ class PooledDifferences:
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
         """Derivatives of the residual, shape (n, p), or only the given columns of it."""
         places = np.arange(parameters.size) if columns is None else np.asarray(columns, dtype=int)
-        values = parameters[places]
-        steps = _STEP * np.maximum(np.abs(values), _SMALLEST * self._sizes[places])
-        steps = np.where(values + steps > self._model.bounds[1][places], -steps, steps)
-        moved = np.tile(parameters, (places.size + 1, 1))
-        moved[1 + np.arange(places.size), places] += steps
+        high = self._model.bounds[1][places]
+        moved, steps = moved_sets(parameters, places, self._sizes[places], high)
         # Cut by cut: all at once would take as much memory as there are parameters.
         return np.concatenate(
             [(part[1:] - part[0]).T / steps for _, part in self._residuals(moved)]

@@ -12,15 +12,10 @@ from typing import Protocol
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.differences import moved_sets
 from mr_damper_ros.models.force_model import Model, SearchEffort
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
-
-_STEP = 1e-6
-"""Step of a difference, relative to the size of the parameter."""
-
-_SMALLEST = 0.1
-"""A parameter counts as no smaller than this part of its typical size."""
 
 
 class WindowProblem(Protocol):
@@ -125,13 +120,9 @@ class DifferenceProblem:
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual by the unknowns, shape (n, f)."""
         parameters = self.parameters(unknowns)
-        values = parameters[self._free]
-        steps = _STEP * np.maximum(np.abs(values), _SMALLEST * self._sizes)
-        steps = np.where(values + steps > self._high, -steps, steps)
-        moved = np.tile(parameters, (values.size + 1, 1))
-        moved[1 + np.arange(values.size), self._free] += steps
+        moved, steps = moved_sets(parameters, self._free, self._sizes, self._high)
         forces = self.model.window_force(self.window, moved)
-        self.differences += values.size + 1
+        self.differences += len(moved)
         derivatives = (forces[1:] - forces[0]).T / steps
         return np.where(self.settled[:, np.newaxis], derivatives, 0.0)
 

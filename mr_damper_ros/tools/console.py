@@ -31,9 +31,8 @@ def run_tool(
     traceback.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    options = parser.parse_args(_joined(parser, given))
     try:
-        code = run(options)
+        code = run(parser.parse_args(_joined(parser, given)))
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:

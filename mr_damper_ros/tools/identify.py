@@ -114,7 +114,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         default=[],
         metavar="NAME",
-        help="profile likelihood of these parameters, with their 95 %% intervals",
+        help="profile likelihood of these parameters, with their 95 %% intervals; where one has "
+        "its minimum elsewhere, the search starts again from there",
     )
     parser.add_argument(
         "--top-velocity",
@@ -159,6 +160,7 @@ def _identify(options: argparse.Namespace) -> int:
             workers=options.workers,
             accept_doubtful=options.accept_doubtful,
             resume=options.resume,
+            profile=options.profile,
             report=progress,
         )
         more = Findings([], {})
@@ -168,8 +170,7 @@ def _identify(options: argparse.Namespace) -> int:
                 top_velocity=options.top_velocity, top_current=options.top_current
             )
         more += searches(result.searches)
-        if options.profile and not progress.stopped:
-            more += result.profile(*options.profile, workers=options.workers, report=progress)
+        more += result.profiles
     if not progress.stopped:
         more += result.temperature_maps()
     print(result)

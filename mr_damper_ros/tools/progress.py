@@ -59,10 +59,10 @@ class ProgressLine:
     def _told(self, progress: GlobalProgress) -> str:
         """What is known of the progress, in words."""
         parts = []
-        if progress.generations > 1:
+        if progress.generation > 0:
             parts.append(f"generation {progress.generation} of at most {progress.generations}")
         if math.isfinite(progress.best_cost):
-            parts.append(f"best cost {progress.best_cost:.5g}")
+            parts.append(f"misfit so far {math.sqrt(progress.best_cost):.5g}")
         if math.isfinite(progress.time_left):
             now = time.monotonic()
             # An estimate that grew would count upward.

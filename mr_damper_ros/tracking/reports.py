@@ -117,12 +117,14 @@ def report_of_global(
     task: GlobalTask, result: GlobalResult, judgement: Judgement, set_id: str
 ) -> Report:
     """The report of a global identification; ``set_id`` names the set in use after it."""
-    stamp_ns = task.stamp_ns
+    stamp_ns, law = task.stamp_ns, task.start.law
+    # Linear laws are solved, the others are searched.
+    searched = law.searched_laws(frozenset(law.parameter_names)) > 0
     return Report(
         window_start_ns=stamp_ns,
         stamp_ns=stamp_ns,
         sample_count=sum(window.sample_count for window in task.windows),
-        method="differential_evolution",
+        method="differential_evolution" if searched else "least_squares",
         evaluations=result.fit.evaluations if result.fit else 0,
         nrmse_before=result.nrmse_before,
         nrmse_after=result.nrmse_after,

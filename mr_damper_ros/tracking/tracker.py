@@ -67,7 +67,7 @@ class WindowTracker:
         return TrackerMemory(
             windows=self._windows,
             accepted=self._accepted,
-            accepted_since_global=self._accepted_since_global,
+            accepted_since_global=self._good_since_global,
             history=self._gatekeeper.history,
             baselines=self._baselines.fits,
             reservoir=self._reservoir.windows,
@@ -83,7 +83,7 @@ class WindowTracker:
     def _remember(self, memory: TrackerMemory) -> None:
         self._windows = memory.windows
         self._accepted = memory.accepted
-        self._accepted_since_global = memory.accepted_since_global
+        self._good_since_global = memory.accepted_since_global
         self._gatekeeper = Gatekeeper(self._settings.acceptance, memory.history)
         self._baselines = Baselines(memory.baselines)
         self._reservoir = Reservoir(memory.reservoir, memory.reservoir_points)
@@ -215,7 +215,7 @@ class WindowTracker:
             self._state = result.state
             self._watch = self._watch or result.watch
             self._motion = self._motion.followed_by(summary)
-            self._accepted_since_global += 1
+            self._good_since_global += 1
             if parts is None or parts.explained:
                 # A wrong law over the current is nothing to compare other windows with.
                 self._baselines.add(fit)
@@ -300,12 +300,12 @@ class WindowTracker:
         if common.size and has_grown and (not known or 0 < self._searched_points < self._accepted):
             # No window fit finds a lag, a stiffness or an offset. One operating point does, but it
             # may be a poor one: the next few may correct what it has led to.
-            return self._accepted_since_global > 0 and self._accepted <= period
-        return self._accepted_since_global >= period and points > 1
+            return self._good_since_global > 0 and self._accepted <= period
+        return self._good_since_global >= period and points > 1
 
     def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
         """Task of a global identification of the reservoir, with other settings if given."""
-        self._accepted_since_global = 0
+        self._good_since_global = 0
         self._searched_points = self._reservoir.operating_points
         settings = evolution or self._settings.evolution
         stamp_ns = max(self._kept_ns, self.parameters.stamp_ns)

@@ -46,8 +46,9 @@ _STAMP_LIMIT = 2**63
 class TrackerMemory:
     """All of a tracker but its settings and its running set; see ``WindowTracker``.
 
-    ``windows`` judged so far (they number the sets); ``accepted`` since the start or reset, and
-    since the last global identification; ``history`` of acceptance; ``baselines`` of the force
+    ``windows`` judged so far (they number the sets); ``accepted`` since the start or reset;
+    ``accepted_since_global``: good windows since the last global identification, whether their set
+    was taken or the one in use confirmed; ``history`` of acceptance; ``baselines`` of the force
     scale; ``reservoir`` windows and their operating points (peak velocity [m/s], current [A]);
     ``state`` of the recursive filter; ``watch`` for changes; ``changed_ns``: begin of the last
     sudden change; ``temperatures`` with the force scales that came with them; ``searched_points``:

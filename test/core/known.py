@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from numpy.typing import ArrayLike
 
+from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
-    SHAPE_PARAMETER_NAMES,
+    coefficient_jacobian,
+    coefficient_parameter_jacobian,
     force,
     operating_point_coefficients,
 )
@@ -65,12 +68,31 @@ EXAMPLES = {
 }
 """Parameters of a damper by the name of its model, of one that no current changes."""
 
-SHAPE = np.array([PARAMETER_NAMES.index(name) for name in SHAPE_PARAMETER_NAMES])
+SHAPE_PARAMETER_NAMES = SIGMOID.shape_names
+SHAPE = SIGMOID.places(SHAPE_PARAMETER_NAMES)
 
 
 def sum_of_squares(problem: WindowProblem) -> float:
     """Sum of the squared residual [N²] of a window's problem at its start."""
     return float(np.sum(problem.residual(problem.start) ** 2))
+
+
+def parameter_jacobian(
+    parameters: ArrayLike,
+    displacement: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    current: ArrayLike,
+) -> Array:
+    """Derivatives of the sigmoid force by the sixteen parameters, shape (n, 16)."""
+    v_m = peak_velocity(displacement, velocity, acceleration)
+    coefficients = operating_point_coefficients(parameters, v_m, current)
+    jacobian = np.einsum(
+        "nc,ncp->np",
+        coefficient_jacobian(coefficients, velocity, acceleration),
+        coefficient_parameter_jacobian(parameters, v_m, current),
+    )
+    return np.asarray(jacobian)
 
 
 def index(name: str) -> int:

@@ -62,6 +62,7 @@ KEYS = [
     *("switched_drift_scale_error_p95_percent", "cold_start_windows", "cold_start_largest_force"),
     *("step_current_nrmse_ratio", "step_current_nrmse", "reversal_jump", "reversal_jump_smoothed"),
     *("many_overhead_percent", "many_dask_overhead_percent"),
+    *("starts_agreeing", "profile_contains_estimate"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)

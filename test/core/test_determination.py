@@ -26,7 +26,7 @@ from mr_damper_ros.estimation.observability import (
     varied_parameters,
 )
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 
@@ -59,7 +59,7 @@ def determined(chosen: list[Window]) -> Determination:
     misfit = pooled(chosen)
     jacobian = misfit.jacobian(known.PLAUSIBLE) / noise_level(misfit, known.PLAUSIBLE)
     spans = parameter_spans(SIGMOID, jacobian, known.PLAUSIBLE, RANGES)
-    return determination(SIGMOID, jacobian, spans)
+    return determination(SIGMOID, jacobian, spans, known.PLAUSIBLE)
 
 
 # -- rank, condition, combinations -----------------------------------------------------------
@@ -95,7 +95,7 @@ def random_jacobian(seed: int, rank: int) -> Array:
 @given(st.integers(0, 10_000), st.integers(1, 16))
 def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, rank: int) -> None:
     jacobian = random_jacobian(seed, rank)
-    result = determination(SIGMOID, jacobian, np.ones(16))
+    result = determination(SIGMOID, jacobian, np.ones(16), np.ones(16))
     assert result.rank + len(result.open) == 16
     for combination in result.open:
         if math.isinf(combination.standard_error):
@@ -108,7 +108,7 @@ def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, r
 @known.fixed(25)
 @given(st.integers(0, 10_000), st.integers(1, 15))
 def test_each_open_combination_is_led_by_another_parameter(seed: int, rank: int) -> None:
-    result = determination(SIGMOID, random_jacobian(seed, rank), np.ones(16))
+    result = determination(SIGMOID, random_jacobian(seed, rank), np.ones(16), np.ones(16))
     leads = [next(iter(combination.weights)) for combination in result.open]
     assert len(set(leads)) == len(leads)
 
@@ -119,8 +119,9 @@ def test_units_do_not_change_what_is_determined() -> None:
     jacobian = misfit.jacobian(known.PLAUSIBLE)
     spans = parameter_spans(SIGMOID, jacobian, known.PLAUSIBLE, RANGES)
     units = np.geomspace(1e-6, 1e6, 16)
-    first = determination(SIGMOID, jacobian, spans)
-    second = determination(SIGMOID, jacobian * units, spans / units)
+    values = known.PLAUSIBLE
+    first = determination(SIGMOID, jacobian, spans, values)
+    second = determination(SIGMOID, jacobian * units, spans / units, values / units)
     np.testing.assert_allclose(
         first.singular_values, second.singular_values, atol=ROUNDING * first.singular_values[0]
     )
@@ -129,17 +130,39 @@ def test_units_do_not_change_what_is_determined() -> None:
 def test_two_parameters_with_the_same_effect_are_one_combination() -> None:
     jacobian = 10.0 * np.random.default_rng(0).normal(size=(400, 16))
     jacobian[:, known.index("a3")] = 2.0 * jacobian[:, known.index("a2")]
-    (combination,) = determination(SIGMOID, jacobian, np.ones(16)).open
+    (combination,) = determination(SIGMOID, jacobian, np.ones(16), np.ones(16)).open
     assert combination.weights == pytest.approx({"a2": 1.0, "a3": -0.5})
-    assert combination.words == "a2 - 0.5 a3"
+    assert combination.words == ("a2 and a3 only together: as a2 grows by 10 %, a3 shrinks by 5 %")
     assert math.isinf(combination.standard_error)
+
+
+@pytest.mark.parametrize(("power", "word"), [(1.0, "product"), (-1.0, "ratio")])
+def test_two_parameters_of_which_only_a_product_or_a_ratio_counts(power: float, word: str) -> None:
+    values = np.linspace(0.5, 2.0, 16)
+    values[known.index("f0")] = -40.0
+    jacobian = 100.0 * np.random.default_rng(0).normal(size=(400, 16))
+    by_f0, by_k2 = known.index("f0"), known.index("k2")
+    # The force depends on f0 k2^power alone: both change it alike, relative to their size.
+    jacobian[:, by_k2] = power * jacobian[:, by_f0] * values[by_f0] / values[by_k2]
+    (combination,) = determination(SIGMOID, jacobian, np.abs(values), values).open
+    assert combination.words == f"k2 and f0 only as a {word}"
+
+
+def test_a_large_move_is_told_in_the_unit_of_the_parameter() -> None:
+    values = np.ones(16)
+    values[known.index("I1")] = 0.0
+    jacobian = 100.0 * np.random.default_rng(0).normal(size=(400, 16))
+    jacobian[:, known.index("I1")] = jacobian[:, known.index("a2")]
+    (combination,) = determination(SIGMOID, jacobian, np.ones(16), values).open
+    assert "I1 " in combination.words
+    assert " A" in combination.words
 
 
 def test_a_weak_combination_has_the_standard_error_of_its_parameter() -> None:
     columns = np.linalg.qr(np.random.default_rng(1).normal(size=(100, 16)))[0]
     sizes = np.full(16, 100.0)
     sizes[known.index("k0")] = 0.5
-    (combination,) = determination(SIGMOID, columns * sizes, np.ones(16)).open
+    (combination,) = determination(SIGMOID, columns * sizes, np.ones(16), np.ones(16)).open
     assert combination.words == "k0"
     assert combination.standard_error == pytest.approx(2.0)
 
@@ -213,7 +236,7 @@ def test_the_worst_standard_error_falls_from_run_to_run() -> None:
 
 
 def test_all_shape_parameters_have_a_plausible_range() -> None:
-    assert set(RANGES) == set(SHAPE_PARAMETER_NAMES)
+    assert set(RANGES) == set(known.SHAPE_PARAMETER_NAMES)
 
 
 @pytest.mark.parametrize(

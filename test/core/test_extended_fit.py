@@ -61,6 +61,9 @@ POOLED_ERROR = 0.1
 FITTED_RUNS = 1.02
 """RMSE over the noise, which 9600 samples tell to 0.7 %."""
 
+SAME_NRMSE = 1.0 + 1e-6
+"""Factor by which rounding may tell two equal NRMSE apart."""
+
 FITTED_QUICKLY = 1.2
 """Median NRMSE over that of the noise, after a search that is cut short."""
 
@@ -305,3 +308,24 @@ def test_every_method_identifies_the_extended_law(method):
     assert fit.parameter_set.values.shape == (20,)
     noise = np.median([known.NOISE / np.std(w.force) for w in windows])
     assert fit.median_nrmse < FITTED_QUICKLY * noise
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_richer_law_leaves_no_more_than_the_one_that_it_contains(seed):
+    """Of a force that neither follows: it starts from what the simpler law has found."""
+    run = known.run(seed=seed, samples=500, period=4e-3)
+    time = np.arange(run.force.size) * run.period
+    force = run.force + 60.0 * np.sin(2.0 * np.pi * 5.0 * time + seed)
+    window = Window.from_samples(run.displacement, force, run.current, run.period)
+    plain = identify_global(SIGMOID, [window], LITERATURE, QUICK)
+    start = EXTENDED.from_simpler(LITERATURE)
+    rich = identify_global(EXTENDED, [window], start, QUICK)
+    assert rich.nrmse[0] <= plain.nrmse[0] * SAME_NRMSE
+    assert any("simpler law" in candidate.origin for candidate in rich.candidates)
+
+
+def test_a_set_of_the_simpler_law_has_the_same_force_in_the_richer_one():
+    window = known.run(samples=500).window
+    rich = EXTENDED.window_force(window, EXTENDED.from_simpler(known.PLAUSIBLE))
+    np.testing.assert_allclose(rich, SIGMOID.window_force(window, known.PLAUSIBLE), atol=1e-9)
+    np.testing.assert_array_equal(EXTENDED.to_simpler(TRUTH), known.PLAUSIBLE)

@@ -12,6 +12,7 @@ from random_motion import BandLimitedRandom
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.force_model import SearchEffort
 
 BINGHAM = MODELS["bingham"]
 
@@ -96,6 +97,15 @@ def test_a_model_is_found_again_from_a_start_nearby(name: str, sine: bool) -> No
     places, errors = model.fitted_errors(fit.scales, fit.covariance)
     missed = np.abs(fit.parameters - known.EXAMPLES[name])[places]
     assert np.all(missed < STANDARD_ERRORS * errors)
+
+
+def test_a_search_that_ends_at_its_limit_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = MODELS["hyperbolic_tangent"]
+    monkeypatch.setattr(type(model), "effort", SearchEffort(most_steps=2))
+    start = 1.05 * known.EXAMPLES[model.name]
+    fit = fit_window(model, window(model.name), start, method="least_squares")
+    assert not fit.success
+    assert "limit of steps" in fit.message
 
 
 @pytest.mark.parametrize("name", ["hyperbolic_tangent", "bouc_wen"])

@@ -25,6 +25,9 @@ SETTLED = 1e-3
 RETRACED = 1e-6
 """[N]: the half second that is retraced is 280 time constants, which leave rounding only."""
 
+FORGOTTEN = 0.1
+"""[N] of 500: ten ways to the yield leave a part in twenty thousand, half a second 0.6 N."""
+
 FIRST_SAMPLE = 0.2
 """Part of a step that the lag may let through at once: tau is 2.4 ms, a sample 1 ms, so 0.19."""
 
@@ -177,6 +180,23 @@ def test_a_retraced_state_is_that_of_the_newer_parameters():
     after = stream.follow(changed, cut(w, 800, 1000), 1.0)
     whole = model.force(changed, w, 1.0, PERIOD)
     np.testing.assert_allclose(after, whole[800:], rtol=0.0, atol=RETRACED)
+
+
+def test_a_slow_hysteresis_is_retraced_over_the_way_that_it_remembers():
+    """It forgets by motion: in the half second after a reversal at 0.05 Hz there is hardly any."""
+    model, values, period = MODELS["bouc_wen"], EXAMPLES["bouc_wen"].copy(), 0.02
+    values[model.parameter_names.index("yield_length")] = 1e-3
+    changed = values.copy()
+    changed[model.parameter_names.index("share")] = 0.9
+    slow = run(samples=1000, period=period, frequency=0.05, phase=0.0, noise=0.0).window.motion
+    last = 540
+    stream = model.stream(period)
+    for first in range(0, last, 5):
+        stream.follow(values, cut(slow, first, first + 5), 1.0)
+    stream.retrace(changed)
+    after = stream.follow(changed, cut(slow, last, 1000), 1.0)
+    whole = model.force(changed, slow, 1.0, period)
+    np.testing.assert_allclose(after, whole[last:], rtol=0.0, atol=FORGOTTEN)
 
 
 AMPLITUDE, OMEGA = 5e-3, 2.0 * np.pi

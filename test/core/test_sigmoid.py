@@ -20,14 +20,12 @@ from mr_damper_ros.models.sigmoid.law import (
     DEPENDENCES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    SHAPE_PARAMETER_NAMES,
     Coefficients,
     coefficient_jacobian,
     coefficient_parameter_jacobian,
     force,
     force_from_coefficients,
     operating_point_coefficients,
-    parameter_jacobian,
     secant_damping,
     secant_damping_jacobian,
 )
@@ -95,7 +93,7 @@ def routine(x: Array, d: Array, v: Array, a: Array, i_ref: float) -> Array:
 def test_the_names_and_their_order_are_the_routines() -> None:
     order = "f0 I0 I1 a0 a1 a2 a3 a4 k0 k1c k1e k2 k3 k4 k5 k6"
     assert " ".join(PARAMETER_NAMES) == order
-    assert set(SCALE_PARAMETER_NAMES) | set(SHAPE_PARAMETER_NAMES) == set(PARAMETER_NAMES)
+    assert set(SCALE_PARAMETER_NAMES) | set(known.SHAPE_PARAMETER_NAMES) == set(PARAMETER_NAMES)
     assert len(SCALE_PARAMETER_NAMES) == len(COEFFICIENT_NAMES) == 7
 
 
@@ -254,7 +252,7 @@ def test_derivatives_by_the_sixteen_parameters(condition: Condition, method: str
     values = np.array(thesis.parameters(condition, method))
     u, v, a = cycle(condition, 60)
     numeric = numeric_derivatives(lambda p: force(p, u, v, a, condition.current), values)
-    analytic = parameter_jacobian(values, u, v, a, condition.current)
+    analytic = known.parameter_jacobian(values, u, v, a, condition.current)
     assert_columns_agree(analytic, numeric, PARAMETER_NAMES)
 
 
@@ -275,7 +273,9 @@ def test_derivatives_around_a_plausible_damper(
     u, v, a = rng.normal(0.0, (5e-3, 0.05, 1.0), (40, 3)).T
     current = rng.uniform(0.0, 1.5, 40)
     numeric = numeric_derivatives(lambda p: force(p, u, v, a, current), values)
-    assert_columns_agree(parameter_jacobian(values, u, v, a, current), numeric, PARAMETER_NAMES)
+    assert_columns_agree(
+        known.parameter_jacobian(values, u, v, a, current), numeric, PARAMETER_NAMES
+    )
 
 
 COEFFICIENT_SIZES = np.array([1000.0, 200.0, 10.0, 10.0, 0.05, 0.01, 100.0])

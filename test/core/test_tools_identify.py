@@ -28,7 +28,6 @@ from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    SHAPE_PARAMETER_NAMES,
     operating_point_coefficients,
 )
 from mr_damper_ros.thesis.published_runs import synthesise
@@ -93,7 +92,7 @@ def test_the_document_has_the_promised_keys(tmp_path: Path) -> None:
 def test_what_one_run_cannot_tell_is_said_to_be_unknown(tmp_path: Path) -> None:
     document = identified(tmp_path, ONE_RUN, "--method", "nelder_mead")
     unknown = {name for name, error in document["standard_errors"].items() if error is None}
-    assert unknown == set(SHAPE_PARAMETER_NAMES)
+    assert unknown == set(known.SHAPE_PARAMETER_NAMES)
     observable = {name for name, is_known in document["observable"].items() if is_known}
     assert observable == set(SCALE_PARAMETER_NAMES)
 
@@ -237,7 +236,8 @@ def test_an_interrupted_search_returns_the_best_so_far(tmp_path: Path) -> None:
         "from mr_damper_ros.tools import identify, progress\n"
         "shown = progress.ProgressLine.__call__\n"
         "def interrupted(self, told):\n"
-        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    if told.generation > 0:\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
         "    return shown(self, told)\n"
         "progress.ProgressLine.__call__ = interrupted\n"
         "sys.exit(identify.main(sys.argv[1:]))\n"
@@ -294,7 +294,7 @@ def shown_progress(monkeypatch: pytest.MonkeyPatch, *told: GlobalProgress) -> li
 
 def test_the_progress_tells_no_cost_that_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
     (shown,) = shown_progress(monkeypatch, dataclasses.replace(PROGRESS, best_cost=math.inf))
-    assert "cost" not in shown
+    assert "misfit" not in shown
     assert "generation 3 of at most 9, at most 10 s left" in shown
 
 
@@ -303,7 +303,7 @@ def test_the_time_left_never_counts_up(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = shown_progress(
         monkeypatch, *(dataclasses.replace(PROGRESS, time_left=left) for left in estimates)
     )
-    ends = [text.partition("0.5, ")[2].removesuffix("\033[K") for text in shown]
+    ends = [text.partition("0.70711, ")[2].removesuffix("\033[K") for text in shown]
     assert ends == ["at most 10 s left", "at most 9 s left", "at most 5 s left"] + [
         "longer than expected"
     ]

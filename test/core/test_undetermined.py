@@ -16,7 +16,7 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SHAPE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 QUICK = EvolutionSettings(generations=40, population=8)
@@ -80,10 +80,15 @@ def shape_of(start: Array, **values: float) -> Array:
 def test_prior_values_that_are_possible_are_kept(
     places: list[int], shift: float, slope: float
 ) -> None:
-    """From a start with the shape of such a damper, nothing that is hidden moves."""
+    """From a start with the shape of such a damper, nothing that is hidden moves.
+
+    But for what rises with the current: at several currents another steepness rules its size out.
+    """
     start = shape_of(known.PLAUSIBLE, I0=shift, I1=shift, a2=slope, a3=slope)
     fit = identify_global(SIGMOID, [window(place) for place in places], start, QUICK)
-    for parameter in hidden(fit):
+    several_currents = len({POINTS[place][2] for place in places}) > 1
+    ruled_out = {"k2", "k3"} if several_currents else set()
+    for parameter in set(hidden(fit)) - ruled_out:
         place = known.index(parameter)
         assert fit.parameter_set.values[place] == start[place], parameter
 
@@ -104,6 +109,6 @@ def test_only_what_the_windows_contradict_leaves_its_prior_value() -> None:
 @pytest.mark.parametrize("name", STARTS)
 def test_one_run_moves_no_shape(name: str) -> None:
     fit = identify_global(SIGMOID, [window(4)], STARTS[name], QUICK)
-    assert set(hidden(fit)) == set(SHAPE_PARAMETER_NAMES)
-    shape = [known.index(parameter) for parameter in SHAPE_PARAMETER_NAMES]
+    assert set(hidden(fit)) == set(known.SHAPE_PARAMETER_NAMES)
+    shape = [known.index(parameter) for parameter in known.SHAPE_PARAMETER_NAMES]
     np.testing.assert_array_equal(fit.parameter_set.values[shape], STARTS[name][shape])

@@ -12,6 +12,7 @@ import pytest
 from support import assert_one_sentence, installed_programs
 
 NODES = ("bridge", "identifier", "live", "model", "replay")
+TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate")
 
 WITHOUT = """
 import sys
@@ -22,6 +23,19 @@ from mr_damper_ros.entry_points import {node}
 sys.exit({node}())
 """
 """A program in which a module cannot be imported."""
+
+INTERRUPTED = """
+import os
+import signal
+import sys
+
+signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+os.kill(os.getpid(), signal.SIGINT)
+from mr_damper_ros.entry_points import tool
+
+sys.exit(tool("identify"))
+"""
+"""A tool at which Ctrl-C was pressed before it was loaded."""
 
 HANGING = """
 import ctypes
@@ -52,9 +66,17 @@ def test_a_middleware_that_locks_up_does_not_keep_a_node_for_ever() -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("node", NODES)
-def test_signals_are_held_back_from_the_first_moment(node: str) -> None:
-    first_line = (installed_programs() / node).read_text(encoding="utf-8").splitlines()[0]
+def test_a_tool_that_is_interrupted_while_it_loads_says_so_and_no_more() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 130
+    assert done.stderr == "\nidentify: stopped by Ctrl-C\n"
+
+
+@pytest.mark.parametrize("program", NODES + TOOLS)
+def test_signals_are_held_back_from_the_first_moment(program: str) -> None:
+    first_line = (installed_programs() / program).read_text(encoding="utf-8").splitlines()[0]
     assert first_line == f"#!/usr/bin/env -S --block-signal=INT,TERM {sys.executable}"
 
 

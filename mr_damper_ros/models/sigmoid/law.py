@@ -36,9 +36,6 @@ COEFFICIENT_NAMES = ("f_t", "alpha", "k_c", "k_e", "v_h", "v_d", "f_d")
 SCALE_PARAMETER_NAMES = ("f0", "a0", "k1c", "k1e", "k4", "k6", "k5")
 """The scale parameter of each coefficient, in the order of :data:`COEFFICIENT_NAMES`."""
 
-SHAPE_PARAMETER_NAMES = tuple(n for n in PARAMETER_NAMES if n not in SCALE_PARAMETER_NAMES)
-"""The nine parameters that only several operating points can tell apart."""
-
 DEPENDENCES = {
     "f_t": ("f0", "a1", "k2", "a2", "I0"),
     "alpha": ("a0", "k0"),
@@ -341,21 +338,3 @@ def coefficient_parameter_jacobian(
         put(6, parameter, p["k5"] * jacobian[0, _INDEX[parameter]])
     put(6, "k5", scale * yield_gain)
     return np.moveaxis(jacobian, -1, 0)
-
-
-def parameter_jacobian(
-    parameters: ArrayLike,
-    displacement: ArrayLike,
-    velocity: ArrayLike,
-    acceleration: ArrayLike,
-    current: ArrayLike,
-) -> Array:
-    """Derivatives of :func:`force` with respect to the sixteen parameters, shape (n, 16)."""
-    v_m = peak_velocity(displacement, velocity, acceleration)
-    coefficients = operating_point_coefficients(parameters, v_m, current)
-    jacobian = np.einsum(
-        "nc,ncp->np",
-        coefficient_jacobian(coefficients, velocity, acceleration),
-        coefficient_parameter_jacobian(parameters, v_m, current),
-    )
-    return np.asarray(jacobian)

@@ -327,6 +327,19 @@ class ExtendedSigmoidModel(SigmoidModel):
         own = (plain[..., -1], late[..., -1], time_constant[..., -1], *remembered)
         return force, (*turning, *own)
 
+    @property
+    def simpler(self) -> Model:
+        """The sixteen-parameter law."""
+        return SigmoidModel()
+
+    def to_simpler(self, values: Array) -> Array:
+        """The sixteen parameters (16,)."""
+        return values[:SIGMOID_COUNT]
+
+    def from_simpler(self, simple: Array) -> Array:
+        """Without lag, stiffness and offset."""
+        return without_extension(simple)
+
     def starts(self, reading: LoopReading) -> Array:
         """Those of the sigmoid law with a small compliance."""
         plain = super().starts(reading)
