@@ -6,7 +6,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +15,14 @@ from typing import Any
 
 import rclpy
 from mr_damper_msgs.msg import MtsSamples, PredictedForce, SupplyCurrent
+from rclpy.executors import SingleThreadedExecutor
 
 from benchmarks import relay
 from benchmarks.processes import ProfiledDomain, start_node
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import current_message, samples_message
+from mr_damper_ros.nodes.messages import current_message, samples_message, to_nanoseconds
 from mr_damper_ros.nodes.spinning import make_executor
 from mr_damper_ros.processes.programs import PATIENCE, Program
 from mr_damper_ros.signals.arrays import Array
@@ -54,11 +55,12 @@ def blocks_of(displacement: Array, force: Array, period: float, size: int) -> li
 class Route:
     """One of the two ways for a block: the topic it is sent on, and what its answers were.
 
-    By number of the first sample: ``latencies`` [s] from a block's publication, ``ages`` [s] of its
-    last sample, both at the arrival. ``valid`` answers are counted, and named in ``valid_ones``.
+    By number of the first sample: ``latencies`` [s] from a block's publication to the arrival of
+    its answer, and if ``dated`` ``ages`` [s] of its last sample when the answer was published.
+    ``valid`` answers are counted, and named in ``valid_ones``.
     """
 
-    def __init__(self, node: Any, samples_topic: str, force_topic: str) -> None:
+    def __init__(self, node: Any, samples_topic: str, force_topic: str, *, dated: bool) -> None:
         self._node = node
         self._force_topic = force_topic
         self._sent: dict[int, float] = {}
@@ -66,7 +68,8 @@ class Route:
         self.ages: dict[int, float] = {}
         self.valid_ones: set[int] = set()
         self._publisher = node.create_publisher(MtsSamples, samples_topic, quality.stream())
-        node.create_subscription(PredictedForce, force_topic, self._hear, quality.stream())
+        hear = self._hear_dated if dated else self._hear
+        node.create_subscription(PredictedForce, force_topic, hear, quality.stream())
 
     @property
     def connected(self) -> bool:
@@ -98,26 +101,36 @@ class Route:
         self._publisher.publish(message)
 
     def _hear(self, message: PredictedForce) -> None:
-        now, clock = time.monotonic(), time.time()
+        now = time.monotonic()
         number = message.seq
         sent = self._sent.pop(number, None)
         if sent is None:
             return
         self.latencies[number] = now - sent
-        taken = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        self.ages[number] = clock - taken - len(message.force) * message.period
         if message.valid:
             self.valid_ones.add(number)
+
+    def _hear_dated(self, message: PredictedForce, way: Mapping[str, int]) -> None:
+        # This process may be late itself: the middleware tells when the answer was published.
+        age_ns = way["source_timestamp"] - to_nanoseconds(message.header.stamp)
+        self.ages[message.seq] = age_ns / NANOSECONDS - len(message.force) * message.period
+        self._hear(message)
 
 
 class SideBySide:
     """A model, a relay and, if asked for, an identifier; blocks are sent from this process.
 
     ``cores``: where these run, with so many programs that are always ``busy``; None: anywhere.
+    ``dated``: the ages of the answers are wanted, at the price of a slower executor.
     """
 
     def __init__(
-        self, *, identifier: bool = False, cores: Sequence[int] | None = None, busy: int = 0
+        self,
+        *,
+        identifier: bool = False,
+        cores: Sequence[int] | None = None,
+        busy: int = 0,
+        dated: bool = False,
     ) -> None:
         with ExitStack() as stack:
             domain = self.domain = stack.enter_context(closing(ProfiledDomain()))
@@ -143,12 +156,14 @@ class SideBySide:
             stack.callback(context.try_shutdown)
             node = rclpy.create_node("driver", context=context)
             stack.callback(node.destroy_node)
-            self._executor = make_executor(context)
+            # The events executor does not hand on when a message was published.
+            make = SingleThreadedExecutor if dated else make_executor
+            self._executor = make(context=context)
             self._executor.add_node(node)
             stack.callback(self._executor.shutdown)
             self._supply = node.create_publisher(SupplyCurrent, "supply/current", quality.stream())
-            self.model = Route(node, "mts/samples", "damper/predicted_force")
-            self.relay = Route(node, relay.SAMPLES_TOPIC, relay.FORCE_TOPIC)
+            self.model = Route(node, "mts/samples", "damper/predicted_force", dated=dated)
+            self.relay = Route(node, relay.SAMPLES_TOPIC, relay.FORCE_TOPIC, dated=dated)
             everybody = 2 if identifier else 1
             self._spin_until(
                 time.monotonic() + PATIENCE,

@@ -26,7 +26,8 @@ BUSY = 6
 CORES = 2
 MAX_AGE = ValiditySettings().max_age
 ON_THE_WAY = 0.05
-"""Seconds that a force may take from the model's judgement to the driver, which is not busy."""
+"""Seconds that may pass from the model's judgement to the force's publication: the busy programs
+may have the processor in between."""
 
 MOTIONS = ("sine", "random")
 
@@ -79,9 +80,10 @@ def beside_a_relay(motion: str, duration: float) -> SingleSamples:
 
 @dataclass(frozen=True)
 class Overload:
-    """Forces that came older than ``max_age``: valid ones, all, and the oldest age [s] of each.
+    """Forces published later than ``max_age``: ``stale_valid`` of them valid, ``stale`` in all.
 
-    ``relay_lost`` samples, and the ``relay_age`` [s] of the oldest that came.
+    ``valid`` forces in all, the age of the ``oldest_valid`` [s], samples ``relay_lost``, and the
+    ``relay_age`` [s] of the oldest that it answered.
     """
 
     stale_valid: int
@@ -96,7 +98,7 @@ def overload(duration: float = OVERLOAD, busy: int = BUSY) -> Overload:
     """Model and relay on one core with busy programs; the driver has another."""
     driver, *others = sorted(os.sched_getaffinity(0))
     core = others[:1] or [driver]
-    with SideBySide(cores=core, busy=busy) as both, on_cores([driver]):
+    with SideBySide(cores=core, busy=busy, dated=True) as both, on_cores([driver]):
         both.send(stream("random", duration))
         model, relay = both.model, both.relay
         stale = {k for k, age in model.ages.items() if age > MAX_AGE + ON_THE_WAY}
@@ -145,10 +147,10 @@ def figures(duration: float = DURATION, overload_duration: float = OVERLOAD) -> 
         Figure(
             "stale_valid",
             float(heavy.stale_valid),
-            f"Forces that came more than max_age ({MAX_AGE:g} s) after their sample and were "
+            f"Forces published more than max_age ({MAX_AGE:g} s) after their sample and "
             f"marked valid: {RATE:g} Hz in blocks of one, random motion, model and relay on one "
             f"core with {BUSY} programs that are always busy; {1e3 * ON_THE_WAY:g} ms are allowed "
-            "for the way.",
+            "from the judgement on.",
             (0.0, 0.0),
             f"{heavy.stale} were older, {heavy.valid} valid, of these the oldest "
             f"{heavy.oldest_valid:.2f} s; the relay lost {heavy.relay_lost}, its oldest came after "
