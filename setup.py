@@ -13,6 +13,7 @@ NAME = "mr_damper_ros"
 NODES = ("bridge", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
     *(
+        "check_rig",
         "demo",
         "identify",
         "identify_many",

@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 NODES = ("bridge", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
     *(
+        "check_rig",
         "demo",
         "identify",
         "identify_many",

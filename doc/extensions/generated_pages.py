@@ -56,6 +56,7 @@ SYMBOLS = {
 """What in an equation is not named as the parameters are."""
 
 PROGRAMS = (
+    "check_rig",
     "import_record",
     "identify",
     "identify_many",

@@ -18,6 +18,7 @@ from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParamete
 from mr_damper_ros.nodes.pacing import Pacer, SendingThread
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.nodes.topic_source import TopicOptions
+from mr_damper_ros.rig.skew_correction import aligned
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, groups, option
 from mr_damper_ros.signals.blocks import MOST_SAMPLES
@@ -77,6 +78,14 @@ class BridgeParameters(ParameterTable):
     )
     frame_id: str = option(
         "damper", "Frame of all messages, and name of the joint on joint_states.", read_only=True
+    )
+    force_lateness: float = option(
+        0.0,
+        "Time [s] by which the force is measured later than the displacement, negative for "
+        "earlier; it is set right. check_rig tells it.",
+        minimum=-0.1,
+        maximum=0.1,
+        read_only=True,
     )
     wait_for_subscribers: int = option(
         0,
@@ -187,7 +196,8 @@ class BridgeNode(LifecycleNode):
         assert self._source is not None
         assert self._stream is not None
         stream, values = self._stream, self.parameters.values
-        blocks = self._source.blocks(self.get_clock().now().nanoseconds)
+        made = self._source.blocks(self.get_clock().now().nanoseconds)
+        blocks = aligned(made, values.force_lateness)
         live = self._source.live
         wait = SubscriberWait(values.wait_for_subscribers, values.wait_timeout)
         self._pacer.start()

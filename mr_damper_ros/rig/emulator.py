@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -298,6 +298,11 @@ class EmulatedRig:
     def supply(self, current: CurrentSchedule) -> None:
         """Follow this schedule from the next samples on, which is as before up to now."""
         self._current = current
+
+    def surround(self, ambient: float) -> None:
+        """Let the air around the damper be so warm [°C], where it has a thermal model."""
+        if self._thermal is not None:
+            self._thermal = replace(self._thermal, ambient=ambient)
 
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples; raises EmulatorError where that is less than one."""

@@ -18,6 +18,7 @@ from mr_damper_ros.io.raw_table import RecordError
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.published_conditions import ConditionError
+from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, SweptSine
 from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, ThermalModel
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.rig.meter import Meter
@@ -142,6 +143,72 @@ def test_a_rig_that_makes_no_sample_beforehand_gives_the_same_stream() -> None:
         np.testing.assert_allclose(joined(one, name), joined(other, name), rtol=1e-12)
 
 
+def test_the_air_around_the_emulated_rig_can_be_changed_while_it_runs() -> None:
+    rig = source("emulated", block_size=1000, conductance=1e4, heat_capacity=0.1)
+    rig.open()
+    blocks = rig.blocks(START)
+    assert next(blocks).temperature[-1] == pytest.approx(22.0, abs=0.1)
+    rig.settings = dataclasses.replace(rig.settings, ambient_temperature=35.0)
+    assert next(blocks).temperature[-1] == pytest.approx(35.0, abs=0.1)
+
+
+@pytest.mark.parametrize("excitation", ["chirp", "steps", "random"])
+def test_the_emulated_rig_moves_within_its_amplitude_and_band(excitation: str) -> None:
+    rig = source(
+        "emulated", 20_000, excitation=excitation, frequency=0.5, highest_frequency=4.0,
+        sweep_time=20.0,
+    )  # fmt: skip
+    rig.open()
+    moved = next(rig.blocks(START)).displacement
+    assert 0.002 < np.abs(moved).max() < 0.0075
+    spectrum = np.abs(np.fft.rfft(moved * np.hanning(moved.size))) ** 2
+    frequencies = np.fft.rfftfreq(moved.size, 1e-3)
+    within = (frequencies > 0.3) & (frequencies < 5.0)
+    assert spectrum[within].sum() > 0.98 * spectrum.sum()
+    # It is no single sine.
+    share = np.cumsum(spectrum) / spectrum.sum()
+    low, high = np.interp((0.1, 0.9), share, frequencies)
+    assert high > 1.5 * low
+
+
+def test_the_emulated_rig_moves_as_recorded_and_then_stands_still(tmp_path: Path) -> None:
+    time = np.arange(500) * 1e-3
+    recorded = 2.0 * np.sin(2.0 * np.pi * 4.0 * time) ** 2
+    path = tmp_path / "motion.csv"
+    rows = zip(time, recorded, strict=True)
+    path.write_text("".join(f"{t:.6f},{u:.9f},{9.0 + t}\n" for t, u in rows), encoding="utf-8")
+    rig = source(
+        "emulated", 1000, excitation="recorded", motion_file=str(path),
+        motion_columns="time:s,displacement:mm,force:N",
+    )  # fmt: skip
+    rig.open()
+    moved = next(rig.blocks(START)).displacement
+    np.testing.assert_allclose(moved[:500], 1e-3 * recorded, atol=1e-8)
+    assert np.ptp(moved[500:]) == 0.0
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        SweptSine(0.005, (0.0, 1.0, 3.0), (1.0, 4.0, 1.0)),
+        BandLimitedMotion(0.005, 0.5, 5.0, 1),
+    ],
+)
+def test_a_motion_has_its_own_derivatives(motion: Any) -> None:
+    time = np.linspace(0.05, 8.95, 400)
+    step = 1e-5
+    before, here, after = (motion.at(time + shift) for shift in (-step, 0.0, step))
+    np.testing.assert_allclose(
+        (after.displacement - before.displacement) / (2.0 * step), here.velocity, atol=1e-6
+    )
+    smooth = np.abs(np.mod(time, 1.0)) > 2.0 * step  # the frequency has kinks
+    np.testing.assert_allclose(
+        ((after.velocity - before.velocity) / (2.0 * step))[smooth],
+        here.acceleration[smooth],
+        atol=1e-4,
+    )
+
+
 def test_the_emulated_rig_heats_from_its_initial_temperature() -> None:
     rig = source("emulated", block_size=1000, initial_temperature=40.0, heat_capacity=20.0)
     rig.open()
@@ -190,6 +257,8 @@ def test_what_cannot_be_opened_is_refused(
         ("record", {}, "no file is given"),
         ("record", {"file": "x"}, "record.columns is empty"),
         ("emulated", {}, ""),
+        ("emulated", {"excitation": "recorded"}, "emulated.motion_file"),
+        ("emulated", {"excitation": "chirp", "frequency": 5.0}, "must be above"),
     ],
 )
 def test_what_is_missing_is_said(name: str, settings: dict[str, Any], part: str) -> None:

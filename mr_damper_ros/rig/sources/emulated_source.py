@@ -10,6 +10,7 @@ from pathlib import Path
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, chirp, stepped
 from mr_damper_ros.rig.emulator import (
     CurrentSchedule,
     Damper,
@@ -20,7 +21,7 @@ from mr_damper_ros.rig.emulator import (
     ThermalModel,
     scaled,
 )
-from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.rig.excitation import Excitation, SampledMotion, SineMotion
 from mr_damper_ros.rig.faults.fault import FaultError, Instruments
 from mr_damper_ros.rig.faults.fault_text import faults_of
 from mr_damper_ros.rig.rig_block import RigBlock
@@ -56,11 +57,50 @@ class EmulatedOptions(ParameterTable):
         maximum=10.0,
         read_only=True,
     )
+    excitation: str = option(
+        "sine",
+        "How the machine moves: sine; chirp (a sine whose frequency goes up to the highest and "
+        "back within sweep_time) or steps (four frequencies within sweep_time); random (from the "
+        "frequency to the highest one); recorded (the displacement of motion_file, once, after "
+        "which it stands still).",
+        choices=("sine", "chirp", "steps", "random", "recorded"),
+        read_only=True,
+    )
     amplitude: float = option(
-        0.005, "Amplitude of the sine [m].", minimum=1e-6, maximum=0.5, read_only=True
+        0.005,
+        "Amplitude of the motion [m]; three standard deviations of a random one.",
+        minimum=1e-6,
+        maximum=0.5,
+        read_only=True,
     )
     frequency: float = option(
-        1.0, "Frequency of the sine [Hz].", minimum=1e-3, maximum=100.0, read_only=True
+        1.0,
+        "Frequency of the sine, or the lowest one [Hz].",
+        minimum=1e-3,
+        maximum=100.0,
+        read_only=True,
+    )
+    highest_frequency: float = option(
+        3.0,
+        "Highest frequency [Hz] of chirp, steps and random motion.",
+        minimum=1e-3,
+        maximum=100.0,
+        read_only=True,
+    )
+    sweep_time: float = option(
+        30.0,
+        "Time [s] of a chirp or of four steps, which then begin again.",
+        minimum=1.0,
+        maximum=86400.0,
+        read_only=True,
+    )
+    motion_file: str = option(
+        "", "Path of the text, CSV or MAT file of a recorded motion.", read_only=True
+    )
+    motion_columns: str = option(
+        "",
+        "What its columns hold, as for source: record, such as time:s,displacement:mm,...",
+        read_only=True,
     )
     current: float = option(
         1.5,
@@ -108,7 +148,10 @@ class EmulatedOptions(ParameterTable):
         read_only=True,
     )
     ambient_temperature: float = option(
-        22.0, "Temperature of the air [°C].", minimum=-50.0, maximum=200.0, read_only=True
+        22.0,
+        "Temperature of the air [°C]. It may be changed while the rig runs.",
+        minimum=-50.0,
+        maximum=200.0,
     )
     heat_capacity: float = option(
         430.0,
@@ -145,6 +188,18 @@ class EmulatedOptions(ParameterTable):
             faults_of(self.faults.split())
         except FaultError as error:
             return f"emulated.faults: {error}"
+        if self.excitation == "recorded" and not (self.motion_file and self.motion_columns):
+            return (
+                "emulated.excitation is recorded, but emulated.motion_file or "
+                "emulated.motion_columns is empty"
+            )
+        if self.excitation in ("chirp", "steps", "random") and not (
+            self.highest_frequency > self.frequency
+        ):
+            return (
+                f"emulated.highest_frequency is {self.highest_frequency:g} Hz: it must be above "
+                f"emulated.frequency, {self.frequency:g} Hz"
+            )
         return ""
 
 
@@ -157,11 +212,13 @@ class EmulatedSource(Source):
     def __init__(self, settings: EmulatedOptions, stream: StreamSettings) -> None:
         super().__init__(settings, stream)
         self._damper: Damper | None = None
+        self._excitation: Excitation = SineMotion(settings.amplitude, settings.frequency)
 
     def open(self) -> list[str]:
         """Read the parameters of the damper."""
         given = self.settings
         self._damper = _damper(given)
+        self._excitation = _excitation(given)
         limits = CommandSettings(
             largest_current=_MOST_CURRENT,
             smallest_current=-_MOST_CURRENT,
@@ -188,7 +245,7 @@ class EmulatedSource(Source):
         times, currents = [0.0], [commander.step(time.monotonic())]
         rig = EmulatedRig(
             self._damper,
-            SineMotion(given.amplitude, given.frequency),
+            self._excitation,
             CurrentSchedule(times, currents),
             settings=settings,
             faults=faults,
@@ -206,6 +263,7 @@ class EmulatedSource(Source):
             if self.settings.current != by_hand:
                 by_hand = self.settings.current
                 commander.set_by_hand(by_hand)
+            rig.surround(self.settings.ambient_temperature)
             rig.live = commander.origin(now) is not Origin.HAND
             current = commander.step(now)
             if current != currents[-1]:
@@ -223,6 +281,24 @@ class EmulatedSource(Source):
     def close(self) -> None:
         """Take the damper out."""
         self._damper = self.commander = None
+
+
+def _excitation(rig: EmulatedOptions) -> Excitation:
+    """The motion of the parameters; raises ValueError or OSError."""
+    low, high = rig.frequency, rig.highest_frequency
+    if rig.excitation == "chirp":
+        return chirp(rig.amplitude, low, high, rig.sweep_time)
+    if rig.excitation == "steps":
+        return stepped(rig.amplitude, low, high, rig.sweep_time)
+    if rig.excitation == "random":
+        return BandLimitedMotion(rig.amplitude, low, high, rig.seed)
+    if rig.excitation == "recorded":
+        from mr_damper_ros.io.records import read_record
+
+        # Only its motion is wanted: any current will do.
+        record = read_record(rig.motion_file, rig.motion_columns, current=0.0)
+        return SampledMotion(record.displacement, record.period)
+    return SineMotion(rig.amplitude, low)
 
 
 def _damper(rig: EmulatedOptions) -> Damper:

@@ -1,0 +1,79 @@
+"""What was heard of a rig for a while, for whoever judges it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+
+_BRIDGED = 0.1
+"""Longest loss [s] that is bridged for a look at the whole."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeardBlock:
+    """A block as it came, whatever it holds; ``arrival_ns`` by a steady clock, -1 if unknown."""
+
+    start_ns: int
+    sequence: int
+    period: float
+    displacement: Array
+    force: Array
+    arrival_ns: int = -1
+
+
+@dataclass(eq=False)
+class RigRecord:
+    """Blocks in the order in which they came, and stamped currents [A]: measured and commanded."""
+
+    blocks: list[HeardBlock] = field(default_factory=list)
+    measured: list[tuple[int, float]] = field(default_factory=list)
+    commanded: list[tuple[int, float]] = field(default_factory=list)
+    unusable: int = 0
+    """Messages without samples or a period, or with more of the one than of the other."""
+
+    @property
+    def period(self) -> float:
+        """The sample period [s] that most blocks state; NaN without blocks."""
+        if not self.blocks:
+            return math.nan
+        return float(np.median([block.period for block in self.blocks]))
+
+    @property
+    def sample_count(self) -> int:
+        """Samples that came."""
+        return sum(block.force.size for block in self.blocks)
+
+    def stretch(self) -> tuple[Array, Array]:
+        """Displacement and force of the longest part without a long gap, each of shape (n,).
+
+        What was lost for up to a tenth of a second lies on straight lines.
+        """
+        rows: list[Array] = []
+        parts: list[list[Array]] = []
+        expected = None
+        for block in self.blocks:
+            missing = None if expected is None else block.sequence - expected
+            expected = block.sequence + block.force.size
+            here = np.stack([block.displacement, block.force])
+            if missing is None or not 0 <= missing * block.period <= _BRIDGED:
+                rows = []
+                parts.append(rows)
+            elif missing:
+                last, place = rows[-1][:, -1:], np.arange(1.0, missing + 1.0) / (missing + 1.0)
+                rows.append(last + (here[:, :1] - last) * place)
+            rows.append(here)
+        joined = [np.concatenate(part, axis=1) for part in parts]
+        longest = max(joined, key=lambda part: part.shape[1], default=np.empty((2, 0)))
+        return longest[0], longest[1]
+
+    def stamps(self) -> tuple[Array, Array]:
+        """Number of the first sample of each block, and its stamp [s] since the first block."""
+        first = self.blocks[0].start_ns
+        numbers = np.array([block.sequence for block in self.blocks], dtype=np.float64)
+        times = np.array([(b.start_ns - first) / NANOSECONDS for b in self.blocks])
+        return numbers, times

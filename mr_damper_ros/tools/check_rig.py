@@ -1,0 +1,45 @@
+"""``check_rig``: listens to a rig for half a minute and says in words what is wrong with it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+from mr_damper_ros.interface.rig_check import check_rig
+from mr_damper_ros.interface.rig_record import RigRecord
+from mr_damper_ros.tools.console import run_tool
+
+_WRONG = 1
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code: 1 where something is wrong with the signals."""
+    return run_tool(_parser(), _check, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="check_rig",
+        description="Listen to the signals of a rig and say in words what is wrong with them. Let "
+        "the machine move; several frequencies tell the skew of the channels, too.",
+    )
+    parser.add_argument("--namespace", default="/", help="namespace of the damper (default /)")
+    parser.add_argument(
+        "--seconds", type=float, default=30.0, help="time to listen [s] (default 30)"
+    )
+    return parser
+
+
+def _check(options: argparse.Namespace) -> int:
+    if not options.seconds > 0.0:
+        raise ValueError(f"--seconds must be more than 0 s, not {options.seconds:g}")
+    from mr_damper_ros.nodes.observer import Observer
+    from mr_damper_ros.nodes.rig_listener import record_rig
+
+    record = RigRecord()
+    with Observer("check_rig", namespace=options.namespace) as observer:
+        record_rig(observer.node, record)
+        observer.spin_for(options.seconds)
+    check = check_rig(record)
+    print(f"{record.sample_count} samples in {options.seconds:g} s.\n\n{check}".rstrip())
+    return _WRONG if check.findings else 0
