@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mr_damper_ros.estimation.law_choice import LawChoice
+    from mr_damper_ros.control.inverse_model import InverseModel
     from mr_damper_ros.interface.fit_result import Identification
     from mr_damper_ros.interface.identification import identify
     from mr_damper_ros.interface.law_comparison import choose_law
@@ -42,6 +43,7 @@ __all__ = [
     "Identification",
     "LawChoice",
     "ManyDampers",
+    "InverseModel",
     "ParameterSet",
     "PredictorSettings",
     "Recording",
@@ -66,6 +68,7 @@ _HOMES = {
     "Identification": "interface.fit_result",
     "LawChoice": "estimation.law_choice",
     "ManyDampers": "interface.many_dampers",
+    "InverseModel": "control.inverse_model",
     "ParameterSet": "models.parameter_set",
     "PredictorSettings": "tracking.predictor",
     "Recording": "signals.recording",

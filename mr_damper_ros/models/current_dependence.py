@@ -30,6 +30,7 @@ from mr_damper_ros.models.coil import (
     coil_state,
     coil_unsettled,
 )
+from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
@@ -138,6 +139,27 @@ class CurrentDependentModel(Model):
             return force, kept
         shape = parameters.shape[:-1]
         return force, (*kept, np.full(shape, current[-1]), in_coil[..., -1])
+
+    def response(
+        self, parameters: Array, motion: Motion, period: float, state: State | None
+    ) -> CurrentResponse:
+        """Force over the current, by the coefficients at all currents at once."""
+        own = None if state is None else state[: self.memory]
+        return _Response(self, parameters, motion, period, own)
+
+    def forces_at(
+        self,
+        parameters: Array,
+        motion: Motion,
+        current: Array,
+        period: float,
+        state: State | None,
+    ) -> Array:
+        """Force (m, n) [N] of the samples (n,) at each of m currents (m, n) of the coil [A]."""
+        sets = current.shape[:1]
+        before = None if state is None else tuple(np.broadcast_to(s, sets) for s in state)
+        coefficients = self._all_at(parameters, current)
+        return self.force_at(coefficients, motion, period, before)[0]
 
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
@@ -248,3 +270,21 @@ class CurrentDependentModel(Model):
                 bend = 1.0 if order == 1 else -rng.uniform(0.0, 0.5)
                 drawn[parameter.name] = growth * bend / max(top_current, 1e-12) ** order
         return drawn
+
+
+@dataclass(frozen=True, eq=False)
+class _Response(CurrentResponse):
+    """The force of samples over the current; ``state`` is the law's own."""
+
+    model: CurrentDependentModel
+    parameters: Array
+    motion: Motion
+    period: float
+    state: State | None
+
+    def force(self, current: Array) -> Array:
+        """Force (n, m) [N]."""
+        count = self.motion.velocity.size
+        every = np.broadcast_to(current, (count, current.shape[-1])).T
+        forces = self.model.forces_at(self.parameters, self.motion, every, self.period, self.state)
+        return np.broadcast_to(forces, every.shape).T

@@ -7,6 +7,7 @@ whose current follows the supply's.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,29 @@ SETTLING = 7.0
 _SHORTEST, _LONGEST = 1e-9, 1e9
 """A time constant of fewer sample periods than the first is none; none counts as more than the
 other."""
+
+
+class _Weights(NamedTuple):
+    """Of a step: time constant [s], period over it, and weights.
+
+    These are of the lagged value before, and of the earlier and the later end of the line between
+    the two samples.
+    """
+
+    tau: Array
+    ratio: Array
+    decay: Array
+    before: Array
+    now: Array
+
+    @classmethod
+    def of(cls, before: Array, now: Array, period: float) -> _Weights:
+        """Those between two samples with these time constants [s]."""
+        tau = np.clip(0.5 * (before + now), _SHORTEST * period, _LONGEST * period)
+        ratio = period / tau
+        decay = np.exp(-ratio)
+        mean = -np.expm1(-ratio) / ratio
+        return cls(tau, ratio, decay, mean - decay, 1.0 - mean)
 
 
 LagState = tuple[Array, Array, Array]
@@ -46,14 +70,9 @@ class FirstOrderLag:
             before[0] = state[2]
         elif not periodic:
             before[0] = time_constant[0]
-        tau = np.clip(0.5 * (before + time_constant), _SHORTEST * period, _LONGEST * period)
-        ratio = period / tau
+        weights = _Weights.of(before, time_constant, period)
         self._periodic, self._state = periodic, state
-        self._tau, self._ratio = tau, ratio
-        self._decay = np.exp(-ratio)
-        # Weights of the earlier and the later end of the line between two samples.
-        mean = -np.expm1(-ratio) / ratio
-        self._before, self._now = mean - self._decay, 1.0 - mean
+        self._tau, self._ratio, self._decay, self._before, self._now = weights
 
     def __call__(self, values: Array) -> Array:
         """The lagged signal, shape (n,), of one of shape (n,)."""
@@ -115,6 +134,16 @@ def one_sample_later(
     ratio = period / tau
     decay, mean = math.exp(-ratio), -math.expm1(-ratio) / ratio
     return (mean - decay) * before + (1.0 - mean) * value + decay * late
+
+
+def next_lagged(values: Array, time_constant: Array, period: float, state: LagState) -> Array:
+    """Lagged values of the one sample after the ``state``, each with its own time constant [s].
+
+    All of them broadcast: they are alternatives, and none follows another.
+    """
+    value, late, constant = state
+    weights = _Weights.of(constant, time_constant, period)
+    return np.asarray(weights.before * value + weights.now * values + weights.decay * late)
 
 
 def _one_earlier(values: Array) -> Array:

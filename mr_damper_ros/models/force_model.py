@@ -23,6 +23,7 @@ from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
 from mr_damper_ros.signals.arrays import Array
 
 if TYPE_CHECKING:
+    from mr_damper_ros.models.current_response import CurrentResponse
     from mr_damper_ros.models.force_stream import ForceStream
     from mr_damper_ros.models.window_problem import WindowProblem
 
@@ -108,6 +109,15 @@ class Model(ABC):
     @abstractmethod
     def starts(self, reading: LoopReading) -> Array:
         """Starts (k, p) of a search, from what can be read off a record."""
+
+    @abstractmethod
+    def response(
+        self, parameters: Array, motion: Motion, period: float, state: State | None
+    ) -> CurrentResponse:
+        """Force of samples (n,) of a motion over the current in the coil; one set (p,).
+
+        They follow the state each on its own: of a law that remembers, ask for one sample.
+        """
 
     # Parameters
 
@@ -280,6 +290,12 @@ class Model(ABC):
         weakest = parameters.copy()
         weakest[self.strength_indices] = 0.0
         return self.window_force(window, np.clip(weakest, *self.bounds))
+
+    def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
+        """Currents (m,) [A], first and last included, between which a force bends once at most."""
+        from mr_damper_ros.models.current_response import even_nodes  # only an inverse needs it
+
+        return even_nodes(lowest, highest)
 
     # One window
 

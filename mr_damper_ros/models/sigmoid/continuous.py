@@ -10,6 +10,7 @@ from mr_damper_ros.models.sigmoid.law import Coefficients
 from mr_damper_ros.models.sigmoid.one_sample import follow_one, follow_one_extended
 from mr_damper_ros.models.sigmoid.reversal import REVERSAL_MEMORY, branch_along
 from mr_damper_ros.models.sigmoid.sigmoid_model import ExtendedSigmoidModel, SigmoidModel
+from mr_damper_ros.models.sigmoid.sigmoid_response import Branch
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -33,6 +34,9 @@ class ContinuousSigmoidModel(SigmoidModel):
     ) -> tuple[Coefficients, Array, State]:
         return _without_jump(coefficients, motion, state)
 
+    def _branch(self, motion: Motion, state: State | None) -> Branch:
+        return _present_branch(motion, state)
+
 
 class ContinuousExtendedModel(ExtendedSigmoidModel):
     """The extended law without its jumps."""
@@ -54,6 +58,9 @@ class ContinuousExtendedModel(ExtendedSigmoidModel):
     ) -> tuple[Coefficients, Array, State]:
         return _without_jump(coefficients, motion, state)
 
+    def _branch(self, motion: Motion, state: State | None) -> Branch:
+        return _present_branch(motion, state)
+
 
 CONTINUOUS = {model.name: model for model in (ContinuousSigmoidModel(), ContinuousExtendedModel())}
 """By the name of the law."""
@@ -67,3 +74,9 @@ def _without_jump(
     # The branch is in the shift: no sign of the acceleration is left to count.
     shifted = coefficients._replace(v_h=coefficients.v_h * branch)
     return shifted, np.ones(motion.velocity.size), after
+
+
+def _present_branch(motion: Motion, state: State | None) -> Branch:
+    if state is None:
+        return Branch(np.sign(motion.acceleration))
+    return Branch(np.asarray(state[1]), motion.velocity - state[0])

@@ -56,8 +56,6 @@ _PAIRS = (
 )
 """(I0, I1), (a2, a3), (k2, k3), (a1, a4), (k1c, k1e), (k4, k6)."""
 
-_SINGLE = tuple(_INDEX[name] for name in ("f0", "a0", "k0", "k5"))
-
 _GROWTH_AND_DECAY = np.array([[1.0], [-1.0]])
 """Signs of the exponents of a1 and a4."""
 
@@ -130,36 +128,77 @@ def operating_point_coefficients(
     Raises ValueError where the last axis of ``parameters`` is not sixteen long.
     """
     p = _checked(parameters)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        gains = current_gains(p, current)
+        factors = motion_factors(p, peak_velocity)
+        f_t = _saturated(factors.scale * gains[..., 0, :])
+        return Coefficients(
+            f_t=f_t,
+            alpha=factors.alpha,
+            k_c=factors.k_c,
+            k_e=factors.k_e,
+            v_h=_saturated(factors.width * gains[..., 1, :]),
+            v_d=factors.v_d,
+            f_d=_saturated(p[..., _INDEX["k5"], np.newaxis] * f_t),
+        )
+
+
+class MotionFactors(NamedTuple):
+    """What of the coefficients depends on the peak velocity alone; each of shape (..., n).
+
+    f_t is ``scale`` [N], and v_h ``width`` [m/s], times its factor of :func:`current_gains`.
+    """
+
+    scale: Array
+    alpha: Array
+    k_c: Array
+    k_e: Array
+    width: Array
+    v_d: Array
+
+
+def motion_factors(parameters: Array, peak_velocity: ArrayLike) -> MotionFactors:
+    """Factors of parameters (..., 16) at peak velocities (n,) [m/s]; finite, up to 1e100."""
+    p = parameters
     v_m = np.asarray(peak_velocity, dtype=float)
-    i = np.asarray(current, dtype=float)
     # What has the same form is done in one go, along an axis of two before the last: with a few
     # samples the number of operations counts, not their size.
-    thresholds, steepnesses, steps, rates, slopes, widths = (
-        p[..., pair, np.newaxis] for pair in _PAIRS
-    )
-    f0, a0, k0, k5 = (p[..., index, np.newaxis] for index in _SINGLE)
+    rates, slopes, widths = (p[..., pair, np.newaxis] for pair in _PAIRS[3:])
+    f0, a0, k0 = (p[..., _INDEX[name], np.newaxis] for name in ("f0", "a0", "k0"))
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        # The difference of two logistic functions, by tanh, which does not overflow.
-        half = 0.5 * steepnesses
-        rise = np.tanh(half * _saturated(i + thresholds)) - np.tanh(half * thresholds)
-        gains = _saturated(1.0 + 0.5 * steps * rise)
         growth_and_decay = _exp(_GROWTH_AND_DECAY * rates * v_m)
-        scale = _saturated(f0 * (1.0 + growth_and_decay[..., 0, :]))
-        f_t = _saturated(scale * gains[..., 0, :])
         alpha = a0 / (1.0 + k0 * v_m)
         # 0/0, the only way to a NaN here, is a sigmoid of no steepness: zero.
         alpha = np.where(np.isnan(alpha), 0.0, alpha)
         k = _saturated(slopes * growth_and_decay[..., 1:, :])
         v = _saturated(widths * v_m)
-        return Coefficients(
-            f_t=f_t,
+        return MotionFactors(
+            scale=_saturated(f0 * (1.0 + growth_and_decay[..., 0, :])),
             alpha=_saturated(alpha),
             k_c=k[..., 0, :],
             k_e=k[..., 1, :],
-            v_h=_saturated(v[..., 0, :] * gains[..., 1, :]),
+            width=v[..., 0, :],
             v_d=v[..., 1, :],
-            f_d=_saturated(k5 * f_t),
         )
+
+
+def current_gains(parameters: Array, current: ArrayLike) -> Array:
+    """Factors of f_t and of v_h at currents (n,) [A], of shape (..., 2, n); 1 at no current."""
+    thresholds, steepnesses, steps = (parameters[..., pair, np.newaxis] for pair in _PAIRS[:3])
+    i = np.asarray(current, dtype=float)
+    with np.errstate(over="ignore", invalid="ignore"):
+        # The difference of two logistic functions, by tanh, which does not overflow.
+        half = 0.5 * steepnesses
+        rise = np.tanh(half * _saturated(i + thresholds)) - np.tanh(half * thresholds)
+        return _saturated(1.0 + 0.5 * steps * rise)
+
+
+def current_gain_slopes(parameters: Array, current: ArrayLike) -> Array:
+    """Derivatives [1/A] of :func:`current_gains`, of the same shape."""
+    thresholds, steepnesses, steps = (parameters[..., pair, np.newaxis] for pair in _PAIRS[:3])
+    i = np.asarray(current, dtype=float)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return steps * steepnesses * _sigma_derivative(steepnesses * _saturated(i + thresholds))
 
 
 def sign_of_pair(f_t: ArrayLike) -> Array:

@@ -20,6 +20,7 @@ from mr_damper_ros.models.coil import (
     coil_unsettled,
     in_coil,
 )
+from mr_damper_ros.models.current_response import CurrentResponse, nodes_along
 from mr_damper_ros.models.first_order_lag import SETTLING, lagged
 from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
@@ -43,6 +44,7 @@ from mr_damper_ros.models.sigmoid.law import (
     SCALE_PARAMETER_NAMES,
     Coefficients,
     coefficient_parameter_jacobian,
+    current_gains,
     force_from_coefficients,
     operating_point_coefficients,
     sign_of_pair,
@@ -54,19 +56,12 @@ from mr_damper_ros.models.sigmoid.scale_misfit import (
     longest_lag,
     scale_parameter_errors,
 )
+from mr_damper_ros.models.sigmoid.sigmoid_response import Branch, LateResponse, SigmoidResponse
+from mr_damper_ros.models.sigmoid.sixteen import SIXTEEN
 from mr_damper_ros.signals.arrays import Array
 
 _LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
 """Peak velocity [m/s] of the test that the literature's set is for: 1 Hz, 2.5 mm, at 0 A."""
-
-_UNITS = {
-    **dict.fromkeys(("a0", "a1", "a4", "k0", "k1c", "k1e"), "s/m"),
-    **dict.fromkeys(("k2", "k3", "k4", "k5", "k6"), "1"),
-    # The thesis prints (m/s)^-1 for a3, which multiplies a current.
-    **dict.fromkeys(("a2", "a3"), "1/A"),
-    **dict.fromkeys(("I0", "I1"), "A"),
-    "f0": "N",
-}
 
 _GAIN_RANGE = 100.0
 """Plausible range of k2 and k3: the current multiplies a coefficient by up to this."""
@@ -78,22 +73,8 @@ _USUAL_LAG = 0.02
 """Time constant [s] that a lag of coil and fluid hardly exceeds. Until it is known, what it may
 hide at the begin of a window is left out."""
 
-_PEAK_VELOCITIES = dict.fromkeys(("a1", "k0", "a4"), 2)
-_CURRENTS = {
-    **dict.fromkeys(("k2", "k3"), 2),
-    **dict.fromkeys(("a2", "a3"), 3),
-    **dict.fromkeys(("I0", "I1"), 4),
-}
-
-_SIXTEEN = tuple(
-    Parameter(
-        name,
-        _UNITS[name],
-        peak_velocities=_PEAK_VELOCITIES.get(name, 1),
-        currents=_CURRENTS.get(name, 1),
-    )
-    for name in PARAMETER_NAMES
-)
+_FINE = 257
+"""Currents at which is looked where a force changes."""
 
 
 class SigmoidModel(Model):
@@ -109,7 +90,7 @@ class SigmoidModel(Model):
         r"F = \left(f_t \tanh\tfrac{\alpha (v + \operatorname{sgn}(a) v_h + v_d)}{2} - f_d\right)"
         r" (1 + k |v|)"
     )
-    parameters = _SIXTEEN
+    parameters = SIXTEEN
     free_in_one_run: ClassVar[tuple[str, ...]] = SCALE_PARAMETER_NAMES
     strength = ("f0",)
     weighed = True
@@ -149,6 +130,21 @@ class SigmoidModel(Model):
         ``state`` begins with that of the branch.
         """
         return coefficients, motion.acceleration, ()
+
+    def response(
+        self, parameters: Array, motion: Motion, period: float, state: State | None
+    ) -> CurrentResponse:
+        """Force over the current, of which only two factors depend on it."""
+        return SigmoidResponse(parameters, motion, self._branch(motion, state))
+
+    def _branch(self, motion: Motion, state: State | None) -> Branch:
+        """Where on the hysteresis the samples are."""
+        return Branch(np.sign(motion.acceleration))
+
+    def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
+        """Closer together where the two factors change."""
+        fine = np.linspace(lowest, highest, _FINE)
+        return nodes_along(current_gains(parameters[:SIGMOID_COUNT], fine), fine)
 
     def starts(self, reading: LoopReading) -> Array:
         """Some steepness, some hysteresis, no dependence on velocity or current."""
@@ -284,7 +280,7 @@ class ExtendedSigmoidModel(SigmoidModel):
         r" F = F_l + \mathrm{stiffness} \cdot u + \mathrm{offset}"
     )
     parameters = (
-        *_SIXTEEN,
+        *SIXTEEN,
         *(
             Parameter(name, unit, 0.0 if name == COMPLIANCE else -np.inf)
             for name, unit in zip(EXTENSION_NAMES, ("m/N", "N/m", "N"), strict=True)
@@ -339,6 +335,16 @@ class ExtendedSigmoidModel(SigmoidModel):
     def from_simpler(self, simple: Array) -> Array:
         """Without lag, stiffness and offset."""
         return without_extension(simple)
+
+    def response(
+        self, parameters: Array, motion: Motion, period: float, state: State | None
+    ) -> CurrentResponse:
+        """That of the sigmoid law, late."""
+        plain = SigmoidResponse(parameters[:SIGMOID_COUNT], motion, self._branch(motion, state))
+        own = None if state is None else state[self.turning : self.turning + 3]
+        before = None if own is None else (own[0], own[1], own[2])
+        extension = extension_of(parameters)
+        return LateResponse(plain, extension, motion.displacement, period, before)
 
     def starts(self, reading: LoopReading) -> Array:
         """Those of the sigmoid law with a small compliance."""

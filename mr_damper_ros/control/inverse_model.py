@@ -1,0 +1,110 @@
+"""The inverse of an identified damper: wanted forces of a motion to currents of its coil."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mr_damper_ros.control.inversion import Inversion, invert
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.coil import COIL
+from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
+
+
+class InverseModel:
+    """The inverse of a parameter set between two currents [A] of the coil.
+
+    ``gradual_reversal``: of the law without its jumps, as the force is predicted. Raises ValueError
+    where the highest current is not above the lowest.
+    """
+
+    def __init__(
+        self,
+        parameters: ParameterSet,
+        lowest_current: float,
+        highest_current: float,
+        *,
+        gradual_reversal: bool = False,
+    ) -> None:
+        if not lowest_current < highest_current:
+            raise ValueError(
+                f"the highest current, {highest_current:g} A, is not above the lowest, "
+                f"{lowest_current:g} A"
+            )
+        self.law = parameters.law.continuous if gradual_reversal else parameters.law
+        self.values = in_coil(parameters)
+        self._range = parameters.peak_velocity_range
+        self._nodes = self.law.current_nodes(self.values, lowest_current, highest_current)
+
+    def currents(
+        self,
+        motion: Motion,
+        wanted: ArrayLike,
+        *,
+        last: ArrayLike | None = None,
+        period: float = 1e-3,
+        state: State | None = None,
+    ) -> Inversion:
+        """Currents for the forces ``wanted`` (n,) [N] at the samples of a motion.
+
+        ``last`` [A]: of several currents the nearest to it is meant, without it the lowest. The
+        samples each follow the ``state``, ``period`` [s] after it: of a law that remembers, give
+        one.
+        """
+        held = motion.held_within(*self._range)
+        response = self.law.response(self.values, held, period, state)
+        forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
+        near = None if last is None else np.asarray(last, dtype=float)
+        return invert(response, self._nodes, forces, near)
+
+    def slope(
+        self,
+        motion: Motion,
+        current: ArrayLike,
+        *,
+        period: float = 1e-3,
+        state: State | None = None,
+    ) -> Array:
+        """Derivative dF/di (n,) [N/A] at the samples of a motion and these currents (n,) [A]."""
+        held = motion.held_within(*self._range)
+        every = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
+        response = self.law.response(self.values, held, period, state)
+        return response.slope(every[:, np.newaxis])[:, 0]
+
+    def follow(
+        self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
+    ) -> tuple[Inversion, State | None]:
+        """Currents sample by sample, each with what the law remembers of those before.
+
+        Shapes as for :meth:`currents`; also the state after the last sample. Each current is the
+        one nearest to that before.
+        """
+        forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
+        found: list[Inversion] = []
+        last: Array | None = None
+        for place in range(forces.size):
+            here = slice(place, place + 1)
+            sample = motion.part(here).held_within(*self._range)
+            found.append(self.currents(sample, forces[here], last=last, period=period, state=state))
+            last = found[-1].current
+            _, state = self.law.follow(self.values, sample, last, period, state)
+        parts = zip(
+            *((x.current, x.force, x.attainable, x.least, x.most) for x in found), strict=True
+        )
+        return Inversion(*(np.concatenate(part) for part in parts)), state
+
+
+def in_coil(parameters: ParameterSet) -> Array:
+    """Values (p,) of a set for a law that is given the current of the coil: it lags no more."""
+    values = parameters.values.copy()
+    names = parameters.law.parameter_names
+    if COIL in names:
+        values[names.index(COIL)] = 0.0
+    return values
+
+
+def coil_time_constant(parameters: ParameterSet) -> float:
+    """Time constant [s] of the coil that a set knows; 0 where it knows of none."""
+    return parameters.as_dict().get(COIL, 0.0)

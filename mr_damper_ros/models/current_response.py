@@ -1,0 +1,52 @@
+"""Force of a law over the current in the coil, at samples of a motion: what an inverse needs.
+
+The coil's lag is no part of it: what is wanted is the current of the coil, and how the supply
+brings it there is another matter.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+
+NODES = 65
+"""Currents at which a force is looked at first: between two of them it should bend once at most."""
+
+_STEP = 1e-6
+"""Amperes over which a derivative is taken where a law has none of its own."""
+
+
+class CurrentResponse(ABC):
+    """The force of n samples as a function of the current in the coil [A]."""
+
+    @abstractmethod
+    def force(self, current: Array) -> Array:
+        """Force (n, m) [N] at currents (n, m) or (m,) [A]."""
+
+    def slope(self, current: Array) -> Array:
+        """Derivative (n, m) [N/A] of the force at currents (n, m) or (m,) [A]."""
+        above, below = self.force(current + _STEP), self.force(current - _STEP)
+        return np.asarray((above - below) / (2.0 * _STEP))
+
+
+def even_nodes(lowest: float, highest: float) -> Array:
+    """Currents (m,) [A] in equal steps."""
+    return np.linspace(lowest, highest, NODES)
+
+
+def nodes_along(bends: Array, currents: Array) -> Array:
+    """Currents (m,) [A] that lie the closer, the more there is of the ``bends`` (..., k).
+
+    These are quantities at ``currents`` (k,), which span the range. Half of the nodes are left to
+    the current itself.
+    """
+    changes = np.abs(np.diff(bends, axis=-1)).reshape(-1, currents.size - 1)
+    totals = changes.sum(axis=-1, keepdims=True)
+    parts = np.divide(changes, totals, out=np.zeros_like(changes), where=totals > 0.0)
+    even = np.diff(currents) / (currents[-1] - currents[0])
+    density = parts.sum(axis=0) + max(len(parts), 1) * even
+    way = np.concatenate(([0.0], np.cumsum(density)))
+    return np.interp(np.linspace(0.0, way[-1], NODES), way, currents)

@@ -1,0 +1,263 @@
+"""The inverse of every law: what is wanted comes where it can be had, else the nearest."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from known import EXAMPLES, PLAUSIBLE, fixed
+
+from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
+from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
+from mr_damper_ros.control.inversion import TOLERANCE
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published_conditions import CONDITIONS, PUBLISHED_METHODS, parameters
+from mr_damper_ros.signals.arrays import Array
+
+PERIOD = 1e-3
+
+LOWEST, HIGHEST = 0.0, 2.0
+
+ROUNDING = 1e-9
+"""[N] for a force of one newton: where the current hardly changes the force, rounding counts."""
+
+SOME_SPAN = 1e-3
+"""[N]; where the current changes the force by less, whether it is met is a matter of rounding."""
+
+SAME_SLOPE = 1e-3
+"""Relative: a difference over 2 µA against the derivative, where the law does not bend sharply."""
+
+GROWTH = {"_1": 1.2, "_2": -0.2}
+"""How the coefficients of the laws written for one current grow: not beyond 3 A."""
+
+
+def damper(name: str) -> ParameterSet:
+    """A damper of the law whose force depends on the current."""
+    model = MODELS[name]
+    values = EXAMPLES[name].copy()
+    for place, parameter in enumerate(model.parameters):
+        base, _, order = parameter.name.rpartition("_")
+        if base in model.parameter_names and f"_{order}" in GROWTH:
+            coefficient = abs(values[model.parameter_names.index(base)])
+            size = 1.0 if parameter.unit.startswith("1") else 0.1 * coefficient
+            values[place] = size * GROWTH[f"_{order}"]
+    return ParameterSet(values, model=name)
+
+
+def random_motion(count: int, rng: np.random.Generator) -> Motion:
+    """Samples that have nothing to do with each other."""
+    velocity = rng.uniform(-0.25, 0.25, count)
+    return Motion(
+        displacement=rng.normal(0.0, 0.005, count),
+        velocity=velocity,
+        acceleration=rng.normal(0.0, 5.0, count),
+        peak_velocity=np.hypot(velocity, rng.normal(0.0, 0.05, count)),
+        sine=None,
+    )
+
+
+def misses(
+    force: Array, wanted: Array, least: Array, most: Array, tolerance: float = TOLERANCE
+) -> Array:
+    """By how much more than allowed the nearest attainable force is missed [N], (n,)."""
+    nearest = np.clip(wanted, least, most)
+    rounding = ROUNDING * np.maximum(1.0, np.maximum(np.abs(least), np.abs(most)))
+    further = np.abs(force - wanted) - np.abs(nearest - wanted)
+    return np.asarray(further - tolerance * (most - least) - rounding)
+
+
+SETS = [parameters(condition, method) for condition in CONDITIONS for method in PUBLISHED_METHODS]
+
+
+@pytest.mark.parametrize("first", range(0, len(SETS), 17))
+def test_a_hundred_thousand_forces_of_the_published_sets(first):
+    rng = np.random.default_rng(first)
+    for values in SETS[first : first + 17]:
+        motion = random_motion(1475, rng)
+        inverse = InverseModel(ParameterSet(values), LOWEST, HIGHEST)
+        every = np.linspace(LOWEST, HIGHEST, 401)
+        law = MODELS["sigmoid"]
+        forces = law.response(values, motion, PERIOD, None).force(every)
+        least, most = forces.min(axis=1), forces.max(axis=1)
+        span = most - least
+        wanted = rng.uniform(least - 0.3 * span, most + 0.3 * span)
+        found = inverse.currents(motion, wanted)
+        assert np.isfinite(found.current).all()
+        assert found.current.min() >= LOWEST
+        assert found.current.max() <= HIGHEST
+        force = law.force(values, motion, found.current, PERIOD)
+        assert misses(force, wanted, least, most).max() <= 0.0
+        inside = (wanted > least) & (wanted < most) & (span > SOME_SPAN)
+        assert found.attainable[inside].all()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_law_gives_what_was_wanted(name):
+    rng = np.random.default_rng(3)
+    chosen = damper(name)
+    inverse = InverseModel(chosen, LOWEST, HIGHEST)
+    attained = 0
+    for _ in range(40):
+        motion = random_motion(1, rng)
+        _, state = chosen.law.follow(
+            inverse.values, random_motion(1, rng), np.array([rng.uniform(0.0, 2.0)]), PERIOD, None
+        )
+        every = np.linspace(LOWEST, HIGHEST, 81)
+        forces = np.array(
+            [
+                chosen.law.follow(inverse.values, motion, np.array([i]), PERIOD, state)[0][0]
+                for i in every
+            ]
+        )
+        least, most = forces.min(keepdims=True), forces.max(keepdims=True)
+        wanted = rng.uniform(least - 0.2 * (most - least), most + 0.2 * (most - least))
+        found = inverse.currents(motion, wanted, period=PERIOD, state=state)
+        force, _ = chosen.law.follow(inverse.values, motion, found.current, PERIOD, state)
+        assert misses(force, wanted, least, most).max() <= 0.0
+        np.testing.assert_allclose(found.force, force, rtol=1e-12, atol=ROUNDING)
+        attained += int(found.attainable[0])
+    assert attained > 5
+
+
+@pytest.mark.parametrize("name", ["sigmoid", "sigmoid_lag"])
+def test_the_law_without_jumps_is_inverted_along_a_motion(name):
+    chosen = damper(name)
+    inverse = InverseModel(chosen, LOWEST, HIGHEST, gradual_reversal=True)
+    time = np.arange(300) * PERIOD
+    rate, amplitude = 2.0 * math.pi * 4.0, 5e-3
+    motion = Motion(
+        displacement=amplitude * np.sin(rate * time),
+        velocity=amplitude * rate * np.cos(rate * time),
+        acceleration=-amplitude * rate**2 * np.sin(rate * time),
+        peak_velocity=np.full(time.size, amplitude * rate),
+        sine=None,
+    )
+    found, _ = inverse.follow(motion, 4000.0 * motion.velocity, PERIOD)
+    stream = inverse.law.stream(PERIOD)
+    force = stream.follow(inverse.values, motion, found.current)
+    np.testing.assert_allclose(force, found.force, rtol=1e-9, atol=ROUNDING)
+    got = found.attainable
+    assert got.mean() > 0.3
+    span = found.most - found.least
+    assert np.all(
+        np.abs(force - 4000.0 * motion.velocity)[got] <= 2.0 * TOLERANCE * span[got] + ROUNDING
+    )
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_slope_is_the_derivative_of_the_force(name):
+    rng = np.random.default_rng(5)
+    chosen = damper(name)
+    inverse = InverseModel(chosen, LOWEST, HIGHEST)
+    motion, current, step = random_motion(1, rng), 0.7, 1e-4
+    low, high = (
+        chosen.law.follow(inverse.values, motion, np.array([current + side]), PERIOD, None)[0][0]
+        for side in (-step, step)
+    )
+    slope = inverse.slope(motion, current, period=PERIOD)[0]
+    assert slope == pytest.approx((high - low) / (2.0 * step), rel=SAME_SLOPE)
+
+
+def test_of_several_currents_the_lowest_or_the_nearest_to_the_last():
+    # At this motion the force of the thesis' set rises with the current, and falls again.
+    values = PLAUSIBLE.copy()
+    values[[2, 6, 12, 13]] = [-1.0, 6.0, 4.0, -0.3]
+    velocity = np.array([0.06])
+    motion = Motion(np.zeros(1), velocity, np.ones(1), np.array([0.12]), None)
+    law, every = MODELS["sigmoid"], np.linspace(LOWEST, HIGHEST, 2001)
+    force = law.response(values, motion, PERIOD, None).force(every)[0]
+    top = int(force.argmax())
+    assert 0 < top < 2000
+    wanted = 0.5 * (force[top] + max(force[0], force[-1]))
+    rising, falling = every[top], HIGHEST
+    inverse = InverseModel(ParameterSet(values), LOWEST, HIGHEST)
+    assert inverse.currents(motion, wanted).current[0] < rising
+    assert inverse.currents(motion, wanted, last=LOWEST).current[0] < rising
+    assert inverse.currents(motion, wanted, last=falling).current[0] > rising
+
+
+def test_what_saturates_is_not_paid_for_with_current():
+    values = PLAUSIBLE.copy()
+    values[5] = 30.0
+    motion = Motion(np.zeros(1), np.array([0.2]), np.ones(1), np.array([0.2]), None)
+    found = InverseModel(ParameterSet(values), LOWEST, HIGHEST).currents(motion, 1e9)
+    assert not found.attainable[0]
+    assert found.force[0] == pytest.approx(found.most[0], rel=1e-6)
+    assert found.current[0] < HIGHEST - 0.1
+
+
+def test_a_force_that_drives_is_not_to_be_had_and_gets_the_least_current():
+    motion = Motion(np.zeros(1), np.array([0.1]), np.ones(1), np.array([0.1]), None)
+    found = InverseModel(ParameterSet(PLAUSIBLE), LOWEST, HIGHEST).currents(motion, -500.0)
+    assert not found.attainable[0]
+    assert found.current[0] == pytest.approx(LOWEST, abs=1e-3)
+    assert found.force[0] == pytest.approx(found.least[0], rel=1e-3)
+
+
+def test_a_law_that_no_current_changes_gets_the_lowest():
+    found = InverseModel(ParameterSet(EXAMPLES["bingham"], model="bingham"), 0.5, 2.0).currents(
+        random_motion(5, np.random.default_rng(0)), 1e3
+    )
+    assert np.all(found.current <= 0.5 + 0.1)
+    assert not found.attainable.any()
+
+
+def test_the_limits_must_leave_a_range():
+    with pytest.raises(ValueError, match="not above the lowest"):
+        InverseModel(ParameterSet(PLAUSIBLE), 1.0, 1.0)
+
+
+@fixed(60)
+@given(
+    wanted=st.floats(-1e12, 1e12),
+    velocity=st.floats(-10.0, 10.0),
+    extra=st.floats(0.0, 10.0),
+    scale=st.floats(-1e3, 1e3),
+)
+def test_no_nan_whatever_is_wanted(wanted, velocity, extra, scale):
+    motion = Motion(
+        np.zeros(1), np.array([velocity]), np.ones(1), np.array([abs(velocity) + extra]), None
+    )
+    found = InverseModel(ParameterSet(PLAUSIBLE * scale), LOWEST, HIGHEST).currents(motion, wanted)
+    assert LOWEST <= found.current[0] <= HIGHEST
+    assert np.isfinite(found.force).all()
+
+
+# -- the coil --------------------------------------------------------------------------------------
+
+
+def test_the_drive_brings_the_coil_to_its_current_within_the_horizon():
+    drive = CoilDrive(SupplyLimits(highest_current=5.0), 0.01)
+    command = drive.command(1.0, 0.4, 0.4, 0.01)
+    assert command > 1.0
+    assert drive.followed(0.4, command, 0.01) == pytest.approx(1.0)
+
+
+def test_the_drive_asks_for_no_more_than_the_supply_can():
+    drive = CoilDrive(SupplyLimits(highest_current=2.0, slew_rate=50.0), 0.01)
+    assert drive.command(1.9, 0.0, 0.0, 0.001) == pytest.approx(0.05)
+    assert drive.command(1.9, 0.0, 1.99, 0.001) == 2.0
+    assert drive.command(0.0, 1.9, 0.02, 0.001) == 0.0
+
+
+def test_without_a_lag_the_command_is_the_current():
+    drive = CoilDrive(SupplyLimits(), 0.0)
+    assert drive.command(0.7, 0.1, 0.1, 0.01) == 0.7
+    assert drive.followed(0.1, 0.7, 0.01) == 0.7
+
+
+def test_the_drive_refuses_limits_without_a_range():
+    with pytest.raises(ValueError, match="highest_current"):
+        CoilDrive(SupplyLimits(lowest_current=1.0, highest_current=0.5), 0.0)
+
+
+def test_the_time_constant_is_that_of_the_set():
+    assert coil_time_constant(ParameterSet(PLAUSIBLE)) == 0.0
+    values = EXAMPLES["sigmoid_lag"].copy()
+    values[-1] = 0.012
+    assert coil_time_constant(ParameterSet(values, model="sigmoid_lag")) == 0.012
