@@ -10,7 +10,7 @@ from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
-NODES = ("bridge", "identifier", "live", "model", "replay", "supply")
+NODES = ("bridge", "controller", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
     *(
         "check_rig",

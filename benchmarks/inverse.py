@@ -92,7 +92,7 @@ def figures() -> list[Figure]:
         model = MODELS[DEFAULT_MODEL]
         windows = recordings.processed_windows(place)
         found = identify_global(model, windows, model.initial_values()[0], EvolutionSettings())
-        sets.append(ParameterSet(found.parameters))
+        sets.append(found.parameter_set)
     rng = np.random.default_rng(0)
     each = POINTS // len(sets) + 1
     return [

@@ -3,6 +3,7 @@
 ros2 launch mr_damper_ros identify.launch.py
 ros2 launch mr_damper_ros identify.launch.py bag:=/path/to/bag rate:=2.0
 ros2 launch mr_damper_ros identify.launch.py live:=true
+ros2 launch mr_damper_ros identify.launch.py control:=true
 ros2 launch mr_damper_ros identify.launch.py namespace:=left bridge_config:=/path/to/bridge.yaml
 
 It ends some seconds after the bag, and as soon as a node fails, then with exit code 1.
@@ -62,6 +63,12 @@ def arguments() -> list[DeclareLaunchArgument]:
             "of 0.0 many windows may still wait to be fitted then.",
             ["stop", "stay"],
         ),
+        argument(
+            "control",
+            "false",
+            "Command the supply too, so that the damper gives the force on damper/desired_force.",
+            YES_OR_NO,
+        ),
         argument("namespace", "", "Namespace; one for each damper."),
         argument(
             "live",
@@ -93,7 +100,7 @@ def arguments() -> list[DeclareLaunchArgument]:
                 str(SHARE / "config" / f"{node}.yaml"),
                 f"Parameter file of the {node}.",
             )
-            for node in ("bridge", "replay", "identifier", "model", "live")
+            for node in ("bridge", "replay", "identifier", "model", "live", "controller")
         ),
     ]
 
@@ -134,11 +141,14 @@ def nodes(context: LaunchContext) -> list[Node]:
     values = {item.name: LaunchConfiguration(item.name).perform(context) for item in arguments()}
     check(values)
     played = bool(values["bag"])
+    followers = ["identifier", "model"]
+    if values["control"].lower() == "true":
+        followers.append("controller")
     source = {
         "rate": float(values["rate"]),
         "loop": values["loop"].lower() == "true",
-        # Identifier and model are there before the first sample.
-        "wait_for_subscribers": 2,
+        # They are there before the first sample.
+        "wait_for_subscribers": len(followers),
     }
     sim_time = played if values["use_sim_time"] == "auto" else values["use_sim_time"]
     time = {"use_sim_time": str(sim_time).lower() == "true"}
@@ -173,7 +183,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     else:
         first = node("bridge", source)
     shown = ["live"] if values["live"].lower() == "true" else []
-    return [first, *(node(name, time, clock) for name in ("identifier", "model", *shown))]
+    return [first, *(node(name, time, clock) for name in (*followers, *shown))]
 
 
 def generate_launch_description() -> LaunchDescription:

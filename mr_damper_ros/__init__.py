@@ -18,8 +18,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mr_damper_ros.estimation.law_choice import LawChoice
     from mr_damper_ros.control.inverse_model import InverseModel
+    from mr_damper_ros.estimation.law_choice import LawChoice
     from mr_damper_ros.interface.fit_result import Identification
     from mr_damper_ros.interface.identification import identify
     from mr_damper_ros.interface.law_comparison import choose_law
@@ -44,6 +44,7 @@ __all__ = [
     "LawChoice",
     "ManyDampers",
     "InverseModel",
+    "LawChoice",
     "ParameterSet",
     "PredictorSettings",
     "Recording",

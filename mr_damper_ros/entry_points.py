@@ -64,6 +64,11 @@ def model() -> int:
     return _run("model")
 
 
+def controller() -> int:
+    """Run the node controller."""
+    return _run("controller")
+
+
 def replay() -> int:
     """Run the node replay."""
     return _run("replay")

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = ("bridge", "identifier", "live", "model", "replay", "supply")
+NODES = ("bridge", "controller", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
     *(
         "check_rig",

@@ -35,6 +35,7 @@ ROS = [
 NODES = {
     "bridge": "An emulated rig, a bag, a record file or topics of other nodes become samples. "
     "A lifecycle node that starts by itself.",
+    "controller": "The current for a desired force, by the newest parameters.",
     "identifier": "A fit for every window, and now and then all parameters at once.",
     "live": "A page that shows the running system ([more](../live.md)).",
     "model": "The force predicted from displacement, current and parameters.",
@@ -80,6 +81,7 @@ TYPES = {
     "damper/predicted_wrench": "geometry_msgs/WrenchStamped",
     "damper/signals": "DamperSignals",
     "damper/identified": "diagnostic_msgs/DiagnosticArray",
+    "damper/desired_force": "DesiredForce",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
 }
 """Type of each topic; of those named here without a package, the fields are on the messages' page.

@@ -50,16 +50,11 @@ class CoilDrive:
         self._limits = limits
         self._time_constant = time_constant
 
-    def command(self, wanted: float, coil: float, before: float, horizon: float) -> float:
-        """Current [A] to command now.
-
-        The coil has the current ``coil`` and should have ``wanted`` [A] in ``horizon`` [s]; the
-        last command was ``before`` [A].
-        """
-        command = wanted
-        if self._time_constant > 0.0:
-            command = coil + (wanted - coil) / -math.expm1(-horizon / self._time_constant)
-        return self.limited(command, before, horizon)
+    def towards(self, wanted: float, coil: float, horizon: float) -> float:
+        """Current [A] that brings the coil from ``coil`` to ``wanted`` [A] in a horizon [s]."""
+        if self._time_constant == 0.0:
+            return wanted
+        return coil + (wanted - coil) / -math.expm1(-horizon / self._time_constant)
 
     def limited(self, command: float, before: float, duration: float) -> float:
         """The command [A] within the limits; it may move from ``before`` for ``duration`` [s]."""
@@ -69,9 +64,3 @@ class CoilDrive:
             reach = limits.slew_rate * duration
             command = min(max(command, before - reach), before + reach)
         return command
-
-    def followed(self, coil: float, command: float, duration: float) -> float:
-        """The coil's current [A] after so long [s] at this command."""
-        if self._time_constant == 0.0:
-            return command
-        return command + (coil - command) * math.exp(-duration / self._time_constant)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.control.inversion import Inversion, invert
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.coil import COIL
+from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
@@ -53,11 +54,9 @@ class InverseModel:
         samples each follow the ``state``, ``period`` [s] after it: of a law that remembers, give
         one.
         """
-        held = motion.held_within(*self._range)
-        response = self.law.response(self.values, held, period, state)
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
         near = None if last is None else np.asarray(last, dtype=float)
-        return invert(response, self._nodes, forces, near)
+        return invert(self._response(motion, period, state), self._nodes, forces, near)
 
     def slope(
         self,
@@ -68,10 +67,18 @@ class InverseModel:
         state: State | None = None,
     ) -> Array:
         """Derivative dF/di (n,) [N/A] at the samples of a motion and these currents (n,) [A]."""
-        held = motion.held_within(*self._range)
-        every = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
-        response = self.law.response(self.values, held, period, state)
-        return response.slope(every[:, np.newaxis])[:, 0]
+        return self._response(motion, period, state).slope(_each(current, motion))[:, 0]
+
+    def force(
+        self,
+        motion: Motion,
+        current: ArrayLike,
+        *,
+        period: float = 1e-3,
+        state: State | None = None,
+    ) -> Array:
+        """Force (n,) [N] at the samples of a motion and these currents (n,) [A] of the coil."""
+        return self._response(motion, period, state).force(_each(current, motion))[:, 0]
 
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
@@ -94,6 +101,16 @@ class InverseModel:
             *((x.current, x.force, x.attainable, x.least, x.most) for x in found), strict=True
         )
         return Inversion(*(np.concatenate(part) for part in parts)), state
+
+    def _response(self, motion: Motion, period: float, state: State | None) -> CurrentResponse:
+        held = motion.held_within(*self._range)
+        return self.law.response(self.values, held, period, state)
+
+
+def _each(current: ArrayLike, motion: Motion) -> Array:
+    """A current for every sample, (n, 1)."""
+    every = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
+    return every[:, np.newaxis]
 
 
 def in_coil(parameters: ParameterSet) -> Array:

@@ -50,6 +50,11 @@ class ForceStream:
         self._way_of: tuple[ArrayLike, float] = ((), 0.0)
 
     @property
+    def state(self) -> State | None:
+        """What the law remembers after the last sample; None before the first."""
+        return self._state
+
+    @property
     def remembers(self) -> bool:
         """Whether the force so far depends on the samples before."""
         return self.model.remembers or len(self._state or ()) > self.model.turning

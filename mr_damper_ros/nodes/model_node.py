@@ -7,17 +7,16 @@ import time
 from dataclasses import dataclass
 
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
-from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
+from mr_damper_msgs.msg import PredictedForce
 from rclpy.node import Node
 
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
-from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
-from mr_damper_ros.nodes.messages import header, to_nanoseconds
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.results import PredictionMessage, parameter_set
+from mr_damper_ros.nodes.messages import header
+from mr_damper_ros.nodes.node_parameters import NodeParameters
+from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput
+from mr_damper_ros.nodes.results import PredictionMessage
 from mr_damper_ros.nodes.signal_mirror import SignalMirror
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
@@ -27,16 +26,9 @@ from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.running_error import RunningError
-from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
-
-_REPORTS = 10
-"""Reports that may wait: only the newest ones matter."""
 
 _POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
 """Errors of valid forces over the last seconds that deserve a warning, and an error."""
-
-_SHOWN = 100
-"""Characters of a name that are repeated: a message may hold a megabyte of them."""
 
 _HEAD_START = 1e-3
 """Seconds from a force to the rest of the work on its block: on a computer with no processor to
@@ -113,11 +105,6 @@ class ModelNode(Node):
         self._skipped = 0
         self._published = -math.inf
         self._unfinished: tuple[Prediction, SampleBlock] | None = None
-        self._refused_parameters = ""
-        self._parameters_from = ""
-        if self._options.parameter_file:
-            self._predictor.set_parameters(_read(self._options.parameter_file))
-            self._parameters_from = self._options.parameter_file
         self._force = self.create_publisher(
             PredictedForce,
             "damper/predicted_force",
@@ -136,15 +123,13 @@ class ModelNode(Node):
             self._options.frame_id,
             self._predictor.current_at,
         )
-        self.create_subscription(
-            DamperParameters, "damper/parameters", self._take_parameters, quality.latched()
-        )
-        self.create_subscription(
-            FitReport,
-            "damper/fit_report",
-            self._take_report,
-            quality.stream(_REPORTS),
-            qos_overriding_options=quality.overridable(),
+        self._parameter_input = ParameterInput(
+            self,
+            self._predictor.set_parameters,
+            self._predictor,
+            parameter_file=self._options.parameter_file,
+            trusted_source=self._options.trusted_source,
+            replaced=self._error.reset,
         )
         self._inputs = Inputs(self, quality.stream, self._take_block, self._predictor.add_current)
         self._diagnostics = Diagnostics(
@@ -152,7 +137,7 @@ class ModelNode(Node):
             {
                 "input": lambda: self._inputs.samples_finding(self._predictor.sequence),
                 "current": self._inputs.current_finding,
-                "parameters": self._parameters_finding,
+                "parameters": lambda: self._parameter_input.finding("predicting"),
                 "prediction": self._prediction_finding,
                 "latency": self._latency_finding,
             },
@@ -162,37 +147,9 @@ class ModelNode(Node):
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(SAMPLES_TOPIC)}, "
             f"{self.resolve_topic_name(CURRENT_TOPIC)} and "
-            f"{self.resolve_topic_name('damper/parameters')}"
+            f"{self.resolve_topic_name(PARAMETERS_TOPIC)}"
             + (f"; until then the parameters are those of {file}" if file else "")
         )
-
-    def _take_parameters(self, message: DamperParameters) -> None:
-        source = message.node or "a node that does not say its name"
-        trusted = self._options.trusted_source
-        if trusted and message.node != trusted:
-            self._refused_parameters = (
-                f"they come from {source[:_SHOWN]}, and trusted_source is {trusted}"
-            )
-            return
-        try:
-            parameters = check_plausible(parameter_set(message))
-        except ParameterError as error:
-            self._refused_parameters = str(error)
-            self.get_logger().warning(f"parameters {message.id[:_SHOWN]} are not used: {error}")
-            return
-        self._refused_parameters = ""
-        self._parameters_from = source
-        # Published parameters that come from no samples have the stamp 0.
-        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
-        self._error.reset()
-        self.get_logger().debug(f"predicting with parameters {parameters.set_id}")
-
-    def _take_report(self, message: FitReport) -> None:
-        self._predictor.follow_verdict(
-            message.verdict, message.nrmse_before, confirms=message.confirms
-        )
-        if message.confirms:
-            self._predictor.confirm(message.parameter_set, to_nanoseconds(message.header.stamp))
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
@@ -262,38 +219,6 @@ class ModelNode(Node):
             )
         )
 
-    def _parameters_finding(self) -> Finding:
-        parameters = self._predictor.parameters
-        publishers = self.get_publishers_info_by_topic(self.resolve_topic_name("damper/parameters"))
-        if len(publishers) > 1 and not self._options.trusted_source:
-            names = " and ".join(
-                sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in publishers)
-            )
-            return Finding(
-                ERROR,
-                f"damper/parameters is published by {names}: end all but one, or name the one to "
-                "use in trusted_source",
-            )
-        if self._refused_parameters:
-            return Finding(WARN, f"the newest parameters are not used: {self._refused_parameters}")
-        if parameters is None:
-            return Finding(
-                WARN,
-                "no parameters yet: start the identifier in this namespace, or give parameter_file",
-            )
-        return Finding(
-            OK,
-            f"predicting with {parameters.set_id}",
-            {
-                "id": parameters.set_id,
-                "model": parameters.model,
-                "source": parameters.source,
-                "from": self._parameters_from,
-                "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
-                "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
-            },
-        )
-
     def _prediction_finding(self) -> Finding:
         nrmse = self._error.nrmse
         values = {"NRMSE": f"{nrmse:.4f}"}
@@ -332,13 +257,6 @@ class ModelNode(Node):
                 "skipped blocks": skipped,
             },
         )
-
-
-def _read(path: str) -> ParameterSet:
-    try:
-        return check_plausible(read_parameter_file(path))
-    except (StateError, ParameterError) as error:
-        raise ConfigurationError(f"parameter_file: {error}") from error
 
 
 def main() -> int:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.uniform_grid import Placed
@@ -17,6 +18,8 @@ class Prediction:
     """Predicted force [N], shape (n,), of the block's samples; ``doubt`` tells why not valid.
 
     ``velocity`` [m/s], shape (n,), is what was estimated of the motion; NaN where nothing was.
+    ``motion`` and ``current`` [A] are what it was predicted from, those of samples that were
+    bridged before the block included; None where there was nothing to predict from.
     """
 
     start_ns: int
@@ -27,6 +30,8 @@ class Prediction:
     set_id: str
     doubt: Doubt
     continuity: str
+    motion: Motion | None = None
+    current: Array | None = None
 
     @classmethod
     def without_force(

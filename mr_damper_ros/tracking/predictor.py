@@ -291,6 +291,8 @@ class ForcePredictor:
             set_id=self._parameters.set_id,
             doubt=self._newest_doubt or stale,
             continuity=verdict.sentence,
+            motion=motion,
+            current=np.broadcast_to(reckoned.current, block.force.shape),
         )
 
     def _doubt(self, block: SampleBlock, motion: Motion, reckoned: Reckoned) -> Doubt:

@@ -233,22 +233,20 @@ def test_no_nan_whatever_is_wanted(wanted, velocity, extra, scale):
 
 def test_the_drive_brings_the_coil_to_its_current_within_the_horizon():
     drive = CoilDrive(SupplyLimits(highest_current=5.0), 0.01)
-    command = drive.command(1.0, 0.4, 0.4, 0.01)
+    command = drive.towards(1.0, 0.4, 0.01)
     assert command > 1.0
-    assert drive.followed(0.4, command, 0.01) == pytest.approx(1.0)
+    assert command + (0.4 - command) * math.exp(-1.0) == pytest.approx(1.0)
 
 
 def test_the_drive_asks_for_no_more_than_the_supply_can():
     drive = CoilDrive(SupplyLimits(highest_current=2.0, slew_rate=50.0), 0.01)
-    assert drive.command(1.9, 0.0, 0.0, 0.001) == pytest.approx(0.05)
-    assert drive.command(1.9, 0.0, 1.99, 0.001) == 2.0
-    assert drive.command(0.0, 1.9, 0.02, 0.001) == 0.0
+    assert drive.limited(1.9, 0.0, 0.001) == pytest.approx(0.05)
+    assert drive.limited(9.0, 1.99, 0.001) == 2.0
+    assert drive.limited(-9.0, 0.02, 0.001) == 0.0
 
 
 def test_without_a_lag_the_command_is_the_current():
-    drive = CoilDrive(SupplyLimits(), 0.0)
-    assert drive.command(0.7, 0.1, 0.1, 0.01) == 0.7
-    assert drive.followed(0.1, 0.7, 0.01) == 0.7
+    assert CoilDrive(SupplyLimits(), 0.0).towards(0.7, 0.1, 0.01) == 0.7
 
 
 def test_the_drive_refuses_limits_without_a_range():

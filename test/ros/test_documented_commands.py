@@ -17,6 +17,7 @@ from mr_damper_msgs.msg import PredictedForce
 from support import Listener, installed_programs
 
 from mr_damper_ros.nodes.bridge_node import BridgeParameters
+from mr_damper_ros.nodes.controller_node import ControllerParameters
 from mr_damper_ros.nodes.identifier_parameters import IdentifierParameters
 from mr_damper_ros.nodes.model_node import ModelParameters
 from mr_damper_ros.nodes.quality import OVERRIDES, objection
@@ -31,6 +32,7 @@ SHARE = "$(ros2 pkg prefix --share mr_damper_ros)/"
 
 TABLES: dict[str, type] = {
     "bridge": BridgeParameters,
+    "controller": ControllerParameters,
     "identifier": IdentifierParameters,
     "model": ModelParameters,
     "replay": ReplayParameters,

@@ -54,6 +54,12 @@ def test_the_page_is_served_where_it_is_asked_for(description: list[Any]) -> Non
     assert list(by_name(description, live="true")) == ["bridge", "identifier", "model", "live"]
 
 
+def test_the_supply_is_commanded_where_that_is_asked_for(description: list[Any]) -> None:
+    nodes = by_name(description, control="true")
+    assert list(nodes) == ["bridge", "identifier", "model", "controller"]
+    assert nodes["bridge"].parameters[1]["wait_for_subscribers"] == 3
+
+
 def test_a_bag_is_played_with_its_time(description: list[Any]) -> None:
     nodes = by_name(description, bag=str(BAG))
     assert list(nodes) == ["replay", "identifier", "model"]

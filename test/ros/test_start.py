@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from support import assert_one_sentence, installed_programs
 
-NODES = ("bridge", "identifier", "live", "model", "replay")
+NODES = ("bridge", "controller", "identifier", "live", "model", "replay")
 TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate")
 
 WITHOUT = """

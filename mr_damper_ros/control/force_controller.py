@@ -1,0 +1,290 @@
+"""Control of the damper's force: from a wanted force to a command for the supply, block by block.
+
+Feedforward by the inverse of the identified law, and, where asked for, feedback of the measured
+force. Nothing uncertain is commanded: where the model would call its force not valid, the command
+is the safe current.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
+from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
+from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.coil import coil_current
+from mr_damper_ros.models.force_stream import ForceStream
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.settings.option_table import group, option
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.uniform_grid import GridSettings
+from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
+
+
+@dataclass(frozen=True)
+class ForceControlSettings(SupplyLimits):
+    """What is commanded, and when it is the safe current instead."""
+
+    safe_current: float = option(
+        0.0,
+        "Current [A] that is commanded where nothing can be relied on; within the range of "
+        "currents that the parameters were identified at, else control never begins.",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    demand_timeout: float = option(
+        0.2,
+        "Age [s] of the desired force, by its stamp against that of the samples, beyond which the "
+        "safe current is commanded.",
+        minimum=0.001,
+        maximum=3600.0,
+    )
+    horizon: float = option(
+        0.01,
+        "Time [s] in which a lagging coil should have the current; at least a block. Shorter "
+        "follows faster, and asks more of the supply.",
+        minimum=0.0001,
+        maximum=1.0,
+    )
+    force_deadband: float = option(
+        5.0,
+        "The current stays as long as another would bring the force closer by no more than this "
+        "[N].",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    feedback: FeedbackSettings = group(FeedbackSettings, flat=True)
+    predictor: PredictorSettings = group(PredictorSettings, flat=True)
+
+
+class Demand(NamedTuple):
+    """A wanted force [N] and its stamp."""
+
+    stamp_ns: int
+    force: float
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """What the supply is told: ``current`` [A], the safe one where there is a ``doubt``.
+
+    ``wanted`` [N] is the demand, NaN without one; ``expected`` [N] the force that the current
+    brings, and ``attainable`` whether that is the wanted one; ``prediction`` is that of the block.
+    """
+
+    current: float
+    doubt: Doubt
+    wanted: float
+    expected: float
+    attainable: bool
+    prediction: Prediction
+
+
+class ForceController:
+    """Turns blocks of samples and demands into commands; driven by the stamps of the data."""
+
+    def __init__(self, settings: ForceControlSettings, grid: GridSettings | None = None) -> None:
+        self.settings = settings
+        self._predictor = ForcePredictor(settings.predictor, grid)
+        self._feedback = ForceFeedback(settings.feedback)
+        self._demand: Demand | None = None
+        self._inverse: _Inverse | None = None
+        self._parameters: ParameterSet | None = None
+        self._unusable = NO_DOUBT
+        # Current of the coil that was wanted last, and the last command.
+        self._wanted: float | None = None
+        self._commanded = settings.safe_current
+
+    @property
+    def predictor(self) -> ForcePredictor:
+        """What the force is judged by: give it currents and reports."""
+        return self._predictor
+
+    @property
+    def feedback_factor(self) -> float:
+        """Factor on the wanted force that the feedback has come to."""
+        return self._feedback.factor
+
+    def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
+        """Control with this set from now on; see :meth:`ForcePredictor.set_parameters`."""
+        self._predictor.set_parameters(parameters, confirmed_ns)
+
+    def _take_set_in_use(self) -> None:
+        """Invert the set that the force is predicted with, which may be one of before again."""
+        parameters = self._predictor.parameters
+        if parameters is None or parameters is self._parameters:
+            return
+        self._parameters = parameters
+        before = self._inverse
+        try:
+            self._inverse = _Inverse(self.settings, parameters)
+        except ValueError as error:
+            self._inverse, self._unusable = None, Doubt(DoubtKind.OUT_OF_RANGE, str(error))
+            return
+        self._unusable = NO_DOUBT
+        if before is not None:
+            self._inverse.go_on_from(before)
+
+    def want(self, stamp_ns: int, force: float) -> str:
+        """Want this force [N] from now on; returns why it cannot be used, empty where it can."""
+        if not math.isfinite(force):
+            return f"the desired force is {force}: it must be a finite number"
+        self._demand = Demand(stamp_ns, force)
+        return ""
+
+    def command(self, block: SampleBlock, now_ns: int | None = None) -> Command:
+        """What to command after a block; ``now_ns`` as for :meth:`ForcePredictor.predict`."""
+        prediction = self._predictor.predict(block, now_ns)
+        duration = block.sample_count * block.period
+        self._take_set_in_use()
+        if self._inverse is not None:
+            self._inverse.follow(prediction)
+        doubt = self._doubt(prediction, block.end_ns)
+        wanted = math.nan if self._demand is None else self._demand.force
+        if doubt:
+            self._feedback.pause()
+            self._wanted = None
+            self._commanded = self.settings.safe_current
+            return Command(self._commanded, doubt, wanted, math.nan, False, prediction)
+        assert self._inverse is not None
+        self._feedback.follow(float(np.mean(block.force)), duration)
+        aim = self._inverse.aim(
+            wanted * self._feedback.factor, self._wanted, max(duration, self.settings.horizon)
+        )
+        self._wanted = aim.current
+        self._feedback.expect(wanted if aim.attainable else math.nan)
+        self._commanded = self._inverse.drive(
+            aim.current, self._commanded, max(duration, self.settings.horizon), duration
+        )
+        return Command(self._commanded, NO_DOUBT, wanted, aim.force, aim.attainable, prediction)
+
+    def follow(self, block: SampleBlock) -> None:
+        """Follow a block for which it is too late to command anything."""
+        prediction = self._predictor.predict(block)
+        self._take_set_in_use()
+        if self._inverse is not None:
+            self._inverse.follow(prediction)
+
+    def catch_up(self) -> None:
+        """Do what only later blocks need; call it once the command is on its way."""
+        self._predictor.catch_up()
+
+    def give_up(self) -> float:
+        """Forget what was commanded: returns the safe current [A]."""
+        self._wanted = None
+        self._commanded = self.settings.safe_current
+        return self._commanded
+
+    def _doubt(self, prediction: Prediction, end_ns: int) -> Doubt:
+        if prediction.doubt:
+            return prediction.doubt
+        if self._unusable:
+            return self._unusable
+        if self._demand is None:
+            return Doubt(
+                DoubtKind.MISSING, "no desired force yet: is it published on damper/desired_force?"
+            )
+        age = (end_ns - self._demand.stamp_ns) / NANOSECONDS
+        if abs(age) > self.settings.demand_timeout:
+            return Doubt(
+                DoubtKind.OUTDATED,
+                f"the desired force is {age:.2f} s older than the samples, and demand_timeout is "
+                f"{self.settings.demand_timeout:g} s: does its publisher stand still, or have "
+                "another clock?",
+            )
+        return NO_DOUBT
+
+
+class _Aim(NamedTuple):
+    """Current of the coil [A], the force [N] that it brings, and whether that was wanted."""
+
+    current: float
+    force: float
+    attainable: bool
+
+
+class _Inverse:
+    """A set's inverse and its coil, at the present moment of a motion."""
+
+    def __init__(self, settings: ForceControlSettings, parameters: ParameterSet) -> None:
+        low = max(settings.lowest_current, parameters.current_range[0])
+        high = min(settings.highest_current, parameters.current_range[1])
+        if not low < high:
+            raise ValueError(
+                f"the parameters hold for {parameters.current_range[0]:.2f} to "
+                f"{parameters.current_range[1]:.2f} A, which leaves no current to choose between "
+                f"{settings.lowest_current:g} and {settings.highest_current:g} A: identify the "
+                "damper at several currents"
+            )
+        gradual = settings.predictor.gradual_reversal
+        self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
+        self._time_constant = np.array(coil_time_constant(parameters))
+        self._drive = CoilDrive(settings, float(self._time_constant))
+        self._deadband = settings.force_deadband
+        self._range = parameters.peak_velocity_range
+        self._stream: ForceStream | None = None
+        self._moment: Motion | None = None
+        # Current of supply and coil at the last sample.
+        self._before: tuple[Array, Array] | None = None
+
+    def go_on_from(self, other: _Inverse) -> None:
+        """Take over what is known of the coil."""
+        self._before = other._before
+
+    def follow(self, prediction: Prediction) -> None:
+        """Follow the motion and the current of a block."""
+        motion, current = prediction.motion, prediction.current
+        if motion is None or current is None:
+            self._stream, self._before, self._moment = None, None, None
+            return
+        if self._stream is None:
+            self._stream = self._model.law.stream(prediction.period)
+        coil = current
+        if self._time_constant > 0.0:
+            coil = coil_current(current, self._time_constant, prediction.period, self._before)
+        self._before = np.asarray(current[-1]), np.asarray(coil[-1])
+        held = motion.held_within(*self._range)
+        self._stream.follow(self._model.values, held, coil)
+        self._moment = motion.part(slice(-1, None))
+
+    def aim(self, wanted: float, last: float | None, horizon: float) -> _Aim:
+        """The current for a force at the end of the horizon [s]; ``last`` [A] is that before."""
+        assert self._moment is not None
+        assert self._stream is not None
+        ahead = horizon if self._time_constant > 0.0 else 0.5 * horizon
+        motion = _moved_on(self._moment, ahead)
+        state = self._stream.state
+        found = self._model.currents(motion, wanted, last=last, period=ahead, state=state)
+        current, force = float(found.current[0]), float(found.force[0])
+        if last is not None:
+            kept = float(self._model.force(motion, last, period=ahead, state=state)[0])
+            if abs(kept - wanted) <= abs(force - wanted) + self._deadband:
+                return _Aim(last, kept, bool(found.attainable[0]))
+        return _Aim(current, force, bool(found.attainable[0]))
+
+    def drive(self, wanted: float, before: float, horizon: float, duration: float) -> float:
+        """Command [A] of the supply, whose last command was ``before``, for a current [A]."""
+        assert self._before is not None
+        command = self._drive.towards(wanted, float(self._before[1]), horizon)
+        return self._drive.limited(command, before, duration)
+
+
+def _moved_on(moment: Motion, time: float) -> Motion:
+    """The sample of a motion some time [s] later, at constant acceleration."""
+    u, v, a = moment.displacement, moment.velocity, moment.acceleration
+    velocity = v + a * time
+    return Motion(
+        displacement=u + (v + 0.5 * a * time) * time,
+        velocity=velocity,
+        acceleration=a,
+        peak_velocity=np.maximum(moment.peak_velocity, np.abs(velocity)),
+        sine=None,
+    )

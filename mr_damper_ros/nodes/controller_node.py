@@ -1,0 +1,271 @@
+"""Node that commands the supply so that the damper gives a desired force."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from mr_damper_msgs.msg import CurrentCommand, DesiredForce
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
+from mr_damper_ros.nodes.messages import header, to_nanoseconds
+from mr_damper_ros.nodes.node_parameters import NodeParameters
+from mr_damper_ros.nodes.parameter_input import ParameterInput
+from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.settings.option_table import ParameterTable, group, option
+from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.joined_blocks import joined
+from mr_damper_ros.signals.uniform_grid import GridSettings
+from mr_damper_ros.tracking.running_error import RunningError
+
+DEMAND_TOPIC = "damper/desired_force"
+COMMAND_TOPIC = "supply/current_command"
+
+_HEAD_START = 1e-3
+"""Seconds from a command to the rest of the work on its block, as in the model node."""
+
+_LAST_WORD = 1.0
+"""Seconds that the supply has to take the last command."""
+
+_DEMANDS = 1
+"""Desired forces that may wait: only the newest matters."""
+
+
+@dataclass(frozen=True)
+class ControllerParameters(ParameterTable):
+    """Parameters of the controller node."""
+
+    parameter_file: str = option(
+        "",
+        "Parameter file (YAML) to control with until an identifier publishes on "
+        "damper/parameters; empty for none.",
+        read_only=True,
+    )
+    trusted_source: str = option(
+        "",
+        "Name of the one node whose parameters are used, such as /identifier; empty: any, but "
+        "several that publish damper/parameters are an error in the diagnostics.",
+        read_only=True,
+    )
+    samples_timeout: float = option(
+        0.2,
+        "Time [s] without samples, on the clock of this computer, after which the safe current is "
+        "commanded, again and again.",
+        minimum=0.01,
+        maximum=60.0,
+        read_only=True,
+    )
+    control: ForceControlSettings = group(ForceControlSettings, flat=True, read_only=True)
+    grid: GridSettings = group(GridSettings, flat=True, read_only=True)
+    error_memory: float = option(
+        10.0,
+        "Time [s] over which the diagnostics take what was wanted and what came.",
+        minimum=0.1,
+        maximum=3600.0,
+        read_only=True,
+    )
+    frame_id: str = option("damper", "Frame of the commands.", read_only=True)
+
+    def objection(self) -> str:
+        """Say that the limits leave nothing to command."""
+        low, high = self.control.lowest_current, self.control.highest_current
+        if not low < high:
+            return f"highest_current is {high:g} A: it must be above lowest_current, {low:g} A"
+        if not low <= self.control.safe_current <= high:
+            return (
+                f"safe_current is {self.control.safe_current:g} A: it must lie within "
+                f"lowest_current and highest_current, {low:g} to {high:g} A"
+            )
+        return ""
+
+
+class ControllerNode(Node):
+    """Publishes a command for every block of samples, and the safe current where none come."""
+
+    def __init__(self) -> None:
+        super().__init__("controller")
+        self._options = NodeParameters(self, ControllerParameters).values
+        self._controller = ForceController(self._options.control, self._options.grid)
+        self._tracking = RunningError(self._options.error_memory)
+        self._last: Command | None = None
+        self._slowest = 0.0
+        self._commands = self._met = 0
+        self._heard = self._published = -math.inf
+        self._unfinished: tuple[Command, SampleBlock] | None = None
+        self._refused_demand = ""
+        self._command = self.create_publisher(
+            CurrentCommand,
+            COMMAND_TOPIC,
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self._parameter_input = ParameterInput(
+            self,
+            self._controller.set_parameters,
+            self._controller.predictor,
+            parameter_file=self._options.parameter_file,
+            trusted_source=self._options.trusted_source,
+        )
+        self.create_subscription(
+            DesiredForce,
+            DEMAND_TOPIC,
+            self._take_demand,
+            quality.stream(_DEMANDS),
+            qos_overriding_options=quality.overridable(),
+        )
+        predictor = self._controller.predictor
+        self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)
+        self._watchdog = self.create_timer(
+            0.5 * self._options.samples_timeout,
+            self._watch,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        self._diagnostics = Diagnostics(
+            self,
+            {
+                "input": lambda: self._inputs.samples_finding(predictor.sequence),
+                "current": self._inputs.current_finding,
+                "parameters": lambda: self._parameter_input.finding("controlling"),
+                "command": self._command_finding,
+                "tracking": self._tracking_finding,
+                "latency": self._latency_finding,
+            },
+        )
+        self.get_logger().info(
+            f"waiting for {self.resolve_topic_name(DEMAND_TOPIC)}, "
+            f"{self.resolve_topic_name(SAMPLES_TOPIC)} and "
+            f"{self.resolve_topic_name(CURRENT_TOPIC)}; until then the safe current, "
+            f"{self._options.control.safe_current:g} A, is commanded"
+        )
+
+    def _take_demand(self, message: DesiredForce) -> None:
+        self._refused_demand = self._controller.want(
+            to_nanoseconds(message.header.stamp), message.force
+        )
+
+    def _take_block(self, block: SampleBlock) -> None:
+        began = time.perf_counter()
+        self._finish()
+        self._heard = time.monotonic()
+        now_ns = self.get_clock().now().nanoseconds
+        if self._controller.predictor.freshness.is_late(block.end_ns, now_ns):
+            *skipped, block = (block, *self._inputs.waiting())
+            for part in joined(skipped):
+                self._controller.follow(part)
+            now_ns = self.get_clock().now().nanoseconds
+        command = self._controller.command(block, now_ns)
+        self._publish(command.current)
+        self._published = time.perf_counter()
+        self._slowest = max(self._slowest, self._published - began)
+        self._unfinished = (command, block)
+
+    def _publish(self, current: float) -> None:
+        stamp_ns = self.get_clock().now().nanoseconds
+        self._command.publish(
+            CurrentCommand(header=header(stamp_ns, self._options.frame_id), current=current)
+        )
+
+    def _watch(self) -> None:
+        """Command the safe current where no samples come."""
+        if time.monotonic() - self._heard > self._options.samples_timeout:
+            self._publish(self._controller.give_up())
+
+    def finish_in_time(self) -> float:
+        """Do the rest of the work on the last block once its time has come.
+
+        Returns the seconds until then, infinite where there is nothing to do.
+        """
+        if self._unfinished is None:
+            return math.inf
+        left = self._published + _HEAD_START - time.perf_counter()
+        if left > 0.0:
+            return left
+        self._finish()
+        return math.inf
+
+    def _finish(self) -> None:
+        """Do what a block needs besides its command, unless that is done already."""
+        if self._unfinished is None:
+            return
+        (command, block), self._unfinished = self._unfinished, None
+        continuity = command.prediction.continuity
+        if continuity:
+            self.get_logger().warning(continuity, throttle_duration_sec=10.0)
+        # What was commanded after the block before has made the force of this one.
+        before, self._last = self._last, command
+        if before is not None and not before.doubt:
+            self._commands += 1
+            self._met += before.attainable
+            if before.attainable:
+                wanted = np.full(block.force.size, before.wanted)
+                self._tracking.add(wanted, block.force, block.period)
+        self._controller.catch_up()
+
+    def destroy_node(self) -> None:
+        """Leave the supply with the safe current."""
+        if self.context.ok():
+            self._publish(self._controller.give_up())
+            # What has not been taken goes with the publisher.
+            self._command.wait_for_all_acked(Duration(seconds=_LAST_WORD))
+        super().destroy_node()
+
+    def _command_finding(self) -> Finding:
+        commands, self._commands = self._commands, 0
+        met, self._met = self._met, 0
+        safe = f"the safe current, {self._options.control.safe_current:g} A, is commanded"
+        if self._last is None or self._inputs.silent:
+            return Finding(STALE, f"no samples come: {safe}")
+        last = self._last
+        values: dict[str, object] = {
+            "current [A]": f"{last.current:.4f}",
+            "desired force [N]": f"{last.wanted:.4g}",
+            "expected force [N]": f"{last.expected:.4g}",
+            "feedback factor": f"{self._controller.feedback_factor:.4f}",
+            "doubt": last.doubt.kind.name,
+        }
+        if self._refused_demand:
+            return Finding(WARN, f"{self._refused_demand}; the last one holds", values)
+        if last.doubt:
+            level = ERROR if last.doubt.kind.grave else WARN
+            return Finding(level, f"{last.doubt.sentence}: {safe}", values)
+        share = met / commands if commands else math.nan
+        values["attainable"] = f"{share:.3f}"
+        return Finding(
+            OK,
+            f"{last.current:.3f} A for {last.wanted:.0f} N; {share:.0%} of the desired forces of "
+            "the last second could be had, the others drive the motion or are too large",
+            values,
+        )
+
+    def _tracking_finding(self) -> Finding:
+        nrmse = self._tracking.nrmse
+        if math.isnan(nrmse):
+            return Finding(OK, "no desired force has been given yet")
+        return Finding(
+            OK,
+            f"what could be had was missed by {nrmse:.1%} of the measured force",
+            {"NRMSE": f"{nrmse:.4f}"},
+        )
+
+    def _latency_finding(self) -> Finding:
+        slowest, self._slowest = self._slowest, 0.0
+        if slowest == 0.0:
+            return Finding(STALE, "no block since the last report")
+        return Finding(
+            OK,
+            f"at most {1e3 * slowest:.2f} ms from a block to its command",
+            {"slowest [ms]": f"{1e3 * slowest:.3f}"},
+        )
+
+
+def main() -> int:
+    """Run the node."""
+    return run(ControllerNode, ControllerParameters, between=ControllerNode.finish_in_time)

@@ -1,0 +1,142 @@
+"""The parameters that a node works with: those that it is sent, and what the identifier says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from mr_damper_msgs.msg import DamperParameters, FitReport
+from rclpy.node import Node
+
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.plausibility import check_plausible
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Finding
+from mr_damper_ros.nodes.messages import to_nanoseconds
+from mr_damper_ros.nodes.node_parameters import ConfigurationError
+from mr_damper_ros.nodes.results import parameter_set
+from mr_damper_ros.tracking.predictor import ForcePredictor
+from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
+
+PARAMETERS_TOPIC = "damper/parameters"
+
+_REPORTS = 10
+"""Reports that may wait: only the newest ones matter."""
+
+
+_SHOWN = 100
+"""Characters of a name that are repeated: a message may hold a megabyte of them."""
+
+
+class _Use(Protocol):
+    """What takes a set, with the stamp of the last sample that it is known to fit."""
+
+    def __call__(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None: ...
+
+
+class ParameterInput:
+    """Subscribes parameters and reports, and hands on what can be used.
+
+    ``use`` takes a set; the ``predictor`` is told what the identifier says of the set in use.
+    ``trusted_source`` is the one node whose parameters are used, empty for any. Those of a file are
+    used at once; raises ConfigurationError where they cannot be.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        use: _Use,
+        predictor: ForcePredictor,
+        *,
+        parameter_file: str,
+        trusted_source: str,
+        replaced: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._node = node
+        self._use = use
+        self._predictor = predictor
+        self._trusted = trusted_source
+        self._replaced = replaced
+        self._refused = ""
+        self._from = ""
+        if parameter_file:
+            use(_read(parameter_file))
+            self._from = parameter_file
+        node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())
+        node.create_subscription(
+            FitReport,
+            "damper/fit_report",
+            self._take_report,
+            quality.stream(_REPORTS),
+            qos_overriding_options=quality.overridable(),
+        )
+
+    def _take(self, message: DamperParameters) -> None:
+        source = message.node or "a node that does not say its name"
+        if self._trusted and message.node != self._trusted:
+            self._refused = (
+                f"they come from {source[:_SHOWN]}, and trusted_source is {self._trusted}"
+            )
+            return
+        try:
+            parameters = check_plausible(parameter_set(message))
+        except ParameterError as error:
+            self._refused = str(error)
+            self._node.get_logger().warning(
+                f"parameters {message.id[:_SHOWN]} are not used: {error}"
+            )
+            return
+        self._refused = ""
+        self._from = source
+        # Published parameters that come from no samples have the stamp 0.
+        self._use(parameters, parameters.stamp_ns or None)
+        self._replaced()
+        self._node.get_logger().debug(f"using parameters {parameters.set_id}")
+
+    def _take_report(self, message: FitReport) -> None:
+        self._predictor.follow_verdict(
+            message.verdict, message.nrmse_before, confirms=message.confirms
+        )
+        if message.confirms:
+            self._predictor.confirm(message.parameter_set, to_nanoseconds(message.header.stamp))
+
+    def finding(self, doing: str) -> Finding:
+        """Which set is in use; ``doing`` says for what, such as "predicting"."""
+        parameters = self._predictor.parameters
+        topic = self._node.resolve_topic_name(PARAMETERS_TOPIC)
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        if len(publishers) > 1 and not self._trusted:
+            names = " and ".join(
+                sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in publishers)
+            )
+            return Finding(
+                ERROR,
+                f"{PARAMETERS_TOPIC} is published by {names}: end all but one, or name the one to "
+                "use in trusted_source",
+            )
+        if self._refused:
+            return Finding(WARN, f"the newest parameters are not used: {self._refused}")
+        if parameters is None:
+            return Finding(
+                WARN,
+                "no parameters yet: start the identifier in this namespace, or give parameter_file",
+            )
+        return Finding(
+            OK,
+            f"{doing} with {parameters.set_id}",
+            {
+                "id": parameters.set_id,
+                "model": parameters.model,
+                "source": parameters.source,
+                "from": self._from,
+                "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
+                "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
+            },
+        )
+
+
+def _read(path: str) -> ParameterSet:
+    try:
+        return check_plausible(read_parameter_file(path))
+    except (StateError, ParameterError) as error:
+        raise ConfigurationError(f"parameter_file: {error}") from error

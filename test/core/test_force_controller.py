@@ -1,0 +1,317 @@
+"""Control of the force: what is wanted comes, and nothing uncertain is commanded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from known import EXAMPLES, PLAUSIBLE, T0
+from random_motion import BandLimitedRandom
+
+from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
+from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import (
+    CurrentSchedule,
+    Damper,
+    EmulatedRig,
+    ModelDamper,
+    RigSettings,
+    TemperatureDependentDamper,
+)
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.predictor import PredictorSettings
+from mr_damper_ros.tracking.validity import DoubtKind
+
+PERIOD = 1e-3
+BLOCK = 10
+
+WHOLE = ParameterSet(
+    PLAUSIBLE,
+    set_id="true",
+    peak_velocity_range=(0.0, 1.0),
+    current_range=(0.0, 2.0),
+    largest_force=4000.0,
+)
+
+TRACKED = 0.1
+"""NRMSE of the force against the wanted one, where that can be had: the bar for a lag of 10 ms."""
+
+SETTLED = 2.5
+"""Seconds after which motion and peak velocity are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What was wanted, could be had and came; arrays (n,), commands by block."""
+
+    wanted: Array
+    attainable: np.ndarray
+    force: Array
+    commands: list[Command]
+
+    @property
+    def nrmse(self) -> float:
+        """Of the samples whose wanted force could be had."""
+        error = (self.force - self.wanted)[self.attainable]
+        return float(np.sqrt(np.mean(error**2)) / np.std(self.force))
+
+
+class Loop:
+    """A rig whose supply does what the controller commands, from the next block on."""
+
+    def __init__(
+        self,
+        controller: ForceController,
+        damper: Damper,
+        *,
+        coil: float = 0.0,
+        noise: float = 5.53,
+        excitation: object | None = None,
+    ) -> None:
+        self.controller = controller
+        self._times, self._currents = [0.0], [controller.settings.safe_current]
+        self._rig = EmulatedRig(
+            damper,
+            excitation or BandLimitedRandom(0.004, 0.5, 3.0, seed=4),  # type: ignore[arg-type]
+            CurrentSchedule(self._times, self._currents),
+            settings=RigSettings(force_noise=noise, start_ns=T0),
+            coil_time_constant=coil,
+        )
+
+    def blocks(self, duration: float) -> Iterator[SampleBlock]:
+        """Blocks of samples, whose currents the controller has been told."""
+        for number in range(round(duration / PERIOD / BLOCK)):
+            # The rig makes a hundred samples at a time: a command takes effect after those.
+            made = self._rig.next_block(BLOCK)
+            for place in range(BLOCK):
+                self.controller.predictor.add_current(made.stamp_ns(place), made.current[place])
+            self._now = (number + 1) * BLOCK * PERIOD
+            yield SampleBlock(made.start_ns, made.sequence, PERIOD, made.displacement, made.force)
+
+    def command(self, current: float) -> None:
+        """Turn the supply."""
+        self._times.append(self._now)
+        self._currents.append(current)
+
+
+@pytest.fixture
+def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rig that obeys with the next block."""
+    monkeypatch.setattr("mr_damper_ros.rig.emulator._CHUNK", BLOCK)
+
+
+def settings(feedback_gain: float = 0.0, **changes: float) -> ForceControlSettings:
+    """Of a controller whose samples have no age by the clock."""
+    return ForceControlSettings(
+        feedback=FeedbackSettings(feedback_gain=feedback_gain),
+        predictor=PredictorSettings(max_age=0.0),
+        **changes,
+    )
+
+
+def controlled(parameters: ParameterSet, **changes: float) -> ForceController:
+    controller = ForceController(settings(**changes))
+    controller.set_parameters(parameters)
+    return controller
+
+
+def tracked(loop: Loop, demand: float, duration: float = 5.5) -> Trial:
+    """Want a viscous damper of so many N s/m, by the motion of the block before."""
+    wanted, attainable, forces, commands = [], [], [], []
+    velocity, last = 0.0, None
+    for block in loop.blocks(duration):
+        if last is not None and last.doubt.kind is DoubtKind.NONE:
+            time = (block.start_ns - T0) / NANOSECONDS
+            if time > SETTLED:
+                wanted += [last.wanted] * BLOCK
+                attainable += [last.attainable] * BLOCK
+                forces.append(block.force)
+        steps = np.diff(block.displacement)
+        velocity = float(steps.mean()) / PERIOD
+        loop.controller.want(block.end_ns, demand * velocity)
+        last = loop.controller.command(block)
+        loop.controller.catch_up()
+        loop.command(last.current)
+        commands.append(last)
+    return Trial(
+        np.array(wanted), np.array(attainable), np.concatenate(forces or [np.empty(0)]), commands
+    )
+
+
+def lagging_coil(name: str, time_constant: float) -> ParameterSet:
+    """The damper with a coil that lags."""
+    values = np.pad(PLAUSIBLE, (0, 4)) if name == "sigmoid_lag" else EXAMPLES[name].copy()
+    values[-1] = time_constant
+    return ParameterSet(
+        values, model=name, peak_velocity_range=(0.0, 1.0), current_range=(0.0, 2.0)
+    )
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_dissipative_force_is_tracked() -> None:
+    trial = tracked(Loop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD)), 12e3)
+    assert trial.attainable.mean() > 0.3
+    assert trial.nrmse < TRACKED
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_coil_that_lags_is_made_up_for() -> None:
+    late = lagging_coil("sigmoid_lag", 0.01)
+    trial = tracked(Loop(controlled(late), ModelDamper(late, PERIOD)), 12e3)
+    assert trial.nrmse < TRACKED
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_other_laws_are_controlled_too() -> None:
+    values = EXAMPLES["bouc_wen"].copy()
+    names = list(ParameterSet(values, model="bouc_wen").law.parameter_names)
+    values[names.index("alpha_1")], values[names.index("c0_1")] = 3.0, 1.0
+    other = ParameterSet(
+        values, model="bouc_wen", peak_velocity_range=(0.0, 1.0), current_range=(0.0, 2.0)
+    )
+    trial = tracked(Loop(controlled(other), ModelDamper(other, PERIOD)), 25e3)
+    assert trial.attainable.mean() > 0.3
+    assert trial.nrmse < TRACKED
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_feedback_makes_good_a_damper_that_has_got_weaker() -> None:
+    weak = PLAUSIBLE.copy()
+    weak[0] *= 0.9
+    errors = []
+    for gain in (0.0, 2.0):
+        controller = controlled(WHOLE, feedback_gain=gain)
+        damper = TemperatureDependentDamper(weak, weak)
+        errors.append(tracked(Loop(controller, damper), 12e3).nrmse)
+    assert errors[1] < 0.7 * errors[0]
+    assert controller.feedback_factor == pytest.approx(1.0 / 0.9, abs=0.04)
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_the_current_does_not_chatter() -> None:
+    loop = Loop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD))
+    commands = np.array([c.current for c in tracked(loop, 12e3).commands[250:]])
+    moves = np.diff(commands)
+    moves = moves[np.abs(moves) > 0.02]
+    reversals = np.count_nonzero(np.diff(np.sign(moves)) != 0)
+    assert reversals / (commands.size * BLOCK * PERIOD) <= 20.0
+
+
+# -- nothing uncertain -----------------------------------------------------------------------------
+
+
+def after(
+    controller: ForceController,
+    duration: float = 4.0,
+    demand: float | None = 500.0,
+    noise: float = 0.0,
+    damper: Damper | None = None,
+) -> Command:
+    """The last command of a sine during which a force was wanted all the time."""
+    loop = Loop(
+        controller,
+        damper or ModelDamper(WHOLE, PERIOD),
+        noise=noise,
+        excitation=SineMotion(5e-3, 1.0),
+    )
+    for block in loop.blocks(duration):
+        if demand is not None:
+            controller.want(block.end_ns, demand)
+        last = controller.command(block)
+        loop.command(last.current)
+    return last
+
+
+def test_before_the_motion_is_known_the_current_is_safe() -> None:
+    command = after(controlled(WHOLE, safe_current=0.3), 0.5)
+    assert command.doubt.kind is DoubtKind.SETTLING
+    assert command.current == 0.3
+
+
+def test_without_parameters_the_current_is_safe() -> None:
+    command = after(ForceController(settings(safe_current=0.2)))
+    assert command.doubt.kind is DoubtKind.MISSING
+    assert command.current == 0.2
+
+
+def test_without_a_desired_force_the_current_is_safe() -> None:
+    command = after(controlled(WHOLE), demand=None)
+    assert command.doubt.kind is DoubtKind.MISSING
+    assert "damper/desired_force" in command.doubt.sentence
+    assert command.current == 0.0
+
+
+def test_an_old_desired_force_counts_no_more() -> None:
+    controller = controlled(WHOLE)
+    controller.want(T0, 500.0)
+    command = after(controller, demand=None)
+    assert command.doubt.kind is DoubtKind.OUTDATED
+    assert command.current == 0.0
+
+
+def test_a_desired_force_that_is_no_number_is_refused() -> None:
+    assert "finite" in ForceController(settings()).want(T0, math.nan)
+
+
+def test_a_set_of_a_single_current_commands_nothing() -> None:
+    command = after(controlled(replace(WHOLE, current_range=(0.0, 0.0))))
+    assert command.doubt.kind is DoubtKind.OUT_OF_RANGE
+    assert "several currents" in command.doubt.sentence
+
+
+def test_no_current_beyond_the_identified_ones_is_commanded() -> None:
+    command = after(controlled(replace(WHOLE, current_range=(0.0, 0.8))), demand=-1e5)
+    currents = {round(command.current, 6)}
+    assert not command.doubt
+    assert max(currents) <= 0.8
+
+
+@pytest.mark.usefixtures("small_chunks")
+def test_a_prediction_that_the_measured_force_belies_commands_nothing() -> None:
+    strong = PLAUSIBLE.copy()
+    strong[0] *= 2.0
+    controller = controlled(WHOLE)
+    command = after(controller, damper=TemperatureDependentDamper(strong, strong))
+    assert command.doubt.kind is DoubtKind.WRONG
+    assert command.current == 0.0
+
+
+def test_a_force_that_drives_is_said_not_to_be_had() -> None:
+    command = after(controlled(WHOLE), demand=1e5)
+    other = after(controlled(WHOLE), demand=-1e5)
+    assert not command.attainable
+    assert not other.attainable
+    assert abs(command.expected) < 4000.0
+
+
+def test_what_was_commanded_is_given_up() -> None:
+    controller = controlled(WHOLE, safe_current=0.1)
+    after(controller)
+    assert controller.give_up() == 0.1
+
+
+# -- feedback --------------------------------------------------------------------------------------
+
+
+def test_the_factor_of_the_feedback_has_limits() -> None:
+    feedback = ForceFeedback(FeedbackSettings(feedback_gain=10.0, feedback_limit=0.3))
+    for _ in range(100):
+        feedback.expect(1000.0)
+        feedback.follow(100.0, 0.1)
+    assert feedback.factor == pytest.approx(1.3)
+
+
+def test_what_was_not_to_be_had_does_not_count() -> None:
+    feedback = ForceFeedback(FeedbackSettings(feedback_gain=10.0))
+    feedback.expect(math.nan)
+    feedback.follow(100.0, 0.1)
+    feedback.expect(1000.0)
+    feedback.pause()
+    feedback.follow(100.0, 0.1)
+    assert feedback.factor == 1.0
