@@ -15,6 +15,7 @@ TOOLS = (
     *(
         "check_rig",
         "demo",
+        "export",
         "identify",
         "identify_many",
         "import_record",
@@ -100,6 +101,7 @@ setup(
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.models": ["*.csv"],
+        f"{NAME}.control.export": ["*.in"],
         f"{NAME}.live": ["page/*", "page/vendor/*/*"],
         f"{NAME}.rig.supplies": ["profiles/*.yaml"],
     },

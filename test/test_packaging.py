@@ -17,6 +17,7 @@ TOOLS = (
     *(
         "check_rig",
         "demo",
+        "export",
         "identify",
         "identify_many",
         "import_record",

@@ -60,6 +60,7 @@ PROGRAMS = (
     "check_rig",
     "import_record",
     "identify",
+    "export",
     "identify_many",
     "validate",
     "watch",

@@ -47,7 +47,7 @@ class CausalDifferentiator:
     def __init__(self, period: float, bandwidth: float) -> None:
         self._period = period
         self.tune(bandwidth)
-        self._settling = math.ceil(_SETTLING / (2.0 * math.pi * bandwidth * period))
+        self._settling = settling_samples(period, bandwidth)
         self.reset()
 
     def tune(self, bandwidth: float) -> None:
@@ -112,7 +112,7 @@ class NoiseGains(NamedTuple):
 @lru_cache(maxsize=256)
 def noise_gains(period: float, bandwidth: float) -> NoiseGains:
     """Gains of the observer of this sample period [s] and bandwidth [Hz]."""
-    closed, gain = _closed_loop(period, bandwidth)
+    closed, gain = closed_loop(period, bandwidth)
     # The power of the states' noise: P = A P A' + g g', by doubling.
     power, step = np.outer(gain, gain), closed
     for _ in range(40):
@@ -123,7 +123,12 @@ def noise_gains(period: float, bandwidth: float) -> NoiseGains:
     )
 
 
-def _closed_loop(period: float, bandwidth: float) -> tuple[Array, Array]:
+def settling_samples(period: float, bandwidth: float) -> int:
+    """Samples after which the start of the observer is forgotten."""
+    return math.ceil(_SETTLING / (2.0 * math.pi * bandwidth * period))
+
+
+def closed_loop(period: float, bandwidth: float) -> tuple[Array, Array]:
     """Matrix (4, 4) and gain (4,) of the states: x+ = A x + g y.
 
     They follow x+ = (1 - L C) F x + L y, where F integrates a constant jerk and L places all poles.
@@ -151,7 +156,7 @@ def _observer(period: float, bandwidth: float) -> tuple[Array, Array]:
 
     Shapes (4, m, 4) and (4, m, m), the second lower triangular in the samples.
     """
-    closed, gain = _closed_loop(period, bandwidth)
+    closed, gain = closed_loop(period, bandwidth)
     decays = np.empty((_ORDER, _STRETCH, _ORDER))
     impulses = np.empty((_ORDER, _STRETCH))
     impulse, power = gain, closed

@@ -25,6 +25,7 @@ from mr_damper_ros.signals.arrays import Array
 if TYPE_CHECKING:
     from mr_damper_ros.models.current_response import CurrentResponse
     from mr_damper_ros.models.force_stream import ForceStream
+    from mr_damper_ros.models.sigmoid.law_formulas import SigmoidFormulas
     from mr_damper_ros.models.window_problem import WindowProblem
 
 State = tuple[Array, ...]
@@ -296,6 +297,11 @@ class Model(ABC):
         from mr_damper_ros.models.current_response import even_nodes  # only an inverse needs it
 
         return even_nodes(lowest, highest)
+
+    @property
+    def formulas(self) -> SigmoidFormulas | None:
+        """The law for other languages; None where it was not written down for them."""
+        return None
 
     # One window
 

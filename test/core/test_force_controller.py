@@ -47,7 +47,7 @@ SETTLED = 2.5
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class ControlTrial:
     """What was wanted, could be had and came; arrays (n,), commands by block."""
 
     wanted: Array
@@ -62,7 +62,7 @@ class Trial:
         return float(np.sqrt(np.mean(error**2)) / np.std(self.force))
 
 
-class Loop:
+class ControlLoop:
     """A rig whose supply does what the controller commands, from the next block on."""
 
     def __init__(
@@ -121,7 +121,7 @@ def controlled(parameters: ParameterSet, **changes: float) -> ForceController:
     return controller
 
 
-def tracked(loop: Loop, demand: float, duration: float = 5.5) -> Trial:
+def tracked(loop: ControlLoop, demand: float, duration: float = 5.5) -> ControlTrial:
     """Want a viscous damper of so many N s/m, by the motion of the block before."""
     wanted, attainable, forces, commands = [], [], [], []
     velocity, last = 0.0, None
@@ -139,7 +139,7 @@ def tracked(loop: Loop, demand: float, duration: float = 5.5) -> Trial:
         loop.controller.catch_up()
         loop.command(last.current)
         commands.append(last)
-    return Trial(
+    return ControlTrial(
         np.array(wanted), np.array(attainable), np.concatenate(forces or [np.empty(0)]), commands
     )
 
@@ -155,7 +155,7 @@ def lagging_coil(name: str, time_constant: float) -> ParameterSet:
 
 @pytest.mark.usefixtures("small_chunks")
 def test_a_dissipative_force_is_tracked() -> None:
-    trial = tracked(Loop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD)), 12e3)
+    trial = tracked(ControlLoop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD)), 12e3)
     assert trial.attainable.mean() > 0.3
     assert trial.nrmse < TRACKED
 
@@ -163,7 +163,7 @@ def test_a_dissipative_force_is_tracked() -> None:
 @pytest.mark.usefixtures("small_chunks")
 def test_a_coil_that_lags_is_made_up_for() -> None:
     late = lagging_coil("sigmoid_lag", 0.01)
-    trial = tracked(Loop(controlled(late), ModelDamper(late, PERIOD)), 12e3)
+    trial = tracked(ControlLoop(controlled(late), ModelDamper(late, PERIOD)), 12e3)
     assert trial.nrmse < TRACKED
 
 
@@ -175,7 +175,7 @@ def test_other_laws_are_controlled_too() -> None:
     other = ParameterSet(
         values, model="bouc_wen", peak_velocity_range=(0.0, 1.0), current_range=(0.0, 2.0)
     )
-    trial = tracked(Loop(controlled(other), ModelDamper(other, PERIOD)), 25e3)
+    trial = tracked(ControlLoop(controlled(other), ModelDamper(other, PERIOD)), 25e3)
     assert trial.attainable.mean() > 0.3
     assert trial.nrmse < TRACKED
 
@@ -188,14 +188,14 @@ def test_feedback_makes_good_a_damper_that_has_got_weaker() -> None:
     for gain in (0.0, 2.0):
         controller = controlled(WHOLE, feedback_gain=gain)
         damper = TemperatureDependentDamper(weak, weak)
-        errors.append(tracked(Loop(controller, damper), 12e3).nrmse)
+        errors.append(tracked(ControlLoop(controller, damper), 12e3).nrmse)
     assert errors[1] < 0.7 * errors[0]
     assert controller.feedback_factor == pytest.approx(1.0 / 0.9, abs=0.04)
 
 
 @pytest.mark.usefixtures("small_chunks")
 def test_the_current_does_not_chatter() -> None:
-    loop = Loop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD))
+    loop = ControlLoop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD))
     commands = np.array([c.current for c in tracked(loop, 12e3).commands[250:]])
     moves = np.diff(commands)
     moves = moves[np.abs(moves) > 0.02]
@@ -214,7 +214,7 @@ def after(
     damper: Damper | None = None,
 ) -> Command:
     """The last command of a sine during which a force was wanted all the time."""
-    loop = Loop(
+    loop = ControlLoop(
         controller,
         damper or ModelDamper(WHOLE, PERIOD),
         noise=noise,

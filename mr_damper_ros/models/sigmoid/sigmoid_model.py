@@ -49,6 +49,7 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
     sign_of_pair,
 )
+from mr_damper_ros.models.sigmoid.law_formulas import SigmoidFormulas
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.models.sigmoid.scale_misfit import (
     ScaleMisfit,
@@ -145,6 +146,11 @@ class SigmoidModel(Model):
         """Closer together where the two factors change."""
         fine = np.linspace(lowest, highest, _FINE)
         return nodes_along(current_gains(parameters[:SIGMOID_COUNT], fine), fine)
+
+    @property
+    def formulas(self) -> SigmoidFormulas:
+        """The law for other languages."""
+        return SigmoidFormulas()
 
     def starts(self, reading: LoopReading) -> Array:
         """Some steepness, some hysteresis, no dependence on velocity or current."""

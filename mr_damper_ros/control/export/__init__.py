@@ -1,0 +1,1 @@
+"""An identified set as code for other machines: C, an FMU, M-code."""

@@ -1,0 +1,112 @@
+"""The law as an FMU: FMI 2.0 for co-simulation, made by the C compiler of this machine."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+from mr_damper_ros.control.export.c_header import filled, header, template
+from mr_damper_ros.control.export.compiler import compile_library
+from mr_damper_ros.control.export.exported_law import ExportedLaw, number
+
+_VARIABLES = (
+    ("displacement", "input", "m", "Displacement of the rod, extension positive"),
+    ("current", "input", "A", "Current of the supply"),
+    ("desired_force", "input", "N", "Force that is wanted, tension positive"),
+    ("force", "output", "N", "Force of the damper, tension positive"),
+    ("velocity", "output", "m/s", "Velocity as it is observed"),
+    ("peak_velocity", "output", "m/s", "Peak velocity of the present cycle"),
+    ("coil_current", "output", "A", "Current in the coil"),
+    ("desired_current", "output", "A", "Current in the coil for the desired force"),
+    ("attainable_force", "output", "N", "Force that this current gives"),
+    ("centre", "parameter", "m", "Displacement at the centre of the motion"),
+)
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+"""Time in the archive: the same set gives the same bytes."""
+
+
+def write_fmu(law: ExportedLaw, name: str, path: Path) -> None:
+    """Write the FMU. Raises ExportError where there is no compiler, or it fails; OSError."""
+    code = header(law, name)
+    guid = hashlib.sha256(code.encode()).hexdigest()[:32]
+    source = filled(template("fmu.c.in"), {"GUARD": name.upper(), "NAME": name, "GUID": guid})
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        (place / f"{name}.h").write_text(code, encoding="utf-8")
+        (place / "fmu.c").write_text(source, encoding="utf-8")
+        library = place / f"{name}{_suffix()}"
+        compile_library(place / "fmu.c", library, "-fvisibility=hidden")
+        entries = {
+            "modelDescription.xml": _description(law, name, guid).encode(),
+            f"sources/{name}.h": code.encode(),
+            "sources/fmu.c": source.encode(),
+            f"binaries/{_platform()}/{library.name}": library.read_bytes(),
+        }
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for entry, content in entries.items():
+            archive.writestr(zipfile.ZipInfo(entry, _EPOCH), content, zipfile.ZIP_DEFLATED)
+
+
+def _platform() -> str:
+    """Folder of the binaries, as FMI 2.0 names it."""
+    system = {"linux": "linux", "darwin": "darwin", "win32": "win"}.get(sys.platform, sys.platform)
+    return system + platform.architecture()[0].removesuffix("bit")
+
+
+def _suffix() -> str:
+    return {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
+
+
+def _description(law: ExportedLaw, name: str, guid: str) -> str:
+    variables, outputs = [], []
+    for place, (variable, causality, unit, meaning) in enumerate(_VARIABLES):
+        kind = {
+            "input": 'causality="input" variability="continuous"',
+            "output": 'causality="output" variability="continuous" initial="calculated"',
+            "parameter": 'causality="parameter" variability="fixed" initial="exact"',
+        }[causality]
+        start = "" if causality == "output" else ' start="0.0"'
+        variables.append(
+            f'    <ScalarVariable name="{variable}" valueReference="{place}" {kind} '
+            f"description={quoteattr(meaning)}>\n"
+            f'      <Real unit="{unit}"{start}/>\n    </ScalarVariable>'
+        )
+        if causality == "output":
+            outputs.append(f'<Unknown index="{place + 1}"/>')
+    units = "\n".join(
+        f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>'
+        for unit, base in (
+            ("m", 'm="1"'),
+            ("A", 'A="1"'),
+            ("N", 'kg="1" m="1" s="-2"'),
+            ("m/s", 'm="1" s="-1"'),
+        )
+    )
+    rows, unknowns = "\n".join(variables), "".join(outputs)
+    return f"""\
+<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{guid}"
+  description={quoteattr(law.provenance)} generationTool="mr_damper_ros"
+  variableNamingConvention="flat">
+  <CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true">
+    <SourceFiles><File name="fmu.c"/></SourceFiles>
+  </CoSimulation>
+  <UnitDefinitions>
+{units}
+  </UnitDefinitions>
+  <DefaultExperiment startTime="0.0" stopTime="10.0" stepSize="{number(law.settings.period)}"/>
+  <ModelVariables>
+{rows}
+  </ModelVariables>
+  <ModelStructure>
+    <Outputs>{unknowns}</Outputs>
+    <InitialUnknowns>{unknowns}</InitialUnknowns>
+  </ModelStructure>
+</fmiModelDescription>
+"""

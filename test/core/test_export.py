@@ -1,0 +1,321 @@
+"""What is exported is the law: point by point, and along a stream."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from known import EXAMPLES, PLAUSIBLE
+from random_motion import BandLimitedRandom
+
+from mr_damper_ros.control.export.c_header import header
+from mr_damper_ros.control.export.compiler import compile_library, compiler
+from mr_damper_ros.control.export.exported_law import (
+    ExportedLaw,
+    ExportError,
+    ExportSettings,
+    Vectors,
+)
+from mr_damper_ros.control.export.matlab import functions
+from mr_damper_ros.control.export.translation import C, M, expression
+from mr_damper_ros.kinematics.causal import CausalDifferentiator
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published_conditions import CONDITIONS, parameters
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tools import export
+
+POINTS = 20_000
+
+SAME = 1e-9
+"""Relative; of a force next to nothing, of a newton."""
+
+SAME_STREAM = 1e-7
+"""Of the largest force: what the observer has rounded goes through its gain."""
+
+MISSED = 1.1e-6
+"""Of the span: what the inverse allows itself, and the rounding of that."""
+
+LATE = np.array([*PLAUSIBLE, 3e-8, 2000.0, -40.0, 0.008])
+
+SETS = {
+    "sigmoid": ParameterSet(PLAUSIBLE, peak_velocity_range=(0.0, 1.0)),
+    "thesis": ParameterSet(parameters(CONDITIONS[20])),
+    "sigmoid_lag": ParameterSet(LATE, model="sigmoid_lag", peak_velocity_range=(0.02, 0.3)),
+}
+
+needs_compiler = pytest.mark.skipif(
+    compiler() is None, reason="there is no C compiler to make the exported code with"
+)
+
+
+class Compiled:
+    """The C code of a set, called for many points at once."""
+
+    def __init__(self, law: ExportedLaw, folder: Path) -> None:
+        (folder / "mr_damper.h").write_text(header(law, "mr_damper"))
+        driver = Path(__file__).with_name("export_driver.c")
+        self.said = compile_library(driver, folder / "driver.so", f"-I{folder}")
+        self._library = ctypes.CDLL(str(folder / "driver.so"))
+
+    def law(self, inputs: Array) -> tuple[Array, Array]:
+        coefficients, force = np.empty((len(inputs), 7)), np.empty(len(inputs))
+        self._library.law(_of(inputs), len(inputs), _of(coefficients), _of(force))
+        return coefficients.T, force
+
+    def inverse(self, inputs: Array, wanted: Array) -> tuple[Array, Array]:
+        current, force = np.empty(wanted.size), np.empty(wanted.size)
+        self._library.inverse(_of(inputs), _of(wanted), wanted.size, _of(current), _of(force))
+        return current, force
+
+    def stream(self, displacement: Array, current: Array, centre: float) -> Array:
+        force = np.empty(displacement.size)
+        self._library.stream(
+            *(_of(displacement), _of(current), force.size, ctypes.c_double(centre), _of(force))
+        )
+        return force
+
+
+def _of(array: Array) -> Any:
+    assert array.flags.c_contiguous
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+@pytest.fixture(scope="module", params=SETS)
+def law(request: pytest.FixtureRequest) -> ExportedLaw:
+    return ExportedLaw.of(SETS[request.param], ExportSettings())
+
+
+@pytest.fixture(scope="module")
+def compiled(law: ExportedLaw, tmp_path_factory: pytest.TempPathFactory) -> Compiled:
+    if compiler() is None:
+        pytest.skip("there is no C compiler to make the exported code with")
+    return Compiled(law, tmp_path_factory.mktemp("c"))
+
+
+def assert_same(got: Array, expected: Array) -> None:
+    np.testing.assert_array_less(np.abs(got - expected), SAME * np.maximum(np.abs(expected), 1.0))
+
+
+# -- C ---------------------------------------------------------------------------------------------
+
+
+def test_the_compiler_has_nothing_to_say(compiled: Compiled) -> None:
+    assert compiled.said == ""
+
+
+def test_the_c_code_is_the_law_point_by_point(law: ExportedLaw, compiled: Compiled) -> None:
+    vectors = Vectors.of(law, POINTS)
+    coefficients, force = compiled.law(vectors.inputs)
+    assert_same(coefficients, vectors.coefficients)
+    assert_same(force, vectors.force)
+
+
+def test_the_c_inverse_gives_what_was_wanted(law: ExportedLaw, compiled: Compiled) -> None:
+    inputs = Vectors.of(law, 4000, seed=1).inputs
+    inputs = np.ascontiguousarray(inputs[np.abs(inputs[:, 0]) < 1.0])
+    every = np.linspace(law.nodes[0], law.nodes[-1], 201)
+    forces = np.stack(
+        [law.formulas.expected(law.parameters.values, _at(inputs, i))[1] for i in every]
+    )
+    least, most = forces.min(axis=0), forces.max(axis=0)
+    span = most - least
+    wanted = np.random.default_rng(2).uniform(least - 0.3 * span, most + 0.3 * span)
+    current, _ = compiled.inverse(inputs, wanted)
+    assert current.min() >= law.nodes[0]
+    assert current.max() <= law.nodes[-1]
+    force = law.formulas.expected(law.parameters.values, _at(inputs, current))[1]
+    further = np.abs(force - wanted) - np.abs(np.clip(wanted, least, most) - wanted)
+    size = np.maximum(np.maximum(np.abs(least), np.abs(most)), 1.0)
+    if law.parameters.model == "sigmoid":  # that of the other is late, and has an offset
+        assert np.all(further <= MISSED * span + SAME * size)
+
+
+def _at(inputs: Array, current: Array | float) -> Array:
+    other = inputs.copy()
+    other[:, 2] = current
+    return other
+
+
+def expected_stream(law: ExportedLaw, displacement: Array, current: Array, centre: float) -> Array:
+    """The force of the stream by the classes of this package."""
+    period = law.settings.period
+    observer = CausalDifferentiator(period, law.settings.bandwidth)
+    peak = PeakVelocity(period, MEMORY)
+    stream = law.parameters.law.continuous.stream(period)
+    forces = []
+    for place in range(displacement.size):
+        here = slice(place, place + 1)
+        u, v, a = observer.follow(displacement[here])
+        v_m = peak.follow(v, a) if observer.settled else np.abs(v)
+        motion = Motion(u - centre, v, a, v_m, None).held_within(*law.held)
+        forces.append(stream.follow(law.parameters.values, motion, current[here]))
+    return np.concatenate(forces)
+
+
+def test_the_c_stream_is_that_of_the_package(law: ExportedLaw, compiled: Compiled) -> None:
+    time = np.arange(2500) * law.settings.period
+    displacement = 0.02 + BandLimitedRandom(0.004, 0.5, 6.0, seed=2).at(time).displacement
+    current = np.where(np.sin(7.0 * time) > 0.3, 1.2, 0.2)
+    got = compiled.stream(displacement, current, 0.02)
+    expected = expected_stream(law, displacement, current, 0.02)
+    assert np.abs(got - expected).max() <= SAME_STREAM * np.abs(expected).max()
+
+
+@needs_compiler
+def test_two_dampers_fit_into_one_program(tmp_path: Path) -> None:
+    for name, chosen in (("left", "sigmoid"), ("right", "sigmoid_lag")):
+        law = ExportedLaw.of(SETS[chosen], ExportSettings())
+        (tmp_path / f"{name}.h").write_text(header(law, name))
+    program = tmp_path / "both.c"
+    program.write_text(
+        '#include "left.h"\n#include "right.h"\n'
+        "double both(const left_point *l, const right_point *r);\n"
+        "double both(const left_point *l, const right_point *r) {\n"
+        "  return left_force(l, 1.0) + right_force(r, 1.0);\n}\n"
+    )
+    assert compile_library(program, tmp_path / "both.so") == ""
+
+
+# -- M-code ----------------------------------------------------------------------------------------
+
+
+def test_the_m_code_is_the_law_point_by_point(law: ExportedLaw) -> None:
+    """Its formulas are straight lines of operators and functions that Python has, too."""
+    vectors = Vectors.of(law, 2000)
+    names: dict[str, Any] = {
+        "exp": np.exp,
+        "tanh": np.tanh,
+        "abs": np.abs,
+        "damper_larger": np.maximum,
+        "damper_clip": np.clip,
+        "damper_where": np.where,
+        "damper_sat": lambda x: np.clip(x, -1e100, 1e100),
+        "damper_number": lambda x: np.where(np.isnan(x), 0.0, x),
+        **dict(zip(("v", "v_m", "i", "s", "change"), vectors.inputs.T, strict=True)),
+    }
+    body = functions(law)["damper_force.m"].splitlines()
+    first = next(k for k, line in enumerate(body) if line.startswith("f0 ="))
+    with np.errstate(all="ignore"):
+        for line in body[first:-1]:
+            exec(line.replace(".*", "*").replace("./", "/").rstrip(";"), {}, names)
+    assert_same(names["force"], vectors.force)
+
+
+@pytest.mark.skipif(shutil.which("octave") is None, reason="Octave is not installed")
+def test_octave_runs_the_m_code(law: ExportedLaw, tmp_path: Path) -> None:
+    for name, text in functions(law).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "vectors.csv").write_text(Vectors.of(law, POINTS).csv())
+    script = "printf('%.17g ', damper_check('vectors.csv')); damper_inverse(300, 0.05, 0.1, 1);"
+    done = subprocess.run(
+        ["octave", "--no-gui", "--quiet", "--eval", script],
+        *(),
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    assert float(done.stdout.split()[0]) < SAME
+
+
+# -- FMU -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if compiler() is None:
+        pytest.skip("there is no C compiler to make the exported code with")
+    folder = tmp_path_factory.mktemp("fmu")
+    SETS["sigmoid_lag"].save(folder / "set.yaml")
+    arguments = [str(folder / "set.yaml"), "--format", "fmu", "--output", str(folder)]
+    assert export.main(arguments) == 0
+    return folder / "mr_damper.fmu"
+
+
+def test_the_fmu_is_small_and_has_its_sources_inside(fmu: Path) -> None:
+    assert fmu.stat().st_size < 40_000
+    with zipfile.ZipFile(fmu) as archive:
+        names = set(archive.namelist())
+    assert {"modelDescription.xml", "sources/fmu.c", "sources/mr_damper.h"} <= names
+    assert any(name.startswith("binaries/") for name in names)
+
+
+def test_fmpy_finds_nothing_wrong_and_runs_it(fmu: Path) -> None:
+    fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed: pip install fmpy")
+    from fmpy.validation import validate_fmu
+
+    assert validate_fmu(str(fmu)) == []
+    time = np.arange(800) * 1e-3
+    motion = 5e-3 * np.sin(2.0 * np.pi * 2.0 * time)
+    dtype = [("time", float), ("displacement", float), ("current", float)]
+    signals = np.array(list(zip(time, motion, np.full(800, 0.7), strict=True)), dtype=dtype)
+    result = fmpy.simulate_fmu(
+        str(fmu),
+        input=signals,
+        stop_time=0.799,
+        step_size=1e-3,
+        output_interval=1e-3,
+        output=["force", "coil_current"],
+    )
+    law = ExportedLaw.of(SETS["sigmoid_lag"], ExportSettings())
+    held = np.concatenate(([0.0], result["time"]))[:800]
+    expected = expected_stream(law, np.interp(held, time, motion), np.full(800, 0.7), 0.0)
+    assert np.abs(result["force"][:800] - expected).max() < 0.02 * np.abs(expected).max()
+    assert result["coil_current"][-1] == pytest.approx(0.7, rel=1e-3)
+
+
+# -- the program -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["c", "matlab"])
+def test_the_program_writes_code_and_test_vectors(kind: str, tmp_path: Path) -> None:
+    SETS["sigmoid"].save(tmp_path / "set.yaml")
+    out = tmp_path / "code"
+    arguments = [str(tmp_path / "set.yaml"), "--format", kind, "--output", str(out)]
+    assert export.main(arguments) == 0
+    assert len((out / "vectors.csv").read_text().splitlines()) == 1001
+    assert (out / ("mr_damper.h" if kind == "c" else "damper_force.m")).is_file()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--bandwidth", "600"], "samples 0.001 s apart allow"),
+        (["--highest-current", "0"], "not above the lowest"),
+        (["--name", "2nd"], "begin with a letter"),
+        (["--period", "0"], "period must be"),
+    ],
+)
+def test_what_cannot_be_exported_is_one_sentence(
+    options: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    SETS["sigmoid"].save(tmp_path / "set.yaml")
+    arguments = [str(tmp_path / "set.yaml"), "--format", "c", "--output", str(tmp_path), *options]
+    assert export.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert len(said.strip().splitlines()) == 1
+
+
+def test_other_laws_say_that_they_cannot_be_exported() -> None:
+    with pytest.raises(ExportError, match="sigmoid or sigmoid_lag"):
+        ExportedLaw.of(ParameterSet(EXAMPLES["bingham"], model="bingham"), ExportSettings())
+    assert {name for name, model in MODELS.items() if model.formulas} == {"sigmoid", "sigmoid_lag"}
+
+
+def test_brackets_are_kept_where_they_count() -> None:
+    assert expression("a * (b + c) - (d - e) / f", M) == "a .* (b + c) - (d - e) ./ f"
+    assert expression("a - (b - c)", C) == "a - (b - c)"
+    assert expression("-a4 * v_m", C) == "-a4 * v_m"
+    with pytest.raises(ValueError, match="cannot be written"):
+        expression("a if b else c", C)
