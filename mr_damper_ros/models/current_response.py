@@ -7,6 +7,7 @@ brings it there is another matter.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from mr_damper_ros.signals.arrays import Array
 
 NODES = 65
 """Currents at which a force is looked at first: between two of them it should bend once at most."""
+
+_FINE = 257
+"""Currents at which is looked where a force changes."""
 
 _STEP = 1e-6
 """Amperes over which a derivative is taken where a law has none of its own."""
@@ -37,16 +41,16 @@ def even_nodes(lowest: float, highest: float) -> Array:
     return np.linspace(lowest, highest, NODES)
 
 
-def nodes_along(bends: Array, currents: Array) -> Array:
-    """Currents (m,) [A] that lie the closer, the more there is of the ``bends`` (..., k).
+def nodes_along(bends: Callable[[Array], Array], lowest: float, highest: float) -> Array:
+    """Currents (m,) [A] that lie the closer, the more there is of the ``bends``.
 
-    These are quantities at ``currents`` (k,), which span the range. Half of the nodes are left to
-    the current itself.
+    These give quantities (..., k) at currents (k,). A part of the nodes is left to the current
+    itself.
     """
-    changes = np.abs(np.diff(bends, axis=-1)).reshape(-1, currents.size - 1)
+    currents = np.linspace(lowest, highest, _FINE)
+    changes = np.abs(np.diff(bends(currents), axis=-1)).reshape(-1, _FINE - 1)
     totals = changes.sum(axis=-1, keepdims=True)
     parts = np.divide(changes, totals, out=np.zeros_like(changes), where=totals > 0.0)
-    even = np.diff(currents) / (currents[-1] - currents[0])
-    density = parts.sum(axis=0) + max(len(parts), 1) * even
+    density = parts.sum(axis=0) + max(len(parts), 1) / (_FINE - 1)
     way = np.concatenate(([0.0], np.cumsum(density)))
     return np.interp(np.linspace(0.0, way[-1], NODES), way, currents)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -20,6 +19,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch, PooledProblem
 from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
+from mr_damper_ros.models.search_effort import SearchEffort
 from mr_damper_ros.signals.arrays import Array
 
 if TYPE_CHECKING:
@@ -42,22 +42,6 @@ _LONGEST_MEMORY = 0.25
 
 _STEP = 1e-6
 """Step of a difference, relative to the size of the parameter."""
-
-
-@dataclass(frozen=True)
-class SearchEffort:
-    """How far a window of the model is searched.
-
-    ``tolerance``: relative gain of the sum of squares at which a search ends; ``most_steps`` of it.
-    Starts read off the record, where the given one is poor: the ``polished_starts`` best are
-    polished to ``rough_tolerance`` in ``rough_steps``, and the best of those is taken.
-    """
-
-    tolerance: float = 1e-6
-    most_steps: int = 40
-    polished_starts: int = 4
-    rough_tolerance: float = 1e-3
-    rough_steps: int = 40
 
 
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)

@@ -17,7 +17,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.first_order_lag import SETTLING
-from mr_damper_ros.models.force_model import SearchEffort
+from mr_damper_ros.models.search_effort import SearchEffort
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     ForceAndDamping,

@@ -57,7 +57,7 @@ from mr_damper_ros.models.sigmoid.scale_misfit import (
     longest_lag,
     scale_parameter_errors,
 )
-from mr_damper_ros.models.sigmoid.sigmoid_response import Branch, LateResponse, SigmoidResponse
+from mr_damper_ros.models.sigmoid.sigmoid_response import Branch, SigmoidResponse, late_response
 from mr_damper_ros.models.sigmoid.sixteen import SIXTEEN
 from mr_damper_ros.signals.arrays import Array
 
@@ -73,9 +73,6 @@ _SOFT = 2.0
 _USUAL_LAG = 0.02
 """Time constant [s] that a lag of coil and fluid hardly exceeds. Until it is known, what it may
 hide at the begin of a window is left out."""
-
-_FINE = 257
-"""Currents at which is looked where a force changes."""
 
 
 class SigmoidModel(Model):
@@ -144,8 +141,8 @@ class SigmoidModel(Model):
 
     def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
         """Closer together where the two factors change."""
-        fine = np.linspace(lowest, highest, _FINE)
-        return nodes_along(current_gains(parameters[:SIGMOID_COUNT], fine), fine)
+        sixteen = parameters[:SIGMOID_COUNT]
+        return nodes_along(lambda current: current_gains(sixteen, current), lowest, highest)
 
     @property
     def formulas(self) -> SigmoidFormulas:
@@ -346,11 +343,8 @@ class ExtendedSigmoidModel(SigmoidModel):
         self, parameters: Array, motion: Motion, period: float, state: State | None
     ) -> CurrentResponse:
         """That of the sigmoid law, late."""
-        plain = SigmoidResponse(parameters[:SIGMOID_COUNT], motion, self._branch(motion, state))
-        own = None if state is None else state[self.turning : self.turning + 3]
-        before = None if own is None else (own[0], own[1], own[2])
-        extension = extension_of(parameters)
-        return LateResponse(plain, extension, motion.displacement, period, before)
+        own = None if state is None else state[self.turning :]
+        return late_response(parameters, motion, self._branch(motion, state), period, own)
 
     def starts(self, reading: LoopReading) -> Array:
         """Those of the sigmoid law with a small compliance."""

@@ -13,7 +13,8 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.first_order_lag import LagState, next_lagged
-from mr_damper_ros.models.sigmoid.extension import Extension
+from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT, Extension, extension_of
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     Coefficients,
@@ -134,6 +135,15 @@ class LateResponse(CurrentResponse):
             force = next_lagged(force, constant, self._period, self._state)
         gas = self._extension.stiffness * self._displacement + self._extension.offset
         return np.asarray(force + _column(gas))
+
+
+def late_response(
+    parameters: Array, motion: Motion, branch: Branch, period: float, state: State | None
+) -> LateResponse:
+    """That of parameters (20,); the ``state`` begins with what the lag remembers."""
+    plain = SigmoidResponse(parameters[:SIGMOID_COUNT], motion, branch)
+    before = None if state is None else (state[0], state[1], state[2])
+    return LateResponse(plain, extension_of(parameters), motion.displacement, period, before)
 
 
 def _column(values: Array) -> Array:
