@@ -27,8 +27,8 @@ _HALF_CYCLES_FOR_PEAK = 4
 """Of fewer half-cycles the angular frequency, and with it the peak velocity, is a guess."""
 
 
-_NOISE_SPEED = 0.02
-"""Part of the usual peak velocity below which a sine does not move."""
+_NOISE_SPEED = 1e-4
+"""A sine whose peak velocity [m/s] is below this does not move: it is that of noise."""
 
 _AHEAD = 0.02
 """Seconds of a sine that are foreseen at once where blocks are smaller: a hundred numbers are
@@ -86,7 +86,7 @@ class MotionFollower:
         """
         if self._steady and self.foreseen is not None:
             top_speed = float(self.foreseen.peak_velocity.max())
-            if top_speed > _NOISE_SPEED * self.usual_peak_velocity:
+            if top_speed > _NOISE_SPEED:
                 return False
         return self._centre.resting
 

@@ -15,10 +15,10 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.recent_force import RecentForce
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
-_SAMPLE = 0.85
+_SAMPLE = 0.95
 """Part of the allowed error that a sample may have: its noise may hide the rest ..."""
 
-_CHANCE = 3.0
+_CHANCE = 2.5
 """... besides so many standard deviations of noise, which are no error of the prediction."""
 
 _LASTING = 1.0
@@ -27,9 +27,8 @@ _LASTING = 1.0
 _MOST_REMEMBERED = 1.5
 """A burst counts no more than so many times that limit: it must not be remembered for ever."""
 
-_BACK = 0.75
-_BACK_NOW = 0.9
-"""Part of either limit that the error must fall below again: over a half-cycle, of a sample."""
+_BACK = 0.9
+"""Part of either limit that the error must fall below again."""
 
 _MOST_NOISE = 0.1
 """What looks like noise is taken for it up to this part of the peak."""
@@ -134,7 +133,7 @@ class ForceWatch:
         return min(self._recent.noise, _MOST_NOISE * peak)
 
     def _doubt_of_error(self, largest: float, peak: float, measured: Array) -> Doubt:
-        allowed = _SAMPLE * self._limit * (_BACK_NOW if self._wrong_now else 1.0)
+        allowed = _SAMPLE * self._limit * (_BACK if self._wrong_now else 1.0)
         chance = _CHANCE * self._noise(peak)
         if largest > allowed * peak + chance:
             # A force that grows is not wrong because it was smaller before.

@@ -303,6 +303,7 @@ class ForcePredictor:
         if settling:
             # A force that nobody could know says nothing of the parameters.
             self._watch.forget_moment()
+            self._known.forget_samples()
             if settling.kind is not DoubtKind.AT_REST:
                 self._unlearned = (reckoned.force, block.force, motion.velocity)
             return settling

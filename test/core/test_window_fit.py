@@ -13,7 +13,7 @@ from known import SIGMOID
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.estimation.local_search import LocalSearch
-from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit, fit_window
+from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit, fit_of, fit_window
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import published_conditions as thesis
@@ -471,3 +471,16 @@ def test_a_part_of_a_window_keeps_its_samples_together() -> None:
     np.testing.assert_array_equal(part.motion.velocity, window.motion.velocity[mask])
     np.testing.assert_array_equal(part.motion.acceleration, window.motion.acceleration[mask])
     assert part.sample_count == mask.sum()
+
+
+def test_no_variance_is_less_than_nothing() -> None:
+    """Rounding leaves less where unknowns are known to very different parts of their sizes."""
+    run = known.run(current=1.0, samples=1000, seed=0)
+    window = Window.from_samples(run.displacement, run.force, 1.0, run.period)
+    problem = SIGMOID.window_problem(window, known.PLAUSIBLE)
+    rounded = np.diag([1.0, -1e-25, *np.ones(5)])
+    fit = fit_of(problem, problem.start, rounded, discrepancy=rounded, method="", evaluations=0)
+    assert fit.coefficient_discrepancy is not None
+    for covariance in (fit.whole_covariance, fit.coefficient_covariance):
+        assert np.diag(covariance).min() >= 0.0
+    assert np.diag(fit.coefficient_discrepancy).min() >= 0.0

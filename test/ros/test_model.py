@@ -254,6 +254,7 @@ def test_parameters_that_cannot_be_used_are_refused(
             "a force that drives the motion instead of damping it",
         ),
         ("id", "two\nlines", "printable characters"),
+        ("node", "x" * 1000, "the name of the node of the parameters is"),
     ):
         bad = parameters_message(TRUE_SET, "damper", "/test")
         bad.id = "bad"
