@@ -110,7 +110,8 @@ def good_since(result: TrialResult, begin: float, usual: float = 1.0) -> float:
         right = (error <= WRONG) & (result.time >= begin)
         shares = np.convolve(right, np.full(count, 1.0 / count), mode="valid")
         places = np.flatnonzero(shares >= _AS_MUCH * usual)
-        return float(result.time[places[0]]) if places.size else math.nan
+        # The second may begin a little earlier: it need not be good throughout.
+        return max(float(result.time[places[0]]), begin) if places.size else math.nan
     wrong = np.flatnonzero((error > WRONG) & (result.time >= begin))
     since = int(wrong[-1]) + 1 if wrong.size else int(np.searchsorted(result.time, begin))
     if result.time.size - since < count or np.sqrt(np.mean(error[since:] ** 2)) > _GOOD:
