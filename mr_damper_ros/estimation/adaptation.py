@@ -27,13 +27,14 @@ def adapted(
     speeds, currents = np.array([window.operating_point for window in windows]).T
     coefficients = model.coefficients_at(reference, speeds, currents).T
     table = CoefficientTable(speeds, currents, coefficients, np.zeros_like(coefficients))
-    return model.fit_laws(table, changed, linear, _no_search)
+    return model.fit_laws(table, changed, linear, no_search)
 
 
-def _no_search(
+def no_search(
     cost: Callable[[Array], Array],
     bounds: Sequence[tuple[float, float]],
     start: Array,
     stage: str,
 ) -> Array:
+    """What is not linear stays where it is; see :data:`LawSearch`."""
     return start

@@ -139,7 +139,7 @@ class GlobalSearch:
         try:
             self._run(method)
         except StopRequestedError:
-            known = [self.best, self._start, self.fits[0].parameters]
+            known = [self.best, self._start, *self._separate.without_search(self._neutral)]
             if self._polish.latest is not None:
                 known.append(self._polish.latest)
             self.best = min(known, key=self.pooled.mean_square)

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mr_damper_ros.estimation.adaptation import no_search
 from mr_damper_ros.estimation.differential_evolution import ProgressClock
 from mr_damper_ros.estimation.local_search import StopRequestedError
-from mr_damper_ros.estimation.observability import current_varies
+from mr_damper_ros.estimation.observability import current_varies, varied_parameters
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
@@ -74,18 +75,36 @@ class SeparateFits:
     @property
     def operating_points(self) -> tuple[list[float], list[float]]:
         """Peak velocities [m/s] and currents [A] of the windows."""
-        speeds, currents = zip(*(fit.operating_point for fit in self.fits), strict=True)
-        return list(speeds), list(currents)
+        return _points(self.fits)
 
     def table(self) -> CoefficientTable:
         """The coefficients of all windows."""
-        speeds, currents = self.operating_points
-        return CoefficientTable(
-            peak_velocity=np.array(speeds),
-            current=np.array(currents),
-            coefficients=np.array([fit.coefficients for fit in self.fits]),
-            errors=np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in self.fits]),
-        )
+        return _table(self.fits)
+
+    def without_search(self, start: Array) -> list[Array]:
+        """Parameters (p,) from those windows that were fitted before a stop, as far as they go.
+
+        Those of one of them, and the laws over all as far as they are linear.
+        """
+        fitted = [fit for fit in self.fits if fit.success] or self.fits[:1]
+        free = varied_parameters(self._model, *_points(fitted))
+        laws = self._model.fit_laws(_table(fitted), start, free, no_search)
+        return [fitted[0].parameters, laws]
+
+
+def _points(fits: Sequence[WindowFit]) -> tuple[list[float], list[float]]:
+    speeds, currents = zip(*(fit.operating_point for fit in fits), strict=True)
+    return list(speeds), list(currents)
+
+
+def _table(fits: Sequence[WindowFit]) -> CoefficientTable:
+    speeds, currents = _points(fits)
+    return CoefficientTable(
+        peak_velocity=np.array(speeds),
+        current=np.array(currents),
+        coefficients=np.array([fit.coefficients for fit in fits]),
+        errors=np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in fits]),
+    )
 
 
 def thinned_for_search(windows: Sequence[Window]) -> list[Window]:

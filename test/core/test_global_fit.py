@@ -408,7 +408,8 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
 
     def report(progress: GlobalProgress) -> bool:
         nonlocal count
-        count += 1
+        # On a busy computer single fits tell of themselves, too.
+        count += progress.generation > 0
         return count < after
 
     fit = identify_global(SIGMOID, SMALL, LITERATURE, QUICK, report)

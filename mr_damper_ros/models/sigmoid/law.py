@@ -282,7 +282,11 @@ def force(
     acceleration: ArrayLike,
     current: ArrayLike,
 ) -> Array:
-    """Force [N] of the sixteen-parameter sigmoid law.
+    """Force [N] of the sixteen-parameter sigmoid law, for a sine, as the thesis has it.
+
+    The peak velocity v_m = sqrt(v² - a u) is that of a sine about its centre. Of any other motion
+    the package takes the one of :mod:`mr_damper_ros.kinematics.peak_velocity`: use
+    :meth:`Model.force`.
 
     ``parameters`` has shape (..., 16); displacement [m], velocity [m/s], acceleration [m/s²] and
     current [A] broadcast to shape (n,). The result has shape (..., n). Finite inputs give a
