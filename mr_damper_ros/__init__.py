@@ -19,8 +19,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from mr_damper_ros.control.inverse_model import InverseModel
+    from mr_damper_ros.estimation.force_knowledge import ForceGoal
     from mr_damper_ros.estimation.law_choice import LawChoice
+    from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
     from mr_damper_ros.interface.fit_result import Identification
+    from mr_damper_ros.interface.force_campaign import ForceCampaign, run_campaign
     from mr_damper_ros.interface.identification import identify
     from mr_damper_ros.interface.law_comparison import choose_law
     from mr_damper_ros.interface.many_dampers import ManyDampers, identify_many
@@ -39,12 +42,16 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MODELS",
+    "ForceCampaign",
+    "ForceGoal",
     "ForcePredictor",
     "Identification",
     "InverseModel",
     "LawChoice",
+    "MachineLimits",
     "ManyDampers",
     "ParameterSet",
+    "PlannedRun",
     "PredictorSettings",
     "Recording",
     "SampleBlock",
@@ -58,18 +65,23 @@ __all__ = [
     "read_bag",
     "read_record",
     "read_runs",
+    "run_campaign",
     "validate",
     "write_bag",
 ]
 
 _HOMES = {
     "MODELS": "models",
+    "ForceCampaign": "interface.force_campaign",
+    "ForceGoal": "estimation.force_knowledge",
     "ForcePredictor": "tracking.predictor",
     "Identification": "interface.fit_result",
     "LawChoice": "estimation.law_choice",
+    "MachineLimits": "estimation.planned_run",
     "ManyDampers": "interface.many_dampers",
     "InverseModel": "control.inverse_model",
     "ParameterSet": "models.parameter_set",
+    "PlannedRun": "estimation.planned_run",
     "PredictorSettings": "tracking.predictor",
     "Recording": "signals.recording",
     "SampleBlock": "signals.blocks",
@@ -83,6 +95,7 @@ _HOMES = {
     "read_bag": "io.bag_reader",
     "read_record": "io.records",
     "read_runs": "io.records",
+    "run_campaign": "interface.force_campaign",
     "validate": "interface.validation",
     "write_bag": "io.bag_writer",
 }

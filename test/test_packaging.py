@@ -22,6 +22,7 @@ TOOLS = (
         "identify_many",
         "import_record",
         "live_rig",
+        "plan_run",
         "reproduce",
         "thesis_bags",
         "validate",

@@ -62,6 +62,7 @@ PROGRAMS = (
     "identify",
     "export",
     "identify_many",
+    "plan_run",
     "validate",
     "watch",
     "live_rig",

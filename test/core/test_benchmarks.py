@@ -22,6 +22,7 @@ from benchmarks import (
     kinematics,
     many_recordings,
     noise_limit,
+    planned_runs,
     recordings,
     repeated_evolution,
     step_current,
@@ -34,6 +35,7 @@ from benchmarks import (
 from benchmarks.dampers import clean_windows, steady_window
 from benchmarks.fault_scenarios import SCENARIOS
 from benchmarks.figure import Figure, table
+from benchmarks.random_dampers import KINDS
 from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.published_conditions import find, parameters
@@ -63,6 +65,7 @@ KEYS = [
     *("step_current_nrmse_ratio", "step_current_nrmse", "reversal_jump", "reversal_jump_smoothed"),
     *("many_overhead_percent", "many_dask_overhead_percent"),
     *("starts_agreeing", "profile_contains_estimate"),
+    *("planned_runs", "planned_runs_saved", "planned_runs_inside", "planned_runs_claim"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)
@@ -182,6 +185,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "hostile_messages": list,
         "jitter": lambda: jitter.figures(8.0, (10,)),
         "many_recordings": lambda: many_recordings.figures(4, 4),
+        "planned_runs": lambda: planned_runs.figures_of(planned_runs.measure((0,), KINDS[1:])),
     }
     found = [figure for name in bench.FULL for figure in short[name]()]
     assert sorted(figure.key for figure in found) == sorted(KEYS)

@@ -1,0 +1,322 @@
+"""Which run of the test machine comes next, so that the force is soon known well enough.
+
+Of all runs within the limits of the machine, that one is chosen after which the force is expected
+to be known best where it is known worst. A run is a sine, at one current or at a staircase of
+currents. The law is not linear, so what a run is worth is averaged over sets that fit the present
+data equally and differ in what these leave open; the worst point is softened to a high norm, since
+one run alone often does nothing for the very worst.
+
+See Pukelsheim, "Optimal design of experiments", 1993 (G-optimality), and Chaloner and Verdinelli,
+"Bayesian experimental design: a review", Statistical Science 10, 1995.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from mr_damper_ros.estimation.adaptation import adapted
+from mr_damper_ros.estimation.force_knowledge import (
+    FEW,
+    PHASES,
+    Cycles,
+    ForceGoal,
+    PointErrors,
+    cycle_errors,
+    most_probable,
+    noise_of,
+    point_errors,
+    prior_information,
+    relative_gradient,
+    repeated_error,
+    steady_cycle,
+    window_information,
+)
+from mr_damper_ros.estimation.planned_run import (
+    SETTLING,
+    MachineLimits,
+    PlannedRun,
+    candidate_runs,
+)
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+
+_SETS = 6
+"""So many sets stand for what is open."""
+
+_STARTS = 2
+"""From so many of them the most probable set is searched too."""
+
+_NORM = 8.0
+"""Norm over the points that stands for the worst of them."""
+
+_FEW_PHASES = 4
+"""Every so many phases of a cycle tell which run is best."""
+
+_FASTER = 5.0
+"""The next run is at most so many times as fast as the fastest before."""
+
+_CURRENT_STEP = 0.5
+"""The next run goes at most this part of the range beyond the largest current before."""
+
+_MARGIN = 1.1
+"""The force of a run, as it is known, may be so many times as large and still be allowed."""
+
+_LOOK_AHEAD = 12
+"""Runs that are planned on to tell whether the goal can be met."""
+
+
+class PlanState(Enum):
+    """What there is to do: a run, nothing any more, or nothing that would help."""
+
+    RUN = "run"
+    MET = "met"
+    OUT_OF_REACH = "out of reach"
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The next run, if there is one, and how well the force is known now.
+
+    ``now``: the errors at the points of the goal; ``expected``: the worst error [1] after the run;
+    ``runs_left``: runs until the goal is met, None where that cannot be told or it cannot be met;
+    ``reason``: why it is met or cannot be, in words. A goal out of reach may still have a run that
+    helps.
+    """
+
+    state: PlanState
+    now: PointErrors
+    run: PlannedRun | None = None
+    expected: float = math.nan
+    runs_left: int | None = 0
+    reason: str = ""
+
+
+class RunPlanner:
+    """Plans towards a goal within the limits of a machine, for dampers of one model.
+
+    ``candidates`` are the runs that it chooses from.
+    """
+
+    def __init__(self, model: Model, goal: ForceGoal, limits: MachineLimits) -> None:
+        self.model = model
+        self.goal = goal
+        self.limits = limits
+        self._goal_cycles = Cycles(model, goal.cycles())
+        self.candidates = candidate_runs(goal, limits)
+        # What a stretch tells depends on its motion and its current: each pair is looked at once.
+        pairs = dict.fromkeys(
+            (run.amplitude, run.frequency, current)
+            for run in self.candidates
+            for current in run.currents
+        )
+        self._pairs = {pair: place for place, pair in enumerate(pairs)}
+        self._pair_cycles = Cycles(model, [steady_cycle(*pair) for pair in pairs])
+
+    def shortcoming(self) -> str:
+        """Why the goal lies beyond the machine, in words; empty where it does not."""
+        goal, limits = self.goal, self.limits
+        if goal.peak_velocity[1] > limits.peak_velocity:
+            return (
+                f"the goal reaches to {goal.peak_velocity[1]:g} m/s and the machine to "
+                f"{limits.peak_velocity:g} m/s"
+            )
+        if goal.current[1] > limits.current:
+            return (
+                f"the goal reaches to {goal.current[1]:g} A and the supply to {limits.current:g} A"
+            )
+        return "" if self.candidates else "no run within the limits of the machine holds a cycle"
+
+    def most_probable(
+        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
+    ) -> Array:
+        """The most probable set (p,): from that identified, and from some that differ in what it
+        leaves open.
+        """
+        noise = [noise_of(self.model, window, parameters) for window in windows]
+        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
+        starts = [parameters, *self._open_sets(windows, parameters, observable)[:_STARTS]]
+        few = [window.thinned(FEW) for window in windows]
+        found = [most_probable(self.model, few, noise, prior, start) for start in starts]
+        nearest = min(found, key=lambda one: one[1])[0]
+        # Few samples tell where the best set is, and only all of them how it lies exactly.
+        return most_probable(self.model, windows, noise, prior, nearest)[0]
+
+    def errors(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
+        """How well the force is known from windows to which ``parameters`` (p,) were fitted."""
+        noise = [noise_of(self.model, window, parameters) for window in windows]
+        return self._errors(parameters, self._information(windows, noise, parameters))
+
+    def runs_until_known(
+        self, parameters: Array, noise: float, runs: Sequence[PlannedRun]
+    ) -> float:
+        """How many of these runs meet the goal for a damper of these parameters; infinite if not.
+
+        ``noise`` [N] is white. Nothing is identified: the parameters are those of the damper.
+        """
+        gradient = relative_gradient(self._goal_cycles, parameters)
+        information = prior_information(self.model, self._goal_cycles, parameters, self.goal)
+        for count, gain in enumerate(self._gains(parameters, noise, runs), start=1):
+            information = information + gain
+            if point_errors(self.goal, gradient, information).worst <= self.goal.error:
+                return count
+        return math.inf
+
+    def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:
+        """What to do next; ``observable`` (p,) tells which parameters the windows determine."""
+        noise = [noise_of(self.model, window, parameters) for window in windows]
+        present = self._information(windows, noise, parameters)
+        now = self._errors(parameters, present)
+        if now.worst <= self.goal.error:
+            now = self._confirmed(now, windows, noise, parameters)
+        if now.worst <= self.goal.error:
+            return Plan(PlanState.MET, now, reason="the goal is met")
+        beyond = self.shortcoming()
+        if beyond:
+            return Plan(PlanState.OUT_OF_REACH, now, runs_left=None, reason=beyond)
+        sets = [parameters, *self._open_sets(windows, parameters, observable)]
+        allowed = self._allowed(windows, sets)
+        if not allowed:
+            return Plan(
+                PlanState.OUT_OF_REACH,
+                now,
+                runs_left=None,
+                reason="every run that would help may leave the limits of force or heat",
+            )
+        sigma = float(np.median(noise))
+        scores = np.zeros(len(allowed))
+        for values in sets:
+            before = present if values is parameters else self._information(windows, noise, values)
+            gradient = relative_gradient(self._goal_cycles, values)[:, ::_FEW_PHASES]
+            after = before + self._gains(values, sigma, allowed)
+            scores += np.log(_soft_worst(cycle_errors(gradient, after)))
+        best = allowed[int(np.argmin(scores))]
+        left, expected, reached = self._look_ahead(parameters, present, sigma, best)
+        # As long as a law is open, what it will cost to know it cannot be told.
+        if left is None and len(sets) == 1:
+            return Plan(
+                PlanState.OUT_OF_REACH,
+                now,
+                run=best,
+                expected=expected,
+                runs_left=None,
+                reason=f"{_LOOK_AHEAD} more runs would leave an error of {reached:.2%}: allow "
+                "longer runs, or a larger error",
+            )
+        return Plan(PlanState.RUN, now, best, expected, left)
+
+    def _confirmed(
+        self,
+        now: PointErrors,
+        windows: Sequence[Window],
+        noise: Sequence[float],
+        parameters: Array,
+    ) -> PointErrors:
+        """The errors, the worst no smaller than by identifying again: the goal is met for sure."""
+        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
+        again = repeated_error(
+            self.model, windows, noise, prior, parameters, self._goal_cycles
+        )
+        return replace(now, worst=max(now.worst, again))
+
+    def _errors(self, parameters: Array, information: Array) -> PointErrors:
+        gradient = relative_gradient(self._goal_cycles, parameters)
+        return point_errors(self.goal, gradient, information)
+
+    def _information(
+        self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
+    ) -> Array:
+        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
+        return prior + window_information(self.model, windows, noise, parameters)
+
+    def _gains(self, parameters: Array, sigma: float, runs: Sequence[PlannedRun]) -> Array:
+        """Information (m, p, p) that each run would add."""
+        jacobian = self._pair_cycles.gradient(parameters) / sigma
+        of_sample = np.einsum("knp,knq->kpq", jacobian, jacobian) / PHASES
+        return np.stack(
+            [
+                sum(
+                    self._samples(run, place)
+                    * of_sample[self._pairs[run.amplitude, run.frequency, current]]
+                    for place, current in enumerate(run.currents)
+                )
+                for run in runs
+            ]
+        )
+
+    def _samples(self, run: PlannedRun, place: int) -> float:
+        return (run.stretch - SETTLING * (place > 0)) * self.limits.sample_rate
+
+    def _allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> list[PlannedRun]:
+        """Candidates that stay within the limits whichever set is true, and are no leap."""
+        fastest = max(window.motion.peak_velocity.max() for window in windows)
+        highest = max(window.current.max() for window in windows)
+        low, high = self.goal.current
+        top = highest + _CURRENT_STEP * (high - low)
+        forces = np.stack([self._pair_cycles.force(values) for values in sets])
+        largest = _MARGIN * np.max(np.abs(forces), axis=(0, 2))
+        angle = 2.0 * math.pi * (np.arange(PHASES) + 0.5) / PHASES
+        power = _MARGIN * np.max(np.mean(forces * np.cos(angle), axis=2), axis=0)
+        allowed = []
+        for run in self.candidates:
+            places = [self._pairs[run.amplitude, run.frequency, i] for i in run.currents]
+            heat = run.peak_velocity * run.stretch * float(np.sum(power[places]))
+            if (
+                run.peak_velocity <= _FASTER * fastest
+                and max(run.currents) <= top + 1e-9
+                and np.max(largest[places]) <= self.limits.force
+                and heat <= self.limits.heat
+            ):
+                allowed.append(run)
+        return allowed
+
+    def _look_ahead(
+        self, parameters: Array, present: Array, sigma: float, first: PlannedRun
+    ) -> tuple[int | None, float, float]:
+        """Runs until the goal is met, the worst error after the first, and after the last."""
+        gradient = relative_gradient(self._goal_cycles, parameters)
+        gains = self._gains(parameters, sigma, self.candidates)
+        information = present + self._gains(parameters, sigma, [first])[0]
+        expected = worst = point_errors(self.goal, gradient, information).worst
+        for count in range(1, _LOOK_AHEAD + 1):
+            if worst <= self.goal.error:
+                return count, expected, worst
+            after = information + gains
+            errors = cycle_errors(gradient[:, ::_FEW_PHASES], after)
+            information = after[int(np.argmin(_soft_worst(errors)))]
+            worst = point_errors(self.goal, gradient, information).worst
+        return None, expected, worst
+
+    def _open_sets(
+        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
+    ) -> list[Array]:
+        """Sets that agree with the windows and differ in the shape parameters that are open."""
+        known = {
+            name for name, seen in zip(self.model.parameter_names, observable, strict=True) if seen
+        }
+        open_names = set(self.model.shape_names) - known
+        if not open_names:
+            return []
+        solved = frozenset(self.model.linear) - open_names
+        top_current = max(self.goal.current[1], 1e-6)
+        rng = np.random.default_rng(0)
+        sets = []
+        for _ in range(_SETS):
+            values = np.array(parameters)
+            drawn = self.model.draw_shape(rng, self.goal.peak_velocity[1], top_current)
+            for name, value in drawn.items():
+                if name in open_names:
+                    values[self.model.parameter_names.index(name)] = value
+            sets.append(adapted(self.model, windows, parameters, values, solved))
+        return sets
+
+
+def _soft_worst(errors: Array) -> Array:
+    """Norm (m,) of errors (m, k) that stands for the worst of them."""
+    return np.asarray(np.mean(errors**_NORM, axis=1) ** (1.0 / _NORM))

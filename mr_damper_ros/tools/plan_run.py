@@ -1,0 +1,127 @@
+"""``plan_run``: which run to make next, so that the force is soon known well enough."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.estimation.planned_run import MachineLimits, first_run
+from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.interface.run_advice import advise_run
+from mr_damper_ros.interface.signal_file import write_signal
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.tools.console import FAILED, run_tool
+
+OUT_OF_REACH = 3
+"""Exit code where the goal cannot be met within the limits of the machine."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code."""
+    return run_tool(_parser(), _plan_run, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="plan_run",
+        description="Say which run of the test machine comes next, so that the force of a damper "
+        "is soon known to a given error over a range of peak velocity and current; without bags, "
+        "the first one.",
+        epilog=f"Exit code: 0, also where the goal is met; {OUT_OF_REACH} where it cannot be met "
+        f"within the limits; {FAILED} where a bag or an option cannot be used.",
+    )
+    parser.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="runs made so far")
+    goal = parser.add_argument_group("goal")
+    goal.add_argument(
+        "--error",
+        type=float,
+        default=0.01,
+        help="worst error, relative to the largest force of a cycle (default %(default)s)",
+    )
+    for name, text in (("velocity", "peak velocities [m/s]"), ("current", "currents [A]")):
+        goal.add_argument(
+            f"--{name}", nargs=2, type=float, required=True, metavar=("LOW", "HIGH"), help=text
+        )
+    machine = parser.add_argument_group("machine")
+    for name, unit, text in (
+        ("amplitude", "M", "largest amplitude [m] about the centre"),
+        ("force", "N", "largest force [N]"),
+    ):
+        machine.add_argument(f"--{name}", type=float, required=True, metavar=unit, help=text)
+    machine.add_argument(
+        "--top-velocity", type=float, metavar="M/S", help="largest (default: that of the goal)"
+    )
+    machine.add_argument(
+        "--top-current", type=float, metavar="A", help="largest (default: that of the goal)"
+    )
+    machine.add_argument(
+        "--duration", type=float, default=4.0, metavar="S", help="of a run (default %(default)s)"
+    )
+    machine.add_argument(
+        "--heat", type=float, default=math.inf, metavar="J", help="that a run may bring in"
+    )
+    machine.add_argument(
+        "--frequency",
+        nargs=2,
+        type=float,
+        default=(0.1, 20.0),
+        metavar=("LOW", "HIGH"),
+        help="[Hz] (default 0.1 20)",
+    )
+    machine.add_argument(
+        "--rate", type=float, default=1000.0, metavar="HZ", help="samples (default %(default)s)"
+    )
+    parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL)
+    parser.add_argument(
+        "--signal", type=Path, metavar="FILE", help="write the run as CSV, for machines that play it"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the plan as JSON")
+    return parser
+
+
+def _plan_run(options: argparse.Namespace) -> int:
+    goal = ForceGoal(options.error, tuple(options.velocity), tuple(options.current))
+    limits = MachineLimits(
+        amplitude=options.amplitude,
+        peak_velocity=options.top_velocity or goal.peak_velocity[1],
+        force=options.force,
+        current=goal.current[1] if options.top_current is None else options.top_current,
+        duration=options.duration,
+        heat=options.heat,
+        frequency=tuple(options.frequency),
+        sample_rate=options.rate,
+    )
+    plan = advise_run(options.bags, goal, limits, options.model) if options.bags else None
+    run = first_run(goal, limits) if plan is None else plan.run
+    document: dict[str, object] = {"state": "run" if plan is None else plan.state.value}
+    if plan is not None:
+        _tell(plan, goal)
+        document |= {"worst_error": plan.now.worst, "worst_point": plan.now.worst_point}
+    if run is not None:
+        print(f"run {run.sentence}")
+        document |= {"run": asdict(run)}
+        if options.signal is not None:
+            write_signal(run, options.signal, limits.sample_rate)
+            print(f"signal: {options.signal}")
+    if options.json is not None:
+        write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    return OUT_OF_REACH if plan is not None and plan.state is PlanState.OUT_OF_REACH else 0
+
+
+def _tell(plan: Plan, goal: ForceGoal) -> None:
+    speed, current = plan.now.worst_point
+    print(
+        f"the force is known to {plan.now.worst:.2%} at worst, where {goal.error:.2%} is wanted; "
+        f"least at {speed:.3g} m/s and {current:.3g} A"
+    )
+    if plan.reason:
+        print(plan.reason)
+    elif plan.runs_left is not None:
+        print(f"about {plan.runs_left} more runs will do")

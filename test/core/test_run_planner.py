@@ -1,0 +1,322 @@
+"""Which run comes next: knowledge of the force, plans within limits, signals, whole campaigns."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import known
+import numpy as np
+import pytest
+
+import mr_damper_ros as mr
+from mr_damper_ros.estimation.force_knowledge import (
+    Cycles,
+    ForceGoal,
+    cycle_errors,
+    point_errors,
+    prior_information,
+    relative_gradient,
+    window_information,
+)
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
+from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
+from mr_damper_ros.interface.force_campaign import CampaignStep, ForceCampaign, run_campaign
+from mr_damper_ros.interface.signal_file import signal, write_signal
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tools import plan_run
+
+GOAL = ForceGoal(0.04, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
+LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
+NOISE = 25.0
+"""[N]: 2 % of the force's root mean square over the range of the goal."""
+
+CLAIMS = (1.0 / 3.0, 3.0)
+"""Claimed over true error of one damper: of the largest of many normal deviates."""
+
+THINNED = 0.2
+"""Relative: of the steep parts of a loop thinned samples hold now more, now less."""
+
+LAW = known.SIGMOID
+EVERY = np.ones(len(LAW.parameters), dtype=bool)
+
+
+def perform(run: PlannedRun, seed: int = 0) -> Recording:
+    times = [place * run.stretch for place in range(len(run.currents))]
+    rig = EmulatedRig(
+        ConstantDamper(known.PLAUSIBLE),
+        SineMotion(run.amplitude, run.frequency),
+        CurrentSchedule(times, run.currents),
+        settings=RigSettings(sample_rate=500.0, force_noise=NOISE, seed=seed),
+    )
+    return rig.record(run.duration)
+
+
+class Machine:
+    """Makes runs, each with noise of its own, and keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.runs: list[PlannedRun] = []
+        self.recordings: list[Recording] = []
+
+    def __call__(self, run: PlannedRun) -> Recording:
+        self.runs.append(run)
+        self.recordings.append(perform(run, len(self.runs)))
+        return self.recordings[-1]
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return Machine()
+
+
+@pytest.fixture(scope="module")
+def campaign(machine: Machine) -> ForceCampaign:
+    return run_campaign(GOAL, LIMITS, machine)
+
+
+def test_a_campaign_reaches_its_goal(campaign: ForceCampaign) -> None:
+    assert campaign.reached
+    assert campaign.reason == "the goal is met"
+    assert campaign.steps[-1].plan.now.worst <= GOAL.error
+    assert len(campaign.steps) <= 6
+
+
+def test_what_it_claims_is_about_true(campaign: ForceCampaign) -> None:
+    cycles = Cycles(LAW, GOAL.cycles())
+    truth = cycles.force(known.PLAUSIBLE)
+    missed = np.abs(cycles.force(campaign.parameter_set.values) - truth)
+    true = float(np.max(missed.max(axis=1) / np.abs(truth).max(axis=1)))
+    assert CLAIMS[0] < campaign.steps[-1].plan.now.worst / true < CLAIMS[1]
+
+
+def test_no_sample_leaves_the_limits(campaign: ForceCampaign, machine: Machine) -> None:
+    for recording in machine.recordings:
+        assert np.abs(recording.displacement).max() <= LIMITS.amplitude
+        assert np.abs(recording.force).max() <= LIMITS.force
+        assert 0.0 <= recording.current.min() <= recording.current.max() <= LIMITS.current
+    assert all(run.peak_velocity <= LIMITS.peak_velocity for run in machine.runs)
+
+
+def test_the_error_falls(campaign: ForceCampaign) -> None:
+    worst = [step.plan.now.worst for step in campaign.steps]
+    assert worst[-1] < 0.1 * worst[0]
+
+
+def test_the_first_run_is_the_gentlest(campaign: ForceCampaign, machine: Machine) -> None:
+    assert machine.runs[0] == first_run(GOAL, LIMITS)
+    assert machine.runs[0].peak_velocity <= GOAL.peak_velocity[0]
+
+
+def test_a_campaign_can_be_ended() -> None:
+    heard: list[CampaignStep] = []
+
+    def stop(step: CampaignStep) -> bool:
+        heard.append(step)
+        return False
+
+    ended = run_campaign(GOAL, LIMITS, Machine(), report=stop)
+    assert len(heard) == len(ended.steps) == 1
+    assert not ended.reached
+
+
+def test_a_run_that_makes_no_sense_is_made_once_more() -> None:
+    asked: list[PlannedRun] = []
+
+    def dead(run: PlannedRun) -> Recording:
+        asked.append(run)
+        return replace(perform(run), force=np.zeros(round(run.duration * 500.0)))
+
+    with pytest.raises(ValueError, match="load cell"):
+        run_campaign(GOAL, LIMITS, dead)
+    assert len(asked) == 2
+    assert asked[0] == asked[1]
+
+
+RUNS = (
+    PlannedRun(0.01, 0.6, (0.0, 1.0), 4.0),
+    PlannedRun(0.01, 3.0, (0.5,), 4.0),
+    PlannedRun(0.005, 3.0, (0.2, 0.6, 1.5), 4.0),
+)
+
+
+@pytest.fixture(scope="module")
+def planner() -> RunPlanner:
+    return RunPlanner(LAW, GOAL, LIMITS)
+
+
+def windows(*runs: PlannedRun) -> list[Window]:
+    return [window for run in runs for window in run.windows(perform(run))]
+
+
+def test_a_met_goal_needs_no_run(planner: RunPlanner) -> None:
+    easy = RunPlanner(LAW, replace(GOAL, error=0.5), LIMITS)
+    plan = easy.next(windows(*RUNS), known.PLAUSIBLE, EVERY)
+    assert (plan.state, plan.run) == (PlanState.MET, None)
+
+
+@pytest.mark.parametrize(
+    ("limits", "sentence"),
+    [
+        (replace(LIMITS, peak_velocity=0.1), "the machine to 0.1 m/s"),
+        (replace(LIMITS, current=1.0), "the supply to 1 A"),
+        (replace(LIMITS, force=100.0), "may leave the limits of force or heat"),
+        (replace(LIMITS, heat=1e-3), "may leave the limits of force or heat"),
+    ],
+)
+def test_a_goal_beyond_the_machine_is_out_of_reach(limits: MachineLimits, sentence: str) -> None:
+    plan = RunPlanner(LAW, GOAL, limits).next(windows(RUNS[0]), known.PLAUSIBLE, EVERY)
+    assert plan.state is PlanState.OUT_OF_REACH
+    assert sentence in plan.reason
+
+
+def test_a_goal_beyond_the_noise_is_out_of_reach_and_says_what_is_left() -> None:
+    goal = replace(GOAL, error=1e-5)
+    plan = RunPlanner(LAW, goal, LIMITS).next(windows(*RUNS), known.PLAUSIBLE, EVERY)
+    assert plan.state is PlanState.OUT_OF_REACH
+    assert plan.run is not None
+    assert "more runs would leave an error of" in plan.reason
+
+
+def test_the_next_run_is_expected_to_help(planner: RunPlanner) -> None:
+    plan = planner.next(windows(RUNS[0]), known.PLAUSIBLE, EVERY)
+    assert plan.state is PlanState.RUN
+    assert plan.expected < plan.now.worst
+
+
+def test_every_candidate_is_within_the_limits(planner: RunPlanner) -> None:
+    assert planner.candidates
+    for run in planner.candidates:
+        assert run.amplitude <= LIMITS.amplitude
+        assert run.peak_velocity <= LIMITS.peak_velocity
+        assert 0.0 <= min(run.currents) <= max(run.currents) <= LIMITS.current
+        assert run.stretch * run.frequency >= 1.0
+
+
+def test_the_error_of_a_known_information() -> None:
+    """One parameter known to 2, of which the force is three times: an error of 6."""
+    gradient = np.full((1, 4, 1), 3.0)
+    information = np.array([[[0.25]]])
+    assert cycle_errors(gradient, information) == pytest.approx(6.0)
+
+
+def test_the_worst_error_is_exceeded_as_often_as_not() -> None:
+    # The median of the size of a normal deviate is 0.674; 200 draws tell it to 9 %.
+    goal = ForceGoal(0.01, (0.1, 0.1), (1.0, 1.0))
+    found = point_errors(goal, np.ones((1, 4, 1)), np.ones((1, 1)))
+    assert found.worst == pytest.approx(0.674, rel=0.2)
+    assert found.errors == pytest.approx(1.0)
+
+
+def test_more_samples_tell_more() -> None:
+    cycles = Cycles(LAW, GOAL.cycles())
+    gradient = relative_gradient(cycles, known.PLAUSIBLE)
+    information = prior_information(LAW, cycles, known.PLAUSIBLE, GOAL)
+    worst = [point_errors(GOAL, gradient, information).worst]
+    for run in RUNS:
+        some = run.windows(perform(run))
+        information = information + window_information(
+            LAW, some, [NOISE] * len(some), known.PLAUSIBLE
+        )
+        worst.append(point_errors(GOAL, gradient, information).worst)
+    assert worst == sorted(worst, reverse=True)
+
+
+def test_information_scales_with_the_samples() -> None:
+    short, long = (replace(RUNS[1], duration=seconds) for seconds in (2.0, 4.0))
+    of_short, of_long = (
+        np.diag(window_information(LAW, run.windows(perform(run)), [NOISE], known.PLAUSIBLE))
+        for run in (short, long)
+    )
+    seen = of_short > 1e-9 * of_short.max()
+    assert of_long[seen] / of_short[seen] == pytest.approx(2.0, rel=THINNED)
+
+
+@pytest.mark.parametrize("run", RUNS)
+def test_a_signal_starts_and_ends_at_rest_within_the_limits(run: PlannedRun) -> None:
+    time, displacement, current = signal(run, 1000.0)
+    velocity = np.gradient(displacement, time)
+    assert abs(displacement[0]) < 1e-9
+    assert abs(displacement[-1]) < 1e-9
+    assert abs(velocity[[0, -1]]).max() < 1e-3 * run.peak_velocity
+    assert np.abs(displacement).max() <= run.amplitude * (1.0 + 1e-12)
+    assert np.abs(velocity).max() <= run.peak_velocity * (1.0 + 1e-9)
+    assert list(dict.fromkeys(current.tolist())) == list(run.currents)
+
+
+def test_a_signal_file_is_read_back_as_a_record(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    write_signal(RUNS[0], path, 1000.0)
+    with path.open(newline="") as file:
+        assert next(csv.reader(file)) == ["time:s", "displacement:m", "current:A"]
+    rows = path.read_text().splitlines()[1:]
+    text = "".join(f"{row},{place % 7}\n" for place, row in enumerate(rows))
+    (tmp_path / "with_force.csv").write_text(text)
+    columns = "time:s,displacement:m,current:A,force:N"
+    read = read_record(tmp_path / "with_force.csv", columns)
+    assert read.displacement == pytest.approx(signal(RUNS[0], 1000.0)[1], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"error": 0.0}, "between 0 and 1"),
+        ({"peak_velocity": (0.2, 0.1)}, "the lower first"),
+        ({"current": (-1.0, 1.0)}, "none may be negative"),
+    ],
+)
+def test_a_goal_that_cannot_be_meant_is_refused(
+    change: dict[str, object], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        replace(GOAL, **change)  # type: ignore[arg-type]
+
+
+def test_a_machine_too_slow_for_a_cycle_is_refused() -> None:
+    with pytest.raises(ValueError, match="allow longer runs"):
+        first_run(GOAL, replace(LIMITS, duration=0.1))
+
+
+PROGRAM = [
+    *("--velocity", "0.02", "0.2", "--current", "0", "1.5"),
+    *("--amplitude", "0.01", "--force", "5000"),
+]
+
+
+def test_the_program_names_the_first_run_and_writes_its_signal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert plan_run.main([*PROGRAM, "--signal", str(tmp_path / "run.csv")]) == 0
+    assert "mm at" in capsys.readouterr().out
+    assert (tmp_path / "run.csv").read_text().startswith("time:s,displacement:m,current:A\n")
+
+
+def test_the_program_goes_on_from_bags(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for place, run in enumerate(RUNS[:2]):
+        mr.write_bag(tmp_path / f"run{place}", perform(replace(run, currents=run.currents[:1])))
+    bags = [str(path) for path in sorted(tmp_path.iterdir())]
+    output = tmp_path / "plan.json"
+    assert plan_run.main([*bags, *PROGRAM, "--json", str(output)]) == 0
+    assert "the force is known to" in capsys.readouterr().out
+    plan = json.loads(output.read_text())
+    assert plan["state"] == "run"
+    assert math.isfinite(plan["worst_error"])
+    assert plan["run"]["amplitude"] <= 0.01
+
+
+def test_the_program_says_when_a_goal_is_out_of_reach(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mr.write_bag(tmp_path / "run", perform(RUNS[1]))
+    code = plan_run.main([str(tmp_path / "run"), *PROGRAM, "--top-current", "1"])
+    assert code == plan_run.OUT_OF_REACH
+    assert "the supply to 1 A" in capsys.readouterr().out
