@@ -239,7 +239,9 @@ def most_probable(
         return np.concatenate([*parts, np.diag(weight)])
 
     low, high = model.bounds
-    inside = np.clip(about if start is None else start, np.nextafter(low, np.inf), np.nextafter(high, -np.inf))
+    inside = np.clip(
+        about if start is None else start, np.nextafter(low, np.inf), np.nextafter(high, -np.inf)
+    )
     found = least_squares(
         residual, inside, jacobian, (low, high), x_scale=1.0 / weight, max_nfev=_MOST_STEPS
     )
@@ -277,9 +279,7 @@ def repeated_error(
             replace(window, force=force + sigma * rng.standard_normal(force.size))
             for window, force, sigma in zip(few, forces, sizes, strict=True)
         ]
-        about = np.clip(
-            parameters + deviations * rng.standard_normal(parameters.size), low, high
-        )
+        about = np.clip(parameters + deviations * rng.standard_normal(parameters.size), low, high)
         found, _ = most_probable(model, again, sizes, prior, about, parameters)
         worst.append(float(np.max(np.abs(cycles.force(found) - true) / largest)))
     return float(np.median(worst))

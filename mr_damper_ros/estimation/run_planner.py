@@ -45,7 +45,6 @@ from mr_damper_ros.estimation.planned_run import (
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.recording import Recording
 
 _SETS = 6
 """So many sets stand for what is open."""
@@ -136,8 +135,9 @@ class RunPlanner:
     def most_probable(
         self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
     ) -> Array:
-        """The most probable set (p,): from that identified, and from some that differ in what it
-        leaves open.
+        """The most probable set (p,), from the one identified.
+
+        It is looked for from a few others, too, that differ in what the windows leave open.
         """
         noise = [noise_of(self.model, window, parameters) for window in windows]
         prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
@@ -220,9 +220,7 @@ class RunPlanner:
     ) -> PointErrors:
         """The errors, the worst no smaller than by identifying again: the goal is met for sure."""
         prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
-        again = repeated_error(
-            self.model, windows, noise, prior, parameters, self._goal_cycles
-        )
+        again = repeated_error(self.model, windows, noise, prior, parameters, self._goal_cycles)
         return replace(now, worst=max(now.worst, again))
 
     def _errors(self, parameters: Array, information: Array) -> PointErrors:

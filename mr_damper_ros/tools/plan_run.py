@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL)
     parser.add_argument(
-        "--signal", type=Path, metavar="FILE", help="write the run as CSV, for machines that play it"
+        "--signal", type=Path, metavar="FILE", help="write the run as CSV, to be played"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the plan as JSON")
     return parser

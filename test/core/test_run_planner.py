@@ -272,9 +272,7 @@ def test_a_signal_file_is_read_back_as_a_record(tmp_path: Path) -> None:
         ({"current": (-1.0, 1.0)}, "none may be negative"),
     ],
 )
-def test_a_goal_that_cannot_be_meant_is_refused(
-    change: dict[str, object], sentence: str
-) -> None:
+def test_a_goal_that_cannot_be_meant_is_refused(change: dict[str, object], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         replace(GOAL, **change)  # type: ignore[arg-type]
 
@@ -298,9 +296,7 @@ def test_the_program_names_the_first_run_and_writes_its_signal(
     assert (tmp_path / "run.csv").read_text().startswith("time:s,displacement:m,current:A\n")
 
 
-def test_the_program_goes_on_from_bags(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_program_goes_on_from_bags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for place, run in enumerate(RUNS[:2]):
         mr.write_bag(tmp_path / f"run{place}", perform(replace(run, currents=run.currents[:1])))
     bags = [str(path) for path in sorted(tmp_path.iterdir())]
