@@ -218,9 +218,10 @@ def most_probable(
 ) -> tuple[Array, float]:
     """The most probable parameters (p,), and half of what speaks against them.
 
-    The search begins at ``start`` (p,), or ``about`` (p,). All parameters are free, about that with the information ``prior`` (p, p, diagonal):
-    what the data tell little of moves as far as they tell, and what they do not tell stays. A
-    search that holds what it cannot determine well would be wrong by more than it claims.
+    All parameters are free, ``about`` (p,) with the information ``prior`` (p, p, diagonal): what
+    the data tell little of moves as far as they tell, and what they do not tell stays. A search
+    that holds what it cannot determine well would be wrong by more than it claims. It begins at
+    ``start`` (p,), or ``about``.
     """
     from scipy.optimize import least_squares
 
