@@ -1,0 +1,115 @@
+"""Identify many dampers at once, each in a namespace of its own, from a bridge each.
+
+ros2 launch mr_damper_ros fleet.launch.py dampers:="left right"
+ros2 launch mr_damper_ros fleet.launch.py dampers:=8 bridge_config:=/path/to/{damper}.yaml
+
+It ends as soon as a node fails, then with exit code 1.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from launch import LaunchContext, LaunchDescription
+
+PACKAGE = "mr_damper_ros"
+SHARE = Path(get_package_share_directory(PACKAGE))
+
+NODES = ("bridge", "identifier", "model")
+
+PLACE = "{damper}"
+"""Stands for the name of the damper in the path of a parameter file."""
+
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+"""What ROS takes for a namespace."""
+
+
+def arguments() -> list[DeclareLaunchArgument]:
+    """What the user may set."""
+    return [
+        DeclareLaunchArgument(
+            "dampers",
+            default_value="2",
+            description="Names of the dampers, separated by blanks, each a namespace; or how many, "
+            "which are then called damper_1, damper_2 and so on.",
+            choices=None,
+        ),
+        *(
+            DeclareLaunchArgument(
+                f"{node}_config",
+                default_value=str(SHARE / "config" / f"{node}.yaml"),
+                description=f"Parameter file of the {node}; {PLACE} in it is the damper's name.",
+                choices=None,
+            )
+            for node in NODES
+        ),
+    ]
+
+
+def names_of(text: str) -> list[str]:
+    """The names of the dampers; raises RuntimeError where one cannot be used."""
+    if text.isdecimal():
+        names = [f"damper_{number}" for number in range(1, int(text) + 1)]
+    else:
+        names = text.split()
+    if not names:
+        raise RuntimeError("dampers is empty: give names, or how many there are")
+    for name in names:
+        if not NAME.fullmatch(name):
+            raise RuntimeError(f"a damper cannot be called {name!r}: use letters, digits and _")
+    if len(set(names)) < len(names):
+        raise RuntimeError("two dampers have the same name")
+    return names
+
+
+def failed(name: str) -> Callable[..., None]:
+    """What follows the end of a node."""
+
+    def handle(event: object, context: LaunchContext) -> None:
+        code = event.returncode  # type: ignore[attr-defined]
+        if code and not context.is_shutdown:
+            raise RuntimeError(f"{name} has ended with exit code {code}")
+
+    return handle
+
+
+def file_of(values: Mapping[str, str], node: str, damper: str) -> str:
+    """Parameter file of a node of a damper; raises RuntimeError where there is none."""
+    path = values[f"{node}_config"].replace(PLACE, damper)
+    if not Path(path).is_file():
+        raise RuntimeError(f"{node}_config: there is no file {path}")
+    return path
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """Bridge, identifier and model of every damper."""
+    values = {item.name: LaunchConfiguration(item.name).perform(context) for item in arguments()}
+    return [
+        Node(
+            package=PACKAGE,
+            executable=node,
+            name=node,
+            namespace=damper,
+            # Identifier and model are there before the first sample.
+            parameters=[
+                file_of(values, node, damper),
+                {"wait_for_subscribers": 2} if node == "bridge" else {},
+            ],
+            remappings=[],
+            ros_arguments=[],
+            additional_env={},
+            output="screen",
+            on_exit=failed(f"{damper}/{node}"),
+        )
+        for damper in names_of(values["dampers"])
+        for node in NODES
+    ]
+
+
+def generate_launch_description() -> LaunchDescription:
+    return LaunchDescription([*arguments(), OpaqueFunction(function=nodes)])
