@@ -33,7 +33,7 @@ from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools import plan_run
 
-GOAL = ForceGoal(0.04, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
+GOAL = ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
 LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
 NOISE = 25.0
 """[N]: 2 % of the force's root mean square over the range of the goal."""
