@@ -19,6 +19,7 @@ from support import Listener, installed_programs
 from mr_damper_ros.nodes.bridge_node import BridgeParameters
 from mr_damper_ros.nodes.controller_node import ControllerParameters
 from mr_damper_ros.nodes.identifier_parameters import IdentifierParameters
+from mr_damper_ros.nodes.live_node import LiveParameters
 from mr_damper_ros.nodes.model_node import ModelParameters
 from mr_damper_ros.nodes.quality import OVERRIDES, objection
 from mr_damper_ros.nodes.replay_node import ReplayParameters
@@ -34,6 +35,7 @@ TABLES: dict[str, type] = {
     "bridge": BridgeParameters,
     "controller": ControllerParameters,
     "identifier": IdentifierParameters,
+    "live": LiveParameters,
     "model": ModelParameters,
     "replay": ReplayParameters,
     "supply": SupplyParameters,
