@@ -54,7 +54,8 @@ export function savePicture(section, legend) {
   for (const figure of section.querySelectorAll("figure")) {
     const canvas = figure.querySelector("canvas");
     if (!canvas) continue;
-    const title = figure.querySelector("figcaption").firstChild.textContent;
+    const newest = figure.querySelector("output")?.value ?? "";
+    const title = `${figure.querySelector("figcaption").firstChild.textContent}  ${newest}`;
     const place = canvas.getBoundingClientRect(), top = figure.getBoundingClientRect().top;
     ctx.fillText(title, place.left - around.left + 8, top - around.top + 8);
     ctx.drawImage(canvas, place.left - around.left, place.top - around.top, place.width, place.height);
