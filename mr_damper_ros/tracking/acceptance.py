@@ -8,6 +8,7 @@ from enum import IntEnum
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.tracking.known_forces import KnownForce, KnownForces
+from mr_damper_ros.tracking.reservoir import OperatingPoint
 from mr_damper_ros.tracking.usual_residual import SeenResidual, UsualResiduals
 
 _OTHER_SHAPE = 0.3
@@ -208,17 +209,20 @@ class Gatekeeper:
         *,
         holds: bool = False,
         same_motion: bool = False,
+        one_point: bool = True,
     ) -> Judgement:
         """Whether the new set is accepted, and why not.
 
         ``force``: size and operating point of the window's force, where they are to be judged.
         ``holds``: whether the running set has been identified where the window is;
-        ``same_motion``: whether it has been confirmed in several windows of this very motion.
+        ``same_motion``: whether it has been confirmed in several windows of this very motion;
+        ``one_point``: whether the window has one current, so that its residual is that of a point.
         """
-        judgement = self._judge(evidence, force, holds, same_motion)
+        point = force.operating_point if force is not None and one_point else None
+        judgement = self._judge(evidence, force, point, holds, same_motion)
         if judgement.verdict.confirms:
-            point = () if force is None else force.operating_point
-            self._usual.add(SeenResidual(evidence.rmse_after, evidence.nrmse_after, *point))
+            seen = SeenResidual(evidence.rmse_after, evidence.nrmse_after, *(point or ()))
+            self._usual.add(seen)
         if force is not None and judgement.verdict.confirms:
             self._forces.follow(force)
         return judgement
@@ -278,7 +282,12 @@ class Gatekeeper:
         return self._usual.excess(rmse, nrmse) <= self._settings.residual_factor
 
     def _judge(
-        self, evidence: Evidence, force: KnownForce | None, holds: bool, same_motion: bool
+        self,
+        evidence: Evidence,
+        force: KnownForce | None,
+        point: OperatingPoint | None,
+        holds: bool,
+        same_motion: bool,
     ) -> Judgement:
         settings = self._settings
         pending, self._pending_change = self._pending_change, None
@@ -303,7 +312,6 @@ class Gatekeeper:
             )
         known = bool(self._usual)
         if known:
-            point = None if force is None else force.operating_point
             excess = self._usual.excess(evidence.rmse_after, evidence.nrmse_after, point)
             if excess > settings.residual_factor:
                 self._refused_for_residual += 1

@@ -203,7 +203,9 @@ class WindowTracker:
         force = known_force(fit, summary)
         holds = not self._other_damper and holds_at(self.parameters, fit.operating_point)
         known_motion = self._motion.windows_of(summary) >= _ESTABLISHED
-        judgement = self._gatekeeper.judge(evidence, force, holds=holds, same_motion=known_motion)
+        judgement = self._gatekeeper.judge(
+            evidence, force, holds=holds, same_motion=known_motion, one_point=parts is None
+        )
         if self._unexplained and judgement.verdict is Verdict.DISTURBED:
             judgement = Judgement(
                 Verdict.POOR_FIT,

@@ -307,6 +307,12 @@ def test_a_gross_residual_is_a_disturbance_at_a_new_operating_point_too() -> Non
     assert found.verdict is Verdict.DISTURBED
 
 
+def test_a_window_of_several_currents_is_no_new_operating_point() -> None:
+    small = evidence(100.0, 0.12 * SPREAD)
+    found = used_to().judge(small, force(current=1.25), one_point=False)
+    assert found.verdict is Verdict.DISTURBED
+
+
 def test_each_operating_point_keeps_its_own_usual_residual() -> None:
     gatekeeper = used_to()
     for _ in range(20):
