@@ -83,11 +83,11 @@ class ControlLoop:
             settings=RigSettings(force_noise=noise, start_ns=T0),
             coil_time_constant=coil,
         )
+        self._rig.live = True
 
     def blocks(self, duration: float) -> Iterator[SampleBlock]:
         """Blocks of samples, whose currents the controller has been told."""
         for number in range(round(duration / PERIOD / BLOCK)):
-            # The rig makes a hundred samples at a time: a command takes effect after those.
             made = self._rig.next_block(BLOCK)
             for place in range(BLOCK):
                 self.controller.predictor.add_current(made.stamp_ns(place), made.current[place])
@@ -98,12 +98,6 @@ class ControlLoop:
         """Turn the supply."""
         self._times.append(self._now)
         self._currents.append(current)
-
-
-@pytest.fixture
-def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rig that obeys with the next block."""
-    monkeypatch.setattr("mr_damper_ros.rig.emulator._CHUNK", BLOCK)
 
 
 def settings(feedback_gain: float = 0.0, **changes: float) -> ForceControlSettings:
@@ -153,21 +147,18 @@ def lagging_coil(name: str, time_constant: float) -> ParameterSet:
     )
 
 
-@pytest.mark.usefixtures("small_chunks")
 def test_a_dissipative_force_is_tracked() -> None:
     trial = tracked(ControlLoop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD)), 12e3)
     assert trial.attainable.mean() > 0.3
     assert trial.nrmse < TRACKED
 
 
-@pytest.mark.usefixtures("small_chunks")
 def test_a_coil_that_lags_is_made_up_for() -> None:
     late = lagging_coil("sigmoid_lag", 0.01)
     trial = tracked(ControlLoop(controlled(late), ModelDamper(late, PERIOD)), 12e3)
     assert trial.nrmse < TRACKED
 
 
-@pytest.mark.usefixtures("small_chunks")
 def test_other_laws_are_controlled_too() -> None:
     values = EXAMPLES["bouc_wen"].copy()
     names = list(ParameterSet(values, model="bouc_wen").law.parameter_names)
@@ -180,7 +171,6 @@ def test_other_laws_are_controlled_too() -> None:
     assert trial.nrmse < TRACKED
 
 
-@pytest.mark.usefixtures("small_chunks")
 def test_feedback_makes_good_a_damper_that_has_got_weaker() -> None:
     weak = PLAUSIBLE.copy()
     weak[0] *= 0.9
@@ -193,7 +183,6 @@ def test_feedback_makes_good_a_damper_that_has_got_weaker() -> None:
     assert controller.feedback_factor == pytest.approx(1.0 / 0.9, abs=0.04)
 
 
-@pytest.mark.usefixtures("small_chunks")
 def test_the_current_does_not_chatter() -> None:
     loop = ControlLoop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD))
     commands = np.array([c.current for c in tracked(loop, 12e3).commands[250:]])
@@ -272,7 +261,6 @@ def test_no_current_beyond_the_identified_ones_is_commanded() -> None:
     assert max(currents) <= 0.8
 
 
-@pytest.mark.usefixtures("small_chunks")
 def test_a_prediction_that_the_measured_force_belies_commands_nothing() -> None:
     strong = PLAUSIBLE.copy()
     strong[0] *= 2.0

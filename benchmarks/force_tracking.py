@@ -1,0 +1,183 @@
+"""A desired force in the emulated rig: random motion, a lagging coil, and a damper that heats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.figure import Figure
+from benchmarks.other_dampers import random_motion
+from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import (
+    CurrentSchedule,
+    EmulatedRig,
+    ModelDamper,
+    RigSettings,
+    ThermalModel,
+)
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.tracking.predictor import PredictorSettings
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
+
+_VALUES = {
+    "f0": 40.0,
+    "I0": -0.35,
+    "I1": -0.25,
+    "a0": 900.0,
+    "a1": 2.5,
+    "a2": 4.0,
+    "a3": 3.0,
+    "a4": 2.0,
+    "k0": 9.0,
+    "k1c": 4.0,
+    "k1e": 6.0,
+    "k2": 18.0,
+    "k3": -0.45,
+    "k4": -0.11,
+    "k5": 0.06,
+    "k6": 0.012,
+    "compliance": 3e-8,
+    "stiffness": 2000.0,
+    "offset": -40.0,
+    "coil_time_constant": 0.01,
+}
+
+DAMPER = ParameterSet(
+    np.array([_VALUES[name] for name in MODELS["sigmoid_lag"].parameter_names]),
+    set_id="cold",
+    model="sigmoid_lag",
+    peak_velocity_range=(0.0, 0.5),
+    current_range=(0.0, 1.6),
+)
+"""An invented damper in the size of the thesis', whose coil lags by 10 ms, as if identified at
+28 °C: what is known of it is the truth."""
+
+HOT_FORCE = 989.0 / 1332.0
+"""What the thesis' damper keeps of its force at 71 °C."""
+
+DEMAND = 9000.0
+"""Damping [N s/m] that is wanted: a force that always resists the motion."""
+
+BLOCK = 10
+PERIOD = 1e-3
+SETTLED = 5.0
+"""Seconds after which motion and peak velocity are known."""
+
+_COLD, _HOT = 28.0, 71.0
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """Samples (n,) whose desired force could be had: time [s], desired and true force [N]."""
+
+    time: Array
+    wanted: Array
+    force: Array
+    spread: float
+    share: float
+
+    def nrmse(self, begin: float, end: float) -> float:
+        """RMSE over the standard deviation of all of the force, between two times [s]."""
+        chosen = (self.time >= begin) & (self.time < end)
+        error = (self.force - self.wanted)[chosen]
+        return float(np.sqrt(np.mean(error**2))) / self.spread
+
+
+def tracked(duration: float, *, hot: bool, learns: bool, seed: int = 0) -> Tracking:
+    """Track the demand for ``duration`` [s], at 28 °C, or at 71 °C where ``hot``.
+
+    ``learns``: with the set that is identified meanwhile, else with that of 28 °C.
+    """
+    celsius = _HOT if hot else _COLD
+    times, currents = [0.0], [0.0]
+    rig = EmulatedRig(
+        ModelDamper(DAMPER, PERIOD, HOT_FORCE),
+        random_motion(0.004, 0.5, 3.0, duration, seed=seed),
+        CurrentSchedule(times, currents),
+        settings=RigSettings(displacement_noise=1e-6, seed=seed),
+        # So much heat capacity that it stays as it is.
+        thermal=ThermalModel(ambient=celsius, initial=celsius, capacity=1e9),
+    )
+    rig.live = True
+    controller = ForceController(
+        ForceControlSettings(
+            highest_current=1.6,
+            predictor=PredictorSettings(max_age=0.0, maximum_error=0.0),
+        )
+    )
+    controller.set_parameters(DAMPER)
+    windows = WindowSettings()
+    assembler = WindowAssembler(windows.window, windows.hop, windows.looks, windows.longest_window)
+    tracker = WindowTracker(TrackerSettings(model=DAMPER.model), DAMPER)
+    rows, forces, before = [], [], None
+    for number in range(round(duration / PERIOD / BLOCK)):
+        made = rig.next_block(BLOCK)
+        block = SampleBlock(made.start_ns, made.sequence, PERIOD, made.displacement, made.force)
+        # The current changes between blocks alone.
+        controller.predictor.add_current(made.start_ns, float(made.current[0]))
+        if learns:
+            ready = assembler.add_current(made.start_ns, float(made.current[0]))
+            for window in ready + assembler.add_block(block):
+                report = tracker.follow(window)
+                if report is not None and report.accepted:
+                    controller.set_parameters(tracker.parameters)
+        now = (number + 1) * BLOCK * PERIOD
+        rows.append(_row(now, before, made.force))
+        forces.append(made.force)
+        velocity = float(block.displacement[-1] - block.displacement[0]) / (PERIOD * (BLOCK - 1))
+        controller.want(block.end_ns, DEMAND * velocity)
+        before = controller.command(block)
+        controller.catch_up()
+        times.append(now)
+        currents.append(before.current)
+    every = np.concatenate(rows, axis=1)
+    late = every[:, every[0] > SETTLED]
+    met = late[:, late[3] > 0.0]
+    spread = float(np.std(np.concatenate(forces)[round(SETTLED / PERIOD) :]))
+    return Tracking(met[0], met[1], met[2], spread, met.shape[1] / late.shape[1])
+
+
+def _row(now: float, command: Command | None, force: Array) -> Array:
+    """Time, desired and measured force of a block, and whether the desired one could be had."""
+    valid = command is not None and not command.doubt
+    wanted = command.wanted if command is not None and valid else np.nan
+    met = float(command is not None and valid and command.attainable)
+    return np.stack([np.full(BLOCK, v) for v in (now, wanted)] + [force, np.full(BLOCK, met)])
+
+
+def figures(duration: float = 24.0) -> list[Figure]:
+    """``force_tracking_nrmse_percent`` and its growth at 71 °C, on-line set and fixed set."""
+    half = 0.5 * duration
+    cold = tracked(duration, hot=False, learns=False)
+    on_line = tracked(duration, hot=True, learns=True)
+    fixed = tracked(duration, hot=True, learns=False)
+    reference = cold.nrmse(half, duration)
+    about = f"Emulated rig, random motion, coil lag 10 ms, {DEMAND:.0f} N s/m wanted"
+    return [
+        Figure(
+            "force_tracking_nrmse_percent",
+            100.0 * reference,
+            f"{about}: RMSE over the standard deviation of the force [%], where the desired force "
+            "could be had.",
+            (0.0, 10.0),
+            f"It could be had for {cold.share:.0%} of the time.",
+        ),
+        Figure(
+            "force_tracking_hot_growth",
+            on_line.nrmse(half, duration) / reference,
+            f"{about}: the error at 71 °C (force {HOT_FORCE:.0%}) over that at 28 °C, with the set "
+            f"identified on line from that of 28 °C, in the second {half:.0f} s.",
+            (0.0, 1.1),
+        ),
+        Figure(
+            "force_tracking_hot_growth_fixed",
+            fixed.nrmse(half, duration) / reference,
+            "The same with the set of 28 °C throughout.",
+        ),
+    ]

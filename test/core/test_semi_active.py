@@ -1,0 +1,154 @@
+"""Controllers of a suspension, and the car that they are for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mr_damper_ros.control.quarter_car import ROUGHNESS, MovingCar, QuarterCar, bump, iso_road
+from mr_damper_ros.control.semi_active import (
+    Controller,
+    Moment,
+    Weights,
+    acceleration_driven,
+    groundhook,
+    hybrid,
+    linear_feedback,
+    mixed_skyhook_add,
+    optimal_gain,
+    passive,
+    skyhook,
+)
+from mr_damper_ros.signals.arrays import Array
+
+CAR = QuarterCar()
+PERIOD = 1e-3
+SOFT, HARD = 300.0, 3900.0
+"""Damping [N s/m] that an ideal semi-active damper can have."""
+
+INTEGRATED = 1e-6
+"""Relative, of a solver with a tolerance of 1e-9."""
+
+
+def moment(state: Array, acceleration: float) -> Moment:
+    return Moment(state[1], state[3], acceleration, state[0], state[2])
+
+
+def driven(controller: Controller, road: Array) -> tuple[float, float]:
+    """RMS of body acceleration [m/s²] and of the tyre's load [N], with an ideal damper."""
+    car = MovingCar(CAR, PERIOD)
+    force, body, tyre = 0.0, [], []
+    for velocity in road.tolist():
+        before = car.state
+        state = car.step(force, velocity)
+        body.append((state[1] - before[1]) / PERIOD)
+        tyre.append(CAR.tyre * state[2])
+        extension = state[1] - state[3]
+        low, high = sorted((SOFT * extension, HARD * extension))
+        force = min(max(controller(moment(state, body[-1])), low), high)
+    return float(np.sqrt(np.mean(np.square(body)))), float(np.sqrt(np.mean(np.square(tyre))))
+
+
+ROAD = iso_road("C", 20.0, PERIOD, 8000, seed=3)
+
+
+@pytest.fixture(scope="module")
+def soft() -> tuple[float, float]:
+    return driven(passive(SOFT), ROAD)
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        skyhook(HARD),
+        hybrid(HARD, 0.7),
+        mixed_skyhook_add(SOFT, HARD, 12.0),
+        linear_feedback(optimal_gain(CAR.dynamics, CAR.by_force, Weights())),
+    ],
+    ids=["skyhook", "hybrid", "SH-ADD", "optimal"],
+)
+def test_a_controller_for_comfort_beats_the_soft_and_the_hard_damper(
+    controller: Controller, soft: tuple[float, float]
+) -> None:
+    comfort, _ = driven(controller, ROAD)
+    assert comfort < soft[0]
+    assert comfort < driven(passive(HARD), ROAD)[0]
+
+
+def test_add_is_hard_where_that_slows_the_acceleration() -> None:
+    controller = acceleration_driven(SOFT, HARD)
+    assert controller(Moment(0.2, 0.1, 3.0)) == pytest.approx(0.1 * HARD)
+    assert controller(Moment(0.2, 0.1, -3.0)) == pytest.approx(0.1 * SOFT)
+    assert driven(controller, ROAD)[0] < driven(passive(HARD), ROAD)[0]
+
+
+def test_groundhook_holds_the_wheel_on_the_road(soft: tuple[float, float]) -> None:
+    assert driven(groundhook(HARD), ROAD)[1] < soft[1]
+
+
+def test_the_optimal_gain_costs_least() -> None:
+    weights = Weights()
+    gain = optimal_gain(CAR.dynamics, CAR.by_force, weights)
+
+    def cost(k: Array) -> float:
+        closed = CAR.dynamics - np.outer(CAR.by_force, k)
+        start = np.array([0.01, 0.2, 0.002, -0.3])
+
+        def grow(_: float, x: Array) -> Array:
+            state = x[:4]
+            force, rate = -float(k @ state), closed @ state
+            squares = (
+                weights.acceleration * rate[1] ** 2
+                + weights.apart * state[0] ** 2
+                + weights.tyre * state[2] ** 2
+                + weights.force * force**2
+            )
+            return np.append(rate, squares)
+
+        run = solve_ivp(grow, (0.0, 6.0), np.append(start, 0.0), rtol=1e-8, atol=1e-12)
+        return float(run.y[4, -1])
+
+    best = cost(gain)
+    for place in range(4):
+        for factor in (0.9, 1.1):
+            other = gain.copy()
+            other[place] *= factor
+            assert cost(other) > best
+
+
+def test_the_car_moves_as_its_equations_say() -> None:
+    car = MovingCar(CAR, PERIOD)
+    for _ in range(200):
+        state = car.step(120.0, 0.1)
+    run = solve_ivp(
+        lambda _, x: CAR.dynamics @ x + 120.0 * CAR.by_force + 0.1 * CAR.by_road,
+        (0.0, 0.2),
+        np.zeros(4),
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(state, run.y[:, -1], rtol=INTEGRATED)
+
+
+def test_a_road_has_the_density_of_its_class() -> None:
+    speed, count = 20.0, 2**16
+    height = np.cumsum(iso_road("B", speed, PERIOD, count, seed=1)) * PERIOD
+    spectrum = np.abs(np.fft.rfft(height * np.hanning(count))) ** 2
+    density = 2.0 * PERIOD * spectrum / np.sum(np.hanning(count) ** 2)
+    waves = np.fft.rfftfreq(count, PERIOD) / speed
+    band = (waves > 0.1) & (waves < 0.4)
+    expected = ROUGHNESS["B"] * (waves[band] / 0.1) ** -2 / speed
+    assert np.mean(density[band] / expected) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_bump_ends_where_it_began() -> None:
+    velocity = bump(0.05, 1.0, 5.0, PERIOD, 500)
+    height = np.cumsum(velocity) * PERIOD
+    assert height.max() == pytest.approx(0.05, rel=0.01)
+    assert height[-1] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_road_of_no_class_is_refused() -> None:
+    with pytest.raises(ValueError, match="the classes are A, B"):
+        iso_road("F", 20.0, PERIOD, 10)
