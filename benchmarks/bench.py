@@ -33,6 +33,7 @@ from benchmarks import (
     reversal_jump,
     step_current,
     switched_current,
+    topic_pairing,
     utfsm_extended,
     utfsm_left_out,
     utfsm_models,
@@ -99,6 +100,8 @@ FULL: dict[str, Measure] = {
     "live_page": _of_nodes("live_page"),
     "lossy_link": _of_nodes("lossy_link"),
     "hostile_messages": _of_nodes("hostile_messages"),
+    "supply_safety": _of_nodes("supply_safety"),
+    "topic_pairing": topic_pairing.figures,
 }
 """Every module of figures, in the order of the table."""
 
@@ -120,6 +123,8 @@ QUICK: dict[str, Measure] = {
     "single_sample": _of_nodes("single_sample", duration=15.0, overload_duration=8.0),
     "live_page": _of_nodes("live_page", duration=30.0, segment=10.0, segments=2),
     "lossy_link": _of_nodes("lossy_link", duration=20.0),
+    "supply_safety": _of_nodes("supply_safety", trials=12),
+    "topic_pairing": lambda: topic_pairing.figures(60.0),
 }
 """Shorter versions of the long ones, for development: their figures are not the real ones."""
 

@@ -26,8 +26,11 @@ class InstrumentServer:
         class _LineConnection(socketserver.StreamRequestHandler):
             def handle(self) -> None:
                 outer._connections.append(self)
-                for line in self.rfile:
-                    outer._hear(self, line)
+                try:
+                    for line in self.rfile:
+                        outer._hear(self, line)
+                except OSError:
+                    return  # whoever spoke has died
 
         class _SocketServer(socketserver.ThreadingTCPServer):
             daemon_threads = True

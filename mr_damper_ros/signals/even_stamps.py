@@ -9,6 +9,7 @@ and those that stay unclear are left out: a sample in the wrong place is worse t
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +34,17 @@ _LONGEST_START = 1.0
 """Seconds after which it is found from what has come."""
 
 _STRETCH = 16
-"""Stamps whose mean tells a loss from jitter."""
+"""Stamps whose distance is looked at."""
+
+_GUESSES, _BEGINS = (0.1, 0.25, 0.5), (-0.4, 0.0, 0.4)
+"""Quantiles of the distances that are tried for the period, for in the shortest nothing was lost,
+and sample periods that the first stamps may be late on the whole."""
+
+_FOLLOWS = ((0.1, 0.005), (0.05, 0.001))
+"""Parts of what a stamp is off that a tried clock takes over, in offset and rate."""
+
+_DOUBTFUL, _LOOKED_AT = 0.2, 200
+"""Part of so many samples that may look lost or unclear before the clock is found anew."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +70,7 @@ class EvenStamps:
         self._clock: StampClock | None = None
         self._begun: list[tuple[int, float]] = []
         self._next = 0
-        self._last_ns = 0
+        self._doubts: deque[bool] = deque(maxlen=_LOOKED_AT)
         # With how late each was stamped [sample periods].
         self._waiting: list[tuple[EvenSample, float]] = []
         self.lost = 0
@@ -70,8 +81,10 @@ class EvenStamps:
         certain: list[EvenSample] = []
         if self._clock is not None:
             late_ns = stamp_ns - self._clock.at(self._next)
-            if abs(late_ns) < _LONGEST * NANOSECONDS:
+            doubtful = sum(self._doubts) > _DOUBTFUL * _LOOKED_AT
+            if abs(late_ns) < _LONGEST * NANOSECONDS and not doubtful:
                 return self._place(stamp_ns, value, late_ns / (self.period * NANOSECONDS))
+            self._doubts.clear()
             certain = [sample for sample, _ in self._waiting]
             skipped = max(round(late_ns / (self.period * NANOSECONDS)), 0)
             self.lost += skipped
@@ -104,6 +117,7 @@ class EvenStamps:
     def _place(self, stamp_ns: int, value: float, late: float) -> list[EvenSample]:
         clock = self._clock
         assert clock is not None
+        self._doubts.append(abs(late) > _HALF + _MARGIN)
         if late > _HALF + _MARGIN:
             skipped = math.ceil(late - _HALF - _MARGIN)
             self._leave_out_late_ones()
@@ -136,25 +150,85 @@ class EvenStamps:
 def _count(stamps_ns: list[int]) -> tuple[float, np.ndarray, int]:
     """Period [s] of samples with these stamps, their numbers (n,), and the time of number 0 [ns].
 
-    A loss is where the mean of the stamps before and after it are a period further apart than the
-    count says.
+    Clocks that begin a little differently are tried; that is the right one against which the least
+    speaks.
     """
     stamps: Array = (np.asarray(stamps_ns, dtype=np.int64) - stamps_ns[0]).astype(np.float64)
-    n = stamps.size
-    stretch = min(_STRETCH, n // 3)
-    period = float(np.median(stamps[stretch:] - stamps[:-stretch])) / stretch
-    numbers = np.arange(n)
-    offset = 0.0
-    for _ in range(2):
-        late = stamps / period - np.arange(n)
-        sums = np.concatenate([[0.0], np.cumsum(late)])
-        place = np.arange(stretch, n - stretch + 1)
-        means = (sums[place + stretch] - 2.0 * sums[place] + sums[place - stretch]) / stretch
-        numbers = np.arange(n)
-        while means.size and means.max() > 0.6:
-            worst = int(np.argmax(means))
-            numbers[place[worst] :] += max(round(float(means[worst])), 1)
-            means[max(worst - stretch, 0) : worst + stretch + 1] = 0.0
-        slope, offset = np.polyfit(numbers, stamps, 1)
-        period = float(slope)
-    return period / NANOSECONDS, numbers, stamps_ns[0] + round(float(offset))
+    stretch = min(_STRETCH, stamps.size // 3)
+    half = max(stretch // 2, 1)
+    # Means of a few jitter less.
+    means = np.convolve(stamps, np.full(half, 1.0 / half), "valid")
+    guesses = np.quantile(means[stretch:] - means[:-stretch], _GUESSES) / stretch
+    counts = [
+        numbers
+        for guess in guesses.tolist()
+        for numbers in (_stepped(stamps / guess, stretch), *_followed(stamps / guess))
+    ]
+    lines = [_line(stamps, numbers) for numbers in counts]
+    _, period, numbers, offset = min(lines, key=lambda line: line[0])
+    return period / NANOSECONDS, numbers, stamps_ns[0] + round(offset)
+
+
+def _line(stamps: Array, numbers: np.ndarray) -> tuple[float, float, np.ndarray, float]:
+    """What speaks against the clock that these numbers make, its period, new numbers, its offset.
+
+    The new numbers are those that this clock makes of the stamps. The jitter that it leaves speaks
+    against it, and each loss that it needs (as in the Bayesian information criterion).
+    """
+    slope, offset, against = 1.0, 0.0, 0
+    for _ in range(4):
+        slope, offset = (float(value) for value in np.polyfit(numbers, stamps, 1))
+        numbers, against = _numbered((stamps - offset) / slope)
+    jitter = float(np.std((stamps - offset) / slope - numbers))
+    cost = stamps.size * math.log(max(jitter, 1e-3)) + against * math.log(stamps.size)
+    return cost, slope, numbers, offset
+
+
+def _stepped(times: Array, stretch: int) -> np.ndarray:
+    """Numbers of stamps at ``times`` [periods], by where their means change.
+
+    A loss is where the means before and after it are a period further apart than the count says.
+    """
+    numbers = np.arange(times.size)
+    sums = np.concatenate([[0.0], np.cumsum(times - numbers)])
+    place = np.arange(stretch, times.size - stretch + 1)
+    apart = (sums[place + stretch] - 2.0 * sums[place] + sums[place - stretch]) / stretch
+    while apart.size and apart.max() > _HALF:
+        worst = int(np.argmax(apart))
+        numbers[place[worst] :] += max(round(float(apart[worst])), 1)
+        apart[max(worst - stretch, 0) : worst + stretch + 1] = 0.0
+    return numbers
+
+
+def _followed(times: Array) -> list[np.ndarray]:
+    """Numbers of stamps at ``times`` [periods], by clocks that follow the stamps from the first."""
+    first = times[: _STRETCH // 2]
+    mean = float(np.mean(first - np.arange(first.size)))
+    return [
+        _numbered(times - mean + begin, follows)[0] for begin in _BEGINS for follows in _FOLLOWS
+    ]
+
+
+def _numbered(times: Array, follows: tuple[float, float] = (0.0, 0.0)) -> tuple[np.ndarray, int]:
+    """Numbers of stamps that a clock shows at ``times`` [periods], and what speaks against it.
+
+    The clock follows the stamps with these parts of what they are off, in offset and rate.
+    """
+    numbers, following, against, off, rate = [], 0, 0, 0.0, 0.0
+    for time in times.tolist():
+        off += rate
+        late = time - following - off
+        if late > _HALF + _MARGIN:
+            skipped = math.ceil(late - _HALF - _MARGIN)
+            following += skipped
+            late -= skipped
+            against += skipped
+        elif late < -_HALF - _MARGIN:
+            following -= 1
+            late += 1.0
+            against += 3
+        off += follows[0] * late
+        rate += follows[1] * late
+        numbers.append(following)
+        following += 1
+    return np.array(numbers), against

@@ -27,6 +27,7 @@ from benchmarks import (
     repeated_evolution,
     step_current,
     switched_current,
+    topic_pairing,
     utfsm_left_out,
     utfsm_sixteen,
     whole_damper,
@@ -46,6 +47,7 @@ from mr_damper_ros.tracking.trackers import TRACKERS
 CONDITION = "5.0mm_1Hz_1.5A"
 
 KEYS = [
+    *("pairing_error_ms", "pairing_invented", "pairing_miscounted", "pairing_joined"),
     *("window_nm_speedup", "window_nm_ms", "window_ls_speedup", "global_speedup", "global_s"),
     *("de100_s", "crlb_ratio", "coverage_percent"),
     *("drift_scale_error_p95_percent", "drift_nrmse_ratio", "step_windows"),
@@ -182,6 +184,8 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "live_page": list,
         "lossy_link": list,
         "hostile_messages": list,
+        "supply_safety": list,
+        "topic_pairing": lambda: topic_pairing.figures(4.0),
         "jitter": lambda: jitter.figures(8.0, (10,)),
         "many_recordings": lambda: many_recordings.figures(4, 4),
         "planned_runs": lambda: planned_runs.figures_of(
@@ -192,6 +196,14 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorted(figure.key for figure in found) == sorted(KEYS)
     assert all(figure.definition for figure in found)
     assert all(figure.note for figure in found if figure.value is None)
+
+
+def test_topics_are_paired_and_their_losses_counted() -> None:
+    figures = {figure.key: figure for figure in topic_pairing.figures(4.0)}
+    assert figures["pairing_error_ms"].reached == "yes"
+    assert figures["pairing_invented"].reached == "yes"
+    assert figures["pairing_miscounted"].reached == "yes"
+    assert figures["pairing_joined"].value == pytest.approx(0.97, abs=0.02)
 
 
 def test_medians_are_taken_of_works_that_ran_in_turn() -> None:

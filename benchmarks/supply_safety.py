@@ -1,0 +1,147 @@
+"""How soon the coil is without current when something dies: the node, the commander, the link.
+
+An emulated instrument with a coil of 20 ms behind a real TCP socket, the node supply and a
+commander as processes of their own, 1 A. Its watchdog is set to 0.5 s, commands hold for 0.3 s.
+Measured is the time from the event to less than 0.02 A in the coil.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from ament_index_python.packages import get_package_prefix
+
+from benchmarks.figure import Figure
+from benchmarks.instrument_server import InstrumentServer
+from mr_damper_ros.processes.programs import PATIENCE, Program, node_arguments
+from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument
+
+_CURRENT, _NONE = 1.0, 0.02
+_WATCHDOG, _TIMEOUT, _LINK = 0.5, 0.3, 0.3
+
+_COIL = 0.1
+"""Seconds in which the coil is without current once it is switched off: four time constants, and as
+much for a busy computer."""
+
+LIMITS = {
+    "node_killed": _WATCHDOG + _COIL,
+    "node_frozen": _WATCHDOG + _COIL,
+    "link_dead": _WATCHDOG + _COIL,
+    "link_cut": _LINK + _COIL,
+    "commander_killed": _TIMEOUT + _COIL,
+    "commander_frozen": _TIMEOUT + _COIL,
+}
+"""Stated time [s] for each event."""
+
+
+class _Rig:
+    """Instrument, node and commander; what has died is started again."""
+
+    def __init__(self) -> None:
+        self._domain = RosDomain()
+        self._environment = self._domain.environment
+        self.server = InstrumentServer(EmulatedInstrument(time_constant=0.02))
+        self._path = Path(get_package_prefix("mr_damper_ros")) / "lib" / "mr_damper_ros" / "supply"
+        self.node = self._start_node()
+        self.commander = self._start_commander()
+
+    def _start_node(self) -> Program:
+        parameters = {
+            "address": self.server.address,
+            "profile": "emulated",
+            "rate": 20.0,
+            "watchdog": _WATCHDOG,
+            "command_timeout": _TIMEOUT,
+            "link_timeout": _LINK,
+        }
+        return Program([str(self._path), *node_arguments(parameters)], self._environment)
+
+    def _start_commander(self) -> Program:
+        module = ["-m", "benchmarks.current_sender", str(_CURRENT)]
+        return Program([sys.executable, *module], self._environment)
+
+    def until(self, condition: Callable[[float], bool], what: str) -> float:
+        """Seconds until the current in the coil is as wanted."""
+        began = time.monotonic()
+        while not condition(self.server.instrument.current()):
+            if time.monotonic() - began > PATIENCE:
+                raise TimeoutError(f"in vain waited for {what}: {self.node.errors[-500:]}")
+            time.sleep(0.001)
+        return time.monotonic() - began
+
+    def trial(self, event: str) -> float:
+        """Seconds from the event to no current."""
+        self.until(lambda current: current > 0.95 * _CURRENT, "the current")
+        time.sleep(0.2)
+        if event == "link_cut":
+            self.server.cut()
+        elif event == "link_dead":
+            self.server.deaf = True
+        else:
+            victim = self.node if event.startswith("node") else self.commander
+            kill = event.endswith("killed")
+            os.kill(victim.pid, signal.SIGKILL if kill else signal.SIGSTOP)
+        passed = self.until(lambda current: current < _NONE, "no current")
+        self._mend(event)
+        return passed
+
+    def _mend(self, event: str) -> None:
+        self.server.deaf = False
+        if event.startswith("commander"):
+            if event.endswith("killed"):
+                self.commander.close()
+                self.commander = self._start_commander()
+            else:
+                os.kill(self.commander.pid, signal.SIGCONT)
+            return
+        if self.node.running:
+            os.kill(self.node.pid, signal.SIGKILL)
+        self.node.close()
+        self.node = self._start_node()
+
+    def close(self) -> None:
+        """End what runs."""
+        for program in (self.node, self.commander):
+            if program.running:
+                os.kill(program.pid, signal.SIGKILL)
+            program.close()
+        self.server.close()
+        self._domain.close()
+
+
+def figures(trials: int = 200) -> list[Figure]:
+    """Measure ``trials`` of all events together, in turn."""
+    rig = _Rig()
+    times: dict[str, list[float]] = {event: [] for event in LIMITS}
+    try:
+        for place in range(trials):
+            event = list(LIMITS)[place % len(LIMITS)]
+            times[event].append(rig.trial(event))
+    finally:
+        rig.close()
+    within = sum(t <= LIMITS[event] for event, found in times.items() for t in found)
+    return [
+        Figure(
+            "supply_off_in_time",
+            within / trials,
+            f"Part of {trials} deaths (node killed or frozen, link cut or dead, commander killed "
+            "or frozen) after which the coil was without current within the stated time.",
+            (1.0, 1.0),
+        ),
+        *(
+            Figure(
+                f"supply_{event}_s",
+                max(found),
+                f"Longest time [s] of {len(found)}; stated: {LIMITS[event]:.1f} s.",
+                (0.0, LIMITS[event]),
+            )
+            for event, found in times.items()
+            if found
+        ),
+    ]
