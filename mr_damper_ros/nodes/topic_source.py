@@ -243,7 +243,8 @@ class _Input:
             _message_type(kind, name),
             topic,
             self._take,
-            quality.stream(),
+            # A busy computer may be behind by more than a queue of fixed length.
+            quality.lossless(),
             qos_overriding_options=quality.overridable(),
         )
         self.topic = self._subscription.topic_name
