@@ -15,10 +15,10 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.recent_force import RecentForce
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
-_SAMPLE = 0.95
+_SAMPLE = 0.85
 """Part of the allowed error that a sample may have: its noise may hide the rest ..."""
 
-_CHANCE = 2.5
+_CHANCE = 3.0
 """... besides so many standard deviations of noise, which are no error of the prediction."""
 
 _LASTING = 1.0
