@@ -78,20 +78,16 @@ class Client:
 
 
 @pytest.fixture
-def running(start: Any, listener: Listener) -> tuple[Client, TriedProgram]:
-    """Identifier, model and page, and a bag that is about to be played."""
+def client(start: Any, listener: Listener) -> Client:
+    """The page of an identifier and a model that wait for samples."""
     start("identifier")
     start("model")
     client = Client(start("live", port=0, allow_commands=True))
     listener.until(lambda: client.status()["set"], "the set that the identifier starts with")
-    replay = start("replay", bag=BAG, rate=RATE, wait_for_subscribers=2)
-    return client, replay
+    return client
 
 
-def test_the_page_has_what_the_nodes_say(
-    running: tuple[Client, TriedProgram], listener: Listener
-) -> None:
-    client, replay = running
+def test_the_page_has_what_the_nodes_say(client: Client, start: Any, listener: Listener) -> None:
     forces: list[PredictedForce] = listener.listen(
         PredictedForce, "damper/predicted_force", quality.lossless()
     )
@@ -101,9 +97,13 @@ def test_the_page_has_what_the_nodes_say(
     numbers: list[DiagnosticArray] = listener.listen(
         DiagnosticArray, "damper/identified", quality.lossless()
     )
+    for topic in ("predicted_force", "signals", "identified"):
+        listener.wait_for_publishers(f"damper/{topic}")
+    replay = start("replay", bag=BAG, rate=RATE, wait_for_subscribers=2)
     listener.until(lambda: not replay.running, "the end of the bag")
     listener.until(lambda: sum(w["accepted"] for w in client.status()["windows"]), "a new set")
     listener.until(lambda: client.status()["tables"]["signals"]["next"] > 500, "the signals")
+    listener.until(lambda: {"coefficients", "parameters"} <= kinds_of(numbers), "named numbers")
 
     assert_named_numbers_are_those_of_one_sample(signals, forces)
     assert_coefficients_and_parameters_are_named(numbers)
@@ -138,6 +138,10 @@ def assert_named_numbers_are_those_of_one_sample(
         np.testing.assert_equal(message.force_error, force - message.measured_force)
 
 
+def kinds_of(numbers: list[DiagnosticArray]) -> set[str]:
+    return {status.name for array in numbers for status in array.status}
+
+
 def assert_coefficients_and_parameters_are_named(numbers: list[DiagnosticArray]) -> None:
     kinds = {status.name: status for array in numbers for status in array.status}
     assert set(kinds) == {"coefficients", "parameters"}
@@ -147,10 +151,7 @@ def assert_coefficients_and_parameters_are_named(numbers: list[DiagnosticArray])
     assert "f0" in {entry.key for entry in kinds["parameters"].values}
 
 
-def test_a_command_reaches_the_identifier(
-    running: tuple[Client, TriedProgram], listener: Listener
-) -> None:
-    client, _ = running
+def test_a_command_reaches_the_identifier(client: Client, listener: Listener) -> None:
     listener.until(lambda: client.command("reset") == 202, "room for a command")
     listener.until(lambda: client.status()["events"], "what came of it")
     assert client.status()["events"][0].startswith("reset: done: running with")
