@@ -84,7 +84,8 @@ def set_of_window(
 
     Parameters that the window was not fitted with keep what is known of them. The range is that of
     the window; where the dependence on the peak velocity, or on the current, has been determined
-    and agrees with the window, that of the running set as well.
+    and agrees with the window, that of the running set as well. A window that is no sine leaves the
+    lower end of a known range where it was.
     """
     model = running.law
     errors = running.standard_errors.copy()
@@ -107,6 +108,10 @@ def set_of_window(
         and (agrees or _is_within(current_range, running.current_range, 1.0, _SAME_CURRENT)),
     )
     if known[0]:
+        if math.isnan(summary.frequency):
+            # A motion that is no sine passes through low values and tells nothing of the law there.
+            slowest = running.peak_velocity_range[0]
+            velocity_range = max(velocity_range[0], slowest), max(velocity_range[1], slowest)
         velocity_range = _wider(velocity_range, running.peak_velocity_range)
     if known[1]:
         current_range = _wider(current_range, running.current_range)
