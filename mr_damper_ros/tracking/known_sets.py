@@ -129,10 +129,10 @@ class KnownSets:
     def add(self, found: KnownSet) -> None:
         """Remember a set that has come and is in use now.
 
-        One of no age, or older than those known, was chosen by somebody: they are forgotten.
+        One of no age, or no younger than those known, was chosen by somebody: they are forgotten.
         """
         stamp_ns, model = found.confirmed_ns, found.parameters.model
-        aged = stamp_ns is not None and self._newest_ns is not None and stamp_ns >= self._newest_ns
+        aged = stamp_ns is not None and self._newest_ns is not None and stamp_ns > self._newest_ns
         if not aged or any(each.parameters.model != model for each in self._sets):
             self._sets.clear()
         self._newest_ns = stamp_ns

@@ -13,11 +13,13 @@ import pytest
 from benchmarks import (
     bench,
     drift,
+    exports,
     faults,
     following,
     force_step,
     healthy,
     honest_errors,
+    inverse,
     jitter,
     kinematics,
     many_recordings,
@@ -67,6 +69,8 @@ KEYS = [
     *("many_overhead_percent", "many_dask_overhead_percent"),
     *("starts_agreeing", "profile_contains_estimate"),
     *("planned_runs", "planned_runs_saved", "planned_runs_inside", "planned_runs_claim"),
+    *("export_c_error", "export_c_warnings", "export_c_us_per_step", "export_fmu_problems"),
+    *("inverse_miss_of_span", "inverse_us_per_sample"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
 ]
 FAST = TrackerSettings(method="least_squares", global_period=0)
@@ -160,6 +164,9 @@ def test_a_quick_run_says_that_it_is_one(
 def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     # Without recordings, and with the long measurements replaced by short ones.
     monkeypatch.delenv("MR_DAMPER_DATA", raising=False)
+    for module in (exports, inverse):
+        monkeypatch.setattr(module, "CONDITIONS", module.CONDITIONS[:1])
+        monkeypatch.setattr(module, "POINTS", 100)
     short = {
         **bench.FULL,
         "window_refit": lambda: window_refit.figures(1, (CONDITION,), 1000),
@@ -170,6 +177,8 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "switched_current": lambda: switched_current.figures(22.0, switched_current.CASES[:1]),
         "step_current": lambda: step_current.figures(step_current.CASES[:1], (0.2, 1.0), (0.2,)),
         "drift": lambda: drift.figures(8.0),
+        # It takes what a damper needs to be known: test_force_controller.py.
+        "force_tracking": list,
         "force_step": lambda: force_step.figures((0.5,)),
         "kinematics": lambda: kinematics.figures(1),
         "faults": lambda: faults.figures_of(
