@@ -25,7 +25,7 @@ from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
-_VALUES = {
+VALUES = {
     "f0": 40.0,
     "I0": -0.35,
     "I1": -0.25,
@@ -49,7 +49,7 @@ _VALUES = {
 }
 
 DAMPER = ParameterSet(
-    np.array([_VALUES[name] for name in MODELS["sigmoid_lag"].parameter_names]),
+    np.array([VALUES[name] for name in MODELS["sigmoid_lag"].parameter_names]),
     set_id="cold",
     model="sigmoid_lag",
     peak_velocity_range=(0.0, 0.5),

@@ -177,12 +177,6 @@ class TrialResult:
         places = np.flatnonzero(self.valid & (self.time >= since))
         return float(self.time[places[0]]) if places.size else math.inf
 
-    def valid_share(self, since: float | None = None, until: float = math.inf) -> float:
-        """Part of the samples called valid, from ``since`` [s] or else the first valid one on."""
-        begin = self.first_valid() if since is None else since
-        asked = (self.time >= begin) & (self.time < until)
-        return float(np.mean(self.valid[asked])) if asked.any() else 0.0
-
     def why_invalid(self, since: float = 0.0, until: float = math.inf) -> list[tuple[str, float]]:
         """The reasons for which the force was not valid, with their seconds, longest first."""
         asked = ~self.valid & (self.time >= since) & (self.time < until)

@@ -22,8 +22,6 @@ _REFERENCE = 0.1
 _LONGEST, _SHORTEST = 0.01, 4.0
 """Waves [cycles/m] that a road has here."""
 
-_GRAVITY = 9.81
-
 
 @dataclass(frozen=True)
 class QuarterCar:
@@ -55,11 +53,6 @@ class QuarterCar:
     def by_road(self) -> Array:
         """What the velocity of the road adds to them (4,)."""
         return np.array([0.0, 0.0, -1.0, 0.0])
-
-    @property
-    def static_load(self) -> float:
-        """Load of the tyre at rest [N]."""
-        return (self.body + self.wheel) * _GRAVITY
 
 
 class MovingCar:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce
@@ -20,17 +21,14 @@ from mr_damper_ros.nodes.messages import header, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.parameter_input import ParameterInput
 from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.processes.postponed_work import PostponedWork
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.signals.joined_blocks import joined
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.running_error import RunningError
 
 DEMAND_TOPIC = "damper/desired_force"
 COMMAND_TOPIC = "supply/current_command"
-
-_HEAD_START = 1e-3
-"""Seconds from a command to the rest of the work on its block, as in the model node."""
 
 _LAST_WORD = 1.0
 """Seconds that the supply has to take the last command."""
@@ -98,8 +96,8 @@ class ControllerNode(Node):
         self._last: Command | None = None
         self._slowest = 0.0
         self._commands = self._met = 0
-        self._heard = self._published = -math.inf
-        self._unfinished: tuple[Command, SampleBlock] | None = None
+        self._heard = -math.inf
+        self._rest = PostponedWork()
         self._refused_demand = ""
         self._command = self.create_publisher(
             CurrentCommand,
@@ -153,19 +151,16 @@ class ControllerNode(Node):
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
-        self._finish()
+        self._rest.finish()
         self._heard = time.monotonic()
         now_ns = self.get_clock().now().nanoseconds
         if self._controller.predictor.freshness.is_late(block.end_ns, now_ns):
-            *skipped, block = (block, *self._inputs.waiting())
-            for part in joined(skipped):
-                self._controller.follow(part)
+            block, _ = self._inputs.skip_to_newest(block, self._controller.follow)
             now_ns = self.get_clock().now().nanoseconds
         command = self._controller.command(block, now_ns)
         self._publish(command.current)
-        self._published = time.perf_counter()
-        self._slowest = max(self._slowest, self._published - began)
-        self._unfinished = (command, block)
+        self._rest.postpone(partial(self._finish, command, block))
+        self._slowest = max(self._slowest, time.perf_counter() - began)
 
     def _publish(self, current: float) -> None:
         stamp_ns = self.get_clock().now().nanoseconds
@@ -179,23 +174,11 @@ class ControllerNode(Node):
             self._publish(self._controller.give_up())
 
     def finish_in_time(self) -> float:
-        """Do the rest of the work on the last block once its time has come.
+        """Do the rest of the work on the last block; see :class:`PostponedWork`."""
+        return self._rest.finish_in_time()
 
-        Returns the seconds until then, infinite where there is nothing to do.
-        """
-        if self._unfinished is None:
-            return math.inf
-        left = self._published + _HEAD_START - time.perf_counter()
-        if left > 0.0:
-            return left
-        self._finish()
-        return math.inf
-
-    def _finish(self) -> None:
-        """Do what a block needs besides its command, unless that is done already."""
-        if self._unfinished is None:
-            return
-        (command, block), self._unfinished = self._unfinished, None
+    def _finish(self, command: Command, block: SampleBlock) -> None:
+        """Do what a block needs besides its command."""
         continuity = command.prediction.continuity
         if continuity:
             self.get_logger().warning(continuity, throttle_duration_sec=10.0)

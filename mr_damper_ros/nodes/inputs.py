@@ -16,6 +16,7 @@ from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.quality import STREAM_DEPTH, overridable
 from mr_damper_ros.signals.blocks import BlockError, SampleBlock
+from mr_damper_ros.signals.joined_blocks import joined
 from mr_damper_ros.signals.uniform_grid import UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError
 
@@ -122,15 +123,21 @@ class Inputs:
             )
         )
 
-    def waiting(self) -> list[SampleBlock]:
-        """Take all blocks that have come and wait for their turn, oldest first.
+    def skip_to_newest(
+        self, block: SampleBlock, follow: Callable[[SampleBlock], object]
+    ) -> tuple[SampleBlock, int]:
+        """The newest block that has come since this one, and how many were skipped for it.
 
-        The currents that wait are taken too, and handed on as ever.
+        ``follow`` is called with those skipped, as few blocks as can hold them. The currents that
+        wait are taken too, and handed on as ever.
         """
         for message in _taken(self._current_in):
             self._take_current(message)
-        blocks = (self._block(message) for message in _taken(self._samples_in))
-        return [block for block in blocks if block is not None]
+        waiting = (self._block(message) for message in _taken(self._samples_in))
+        *skipped, newest = (block, *(each for each in waiting if each is not None))
+        for part in joined(skipped):
+            follow(part)
+        return newest, len(skipped)
 
     def _take_samples(self, message: MtsSamples) -> None:
         block = self._block(message)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from mr_damper_msgs.msg import PredictedForce
@@ -19,9 +20,9 @@ from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput
 from mr_damper_ros.nodes.results import PredictionMessage
 from mr_damper_ros.nodes.signal_mirror import SignalMirror
 from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.processes.postponed_work import PostponedWork
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.signals.joined_blocks import joined
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
@@ -29,10 +30,6 @@ from mr_damper_ros.tracking.running_error import RunningError
 
 _POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
 """Errors of valid forces over the last seconds that deserve a warning, and an error."""
-
-_HEAD_START = 1e-3
-"""Seconds from a force to the rest of the work on its block: on a computer with no processor to
-spare who waits for the force may be put on this one, and would wait for that work, too."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +100,7 @@ class ModelNode(Node):
         self._slowest = 0.0
         self._oldest = math.nan
         self._skipped = 0
-        self._published = -math.inf
-        self._unfinished: tuple[Prediction, SampleBlock] | None = None
+        self._rest = PostponedWork()
         self._force = self.create_publisher(
             PredictedForce,
             "damper/predicted_force",
@@ -153,45 +149,25 @@ class ModelNode(Node):
 
     def _take_block(self, block: SampleBlock) -> None:
         began = time.perf_counter()
-        self._finish()
+        self._rest.finish()
         now_ns = self.get_clock().now().nanoseconds
         if self._options.newest_first and self._predictor.freshness.is_late(block.end_ns, now_ns):
-            block = self._skip_to_newest(block)
+            block, skipped = self._inputs.skip_to_newest(block, self._predictor.predict)
+            self._skipped += skipped
             now_ns = self.get_clock().now().nanoseconds
         prediction = self._predictor.predict(block, now_ns)
         self._force.publish(self._message.of(prediction))
-        self._published = time.perf_counter()
-        self._slowest = max(self._slowest, self._published - began)
+        self._rest.postpone(partial(self._finish, prediction, block))
+        self._slowest = max(self._slowest, time.perf_counter() - began)
         age = self._predictor.freshness.age
         self._oldest = age if math.isnan(self._oldest) else max(self._oldest, age)
-        self._unfinished = (prediction, block)
-
-    def _skip_to_newest(self, block: SampleBlock) -> SampleBlock:
-        """The newest block that has come; the motion is followed through those before it."""
-        *skipped, newest = (block, *self._inputs.waiting())
-        self._skipped += len(skipped)
-        for part in joined(skipped):
-            self._predictor.predict(part)
-        return newest
 
     def finish_in_time(self) -> float:
-        """Do the rest of the work on the last block once its time has come.
+        """Do the rest of the work on the last block; see :class:`PostponedWork`."""
+        return self._rest.finish_in_time()
 
-        Returns the seconds until then, infinite where there is nothing to do.
-        """
-        if self._unfinished is None:
-            return math.inf
-        left = self._published + _HEAD_START - time.perf_counter()
-        if left > 0.0:
-            return left
-        self._finish()
-        return math.inf
-
-    def _finish(self) -> None:
-        """Do what a block needs besides its force, unless that is done already."""
-        if self._unfinished is None:
-            return
-        (prediction, block), self._unfinished = self._unfinished, None
+    def _finish(self, prediction: Prediction, block: SampleBlock) -> None:
+        """Do what a block needs besides its force."""
         self._last = prediction
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)

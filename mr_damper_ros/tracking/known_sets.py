@@ -115,9 +115,9 @@ class KnownSets:
         self._since_search = math.inf
 
     @property
-    def present(self) -> KnownSet:
-        """The set in use."""
-        return self._sets[0]
+    def present(self) -> KnownSet | None:
+        """The set in use; None before one has come."""
+        return self._sets[0] if self._sets else None
 
     def confirm(self, set_id: str, stamp_ns: int) -> None:
         """Take note that the set of this name fits the samples up to the stamp."""
@@ -194,7 +194,7 @@ class KnownSets:
         is allowed where no force is measured: the set last used for the motion is then taken. Where
         the present force goes on from a wrong past, it is the present set that starts again.
         """
-        present, newest = self.present, self._newest(self._judged + _SETTLES)
+        present, newest = self._sets[0], self._newest(self._judged + _SETTLES)
         judged = slice(-max(round(self._judged / self._period / newest.stride), 1), None)
         speed = float(np.median(newest.motion.peak_velocity[judged]))
         candidates = [
@@ -219,7 +219,7 @@ class KnownSets:
 
         None where it does not, or not enough is known.
         """
-        present = self.present
+        present = self._sets[0]
         law = present.parameters.law
         if law.continuous is law or self._count * self._period < self._half_cycle:
             return None

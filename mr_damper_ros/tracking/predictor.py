@@ -70,8 +70,6 @@ class ForcePredictor:
 
     def __init__(self, settings: PredictorSettings, grid: GridSettings | None = None) -> None:
         self._settings = settings
-        self._parameters: ParameterSet | None = None
-        self._confirmed_ns: int | None = None
         self._known = KnownSets(settings.velocity_margin, gradual=settings.gradual_reversal)
         self._newest_doubt = NO_DOUBT
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
@@ -100,7 +98,8 @@ class ForcePredictor:
     @property
     def parameters(self) -> ParameterSet | None:
         """The set in use; None before the first."""
-        return self._parameters
+        present = self._known.present
+        return None if present is None else present.parameters
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
         """Predict with this set from the next block on.
@@ -117,15 +116,11 @@ class ForcePredictor:
         if self._watch is not None:
             self._watch.forget_error()
         self._verdicts.forget()
-        self._parameters = parameters
-        self._confirmed_ns = confirmed_ns
         half_cycle = math.nan if self._motion is None else self._motion.half_cycle
         self._known.add(KnownSet(parameters, confirmed_ns, half_cycle))
 
     def confirm(self, set_id: str, stamp_ns: int) -> None:
         """Take note that the set of this name fits the samples up to the stamp."""
-        if self._parameters is not None and self._parameters.set_id == set_id:
-            self._confirmed_ns = stamp_ns
         self._known.confirm(set_id, stamp_ns)
 
     def follow_verdict(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
@@ -176,14 +171,13 @@ class ForcePredictor:
             return
         chosen, error = choice
         self._foreseen = None
-        self._parameters, self._confirmed_ns = chosen.parameters, chosen.confirmed_ns
         self._stream = self._known.settled_stream(chosen)
         self._known.use(chosen)
         watch.forget_error(error)
 
     def _foresee(self, follower: MotionFollower) -> Foreseen | None:
         """Force of the next samples, as far as it can be known already."""
-        last, parameters, stream = self._sequence.last, self._parameters, self._stream
+        last, parameters, stream = self._sequence.last, self.parameters, self._stream
         motion, first = follower.foreseen, follower.came
         if motion is None or last is None or parameters is None or stream is None:
             return None
@@ -216,18 +210,18 @@ class ForcePredictor:
         if foreseen is None or foreseen.count == 0:
             return
         assert self._stream is not None
-        assert self._parameters is not None
+        assert self.parameters is not None
         if foreseen.count == foreseen.ahead.force.size:
             self._stream.take(foreseen.ahead)
         else:
             came = foreseen.held.part(slice(0, foreseen.count))
-            self._stream.follow(self._parameters.values, came, foreseen.current)
+            self._stream.follow(self.parameters.values, came, foreseen.current)
 
     def _doubt_of_force(
         self, motion: Motion, steady: bool, current: Array, force: Array
     ) -> ForceDoubt:
-        assert self._parameters is not None
-        settings, parameters = self._settings, self._parameters
+        assert self.parameters is not None
+        settings, parameters = self._settings, self.parameters
         return ForceDoubt(
             doubt_of_current_range(current, parameters, settings.current_margin),
             doubt_of_size(force, parameters, settings.force_margin)
@@ -275,10 +269,10 @@ class ForcePredictor:
             if missing:
                 return self._invalid(block, missing, verdict.sentence, motion.velocity)
             reckoned = self._reckon_block(motion, block)
-        assert self._parameters is not None
+        assert self.parameters is not None
         if not reckoned.finite:
             self._stream = None
-            sentence = f"the force of {self._parameters.set_id} is beyond what a number can hold"
+            sentence = f"the force of {self.parameters.set_id} is beyond what a number can hold"
             not_finite = Doubt(DoubtKind.NOT_FINITE, sentence)
             return self._invalid(block, not_finite, verdict.sentence, motion.velocity)
         self._newest_doubt = self._doubt(block, motion, reckoned)
@@ -288,7 +282,7 @@ class ForcePredictor:
             period=block.period,
             force=reckoned.force,
             velocity=motion.velocity,
-            set_id=self._parameters.set_id,
+            set_id=self.parameters.set_id,
             doubt=self._newest_doubt or stale,
             continuity=verdict.sentence,
             motion=motion,
@@ -316,10 +310,11 @@ class ForcePredictor:
             block.period,
             self._motion.half_cycle,
         )
-        settings, live = self._settings, self._freshness.live
+        settings, live, present = self._settings, self._freshness.live, self._known.present
+        assert present is not None
         return (
             doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live)
-            or doubt_of_parameters_age(self._confirmed_ns, block.end_ns, settings, live=live)
+            or doubt_of_parameters_age(present.confirmed_ns, block.end_ns, settings, live=live)
             or reckoned.doubt.current
             or measured
             # What has been right for a cycle of this motion holds for it, identified or not, and
@@ -328,9 +323,9 @@ class ForcePredictor:
         )
 
     def _reckon_block(self, motion: Motion, block: SampleBlock) -> Reckoned:
-        assert self._parameters is not None
+        assert self.parameters is not None
         assert self._motion is not None
-        parameters, steady = self._parameters, self._motion.steady
+        parameters, steady = self.parameters, self._motion.steady
         if self._stream is None:
             law = parameters.law.continuous if self._known.gradual else parameters.law
             self._stream = law.stream(block.period)
@@ -343,7 +338,7 @@ class ForcePredictor:
 
     def _missing(self, block: SampleBlock) -> Doubt:
         """What a prediction for a block lacks."""
-        if self._parameters is None:
+        if self.parameters is None:
             return Doubt(
                 DoubtKind.MISSING,
                 "no parameters yet: start the identifier or give parameter_file",
@@ -392,5 +387,5 @@ class ForcePredictor:
     def _invalid(
         self, block: SampleBlock, doubt: Doubt, continuity: str, velocity: Array | None = None
     ) -> Prediction:
-        set_id = self._parameters.set_id if self._parameters else ""
+        set_id = self.parameters.set_id if self.parameters else ""
         return Prediction.without_force(block, set_id, doubt, continuity, velocity)

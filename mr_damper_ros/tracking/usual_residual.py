@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
+from statistics import median
 
 from mr_damper_ros.tracking.reservoir import OperatingPoint
 
@@ -91,14 +92,8 @@ class UsualResiduals:
             return 1.0
         near = [each for each in self._seen if point is None or each.is_near(point)]
         known = (near or list(self._seen))[-_AT_ONE_POINT:]
-        usual_rmse, usual_nrmse = _median(e.rmse for e in known), _median(e.nrmse for e in known)
+        usual_rmse, usual_nrmse = median(e.rmse for e in known), median(e.nrmse for e in known)
         # A force without noise, as a simulation has it, leaves rounding: that is no measure.
         spread = rmse / max(nrmse, _NO_NOISE)
         usual_nrmse = max(usual_nrmse, _NO_NOISE if near else _ELSEWHERE)
         return min(rmse / max(usual_rmse, _NO_NOISE * spread), nrmse / usual_nrmse)
-
-
-def _median(values: Iterable[float]) -> float:
-    ordered = sorted(values)
-    half = len(ordered) // 2
-    return ordered[half] if len(ordered) % 2 else 0.5 * (ordered[half - 1] + ordered[half])

@@ -10,32 +10,15 @@ import numpy as np
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce, MtsSamples
 from support import Listener
 
+from benchmarks import force_tracking
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, header, to_nanoseconds
 
-VALUES = {
-    "f0": 40.0,
-    "I0": -0.35,
-    "I1": -0.25,
-    "a0": 900.0,
-    "a1": 2.5,
-    "a2": 4.0,
-    "a3": 3.0,
-    "a4": 2.0,
-    "k0": 9.0,
-    "k1c": 4.0,
-    "k1e": 6.0,
-    "k2": 18.0,
-    "k3": -0.45,
-    "k4": -0.11,
-    "k5": 0.06,
-    "k6": 0.012,
-    "coil_time_constant": 0.01,
-}
+VALUES = {**force_tracking.VALUES, "compliance": 0.0, "stiffness": 0.0, "offset": 0.0}
 DAMPER = ParameterSet(
-    np.array([VALUES.get(name, 0.0) for name in MODELS["sigmoid_lag"].parameter_names]),
+    np.array([VALUES[name] for name in MODELS["sigmoid_lag"].parameter_names]),
     set_id="known",
     model="sigmoid_lag",
     peak_velocity_range=(0.0, 0.5),

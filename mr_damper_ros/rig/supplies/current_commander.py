@@ -71,7 +71,9 @@ class CurrentCommander:
 
     def set_by_hand(self, current: float) -> None:
         """Give this current from now on, until a command comes."""
-        self._until, self._wanted, self._stamp_ns = math.inf, self._within(current), None
+        # Another thread may step in between: what is wanted is there before it holds.
+        self._wanted, self._stamp_ns = self._within(current), None
+        self._until = math.inf
 
     def command(self, current: float, stamp_ns: int, age: float, now: float) -> str:
         """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
@@ -91,9 +93,10 @@ class CurrentCommander:
             return self._refuse("the command came after a newer one")
         within = self._within(current)
         self.cut += within != current
+        # Another thread may step in between: what is wanted is there before it holds.
+        self._wanted, self._stamp_ns = within, stamp_ns
         # One that is stamped in the future holds no longer than one of now.
         self._until = now + timeout - max(age, 0.0)
-        self._wanted, self._stamp_ns = within, stamp_ns
         return ""
 
     def origin(self, now: float) -> Origin:
