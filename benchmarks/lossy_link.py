@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing
 
 from benchmarks.figure import Figure
 from benchmarks.network import LossyLink, NetworkError
@@ -43,10 +41,9 @@ def measure(duration: float, loss: float = LOSS, delay: float = DELAY) -> tuple[
     with ExitStack() as stack:
         link = stack.enter_context(closing(LossyLink(loss, delay)))
         domain = stack.enter_context(closing(NetworkDomain()))
-        stack.enter_context(_same_environment_afterwards())
         # Here the observer hears what was sent, and the predictions after two ways over the link.
         with link.inside("left"):
-            observer = stack.enter_context(closing(Observer(environment=domain.environment)))
+            observer = stack.enter_context(closing(Observer(domain=domain)))
         tally = Tally(observer)
         with link.inside("right"):
             stack.enter_context(closing(start_node("identifier", domain)))
@@ -66,16 +63,6 @@ def measure(duration: float, loss: float = LOSS, delay: float = DELAY) -> tuple[
         tally.wait_for(round(SAMPLE_RATE * duration), 1.5 * duration + PATIENCE)
         tally.finish()
         return tally, f"{link.dropped} of {link.frames} frames dropped"
-
-
-@contextmanager
-def _same_environment_afterwards() -> Iterator[None]:
-    before = dict(os.environ)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
 
 
 def figures(duration: float = DURATION) -> list[Figure]:

@@ -265,7 +265,7 @@ def campaign_of_nodes(count: int, seed: int) -> list[str]:
     try:
         with (
             tempfile.TemporaryDirectory(prefix="starts-") as folder,
-            Observer(environment=domain.environment) as observer,
+            Observer(domain=domain) as observer,
         ):
             good = _good_files(Path(folder) / "good")["window"]
             for number in range(count):

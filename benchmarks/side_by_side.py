@@ -150,11 +150,11 @@ class SideBySide:
                 stack.callback(self._model.close)
             if identifier:
                 stack.callback(start_node("identifier", domain, parameter_file=file).close)
-            os.environ.update(domain.environment)
             context = rclpy.Context()
-            context.init(domain_id=domain.number)
+            with domain.entered():
+                context.init()
+                node = rclpy.create_node("driver", context=context)
             stack.callback(context.try_shutdown)
-            node = rclpy.create_node("driver", context=context)
             stack.callback(node.destroy_node)
             # The events executor does not hand on when a message was published.
             make = SingleThreadedExecutor if dated else make_executor

@@ -127,7 +127,7 @@ def measure_load(
             name: stack.enter_context(closing(start_node(name, domain)))
             for name in ("identifier", "model")
         }
-        observer = stack.enter_context(closing(Observer(environment=domain.environment)))
+        observer = stack.enter_context(closing(Observer(domain=domain)))
         tally = Tally(observer)
         observer.wait_for_publishers("damper/predicted_force")
         observer.wait_for_publishers("damper/fit_report")

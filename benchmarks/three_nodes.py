@@ -34,7 +34,7 @@ class ThreeNodes:
         self._ended: list[str] = []
         self.sets: list[DamperParameters] = []
         self.reports: list[FitReport] = []
-        self.observer = Observer(environment=self._domain.environment)
+        self.observer = Observer(domain=self._domain)
         # More than the publisher's one message: none shall replace another on its way.
         latched = quality.latched()
         latched.depth = 100

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from contextlib import nullcontext
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -13,6 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
 from mr_damper_ros.processes.programs import PATIENCE
+from mr_damper_ros.processes.ros_domain import RosDomain
 
 Self = TypeVar("Self", bound="Observer")
 
@@ -20,20 +21,19 @@ Self = TypeVar("Self", bound="Observer")
 class Observer:
     """A node in a context of its own: what it hears is kept, or given to who asks.
 
-    ``environment`` is that of a ROS domain; without it the node is where this process is.
+    Without a ``domain`` it is in the one of this process.
     """
 
     def __init__(
         self,
         name: str = "observer",
-        environment: Mapping[str, str] | None = None,
+        domain: RosDomain | None = None,
         namespace: str = "",
     ) -> None:
         self._context = rclpy.Context()
-        # It is read from there alone.
-        os.environ.update(environment or {})
-        self._context.init()
-        self.node = rclpy.create_node(name, namespace=namespace, context=self._context)
+        with domain.entered() if domain else nullcontext():
+            self._context.init()
+            self.node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 _NUMBERS = range(61, 101)
@@ -38,6 +41,17 @@ class RosDomain:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "RCUTILS_COLORIZED_OUTPUT": "0",
         }
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Let this process and what it starts meanwhile be in it; afterwards all is as before."""
+        before = dict(os.environ)
+        os.environ.update(self.environment)
+        try:
+            yield
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
 
     def close(self) -> None:
         """Let others have the domain."""

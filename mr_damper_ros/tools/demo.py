@@ -7,7 +7,6 @@ watcher from the nodes, loaded when it runs.
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -73,8 +72,7 @@ def _demo(options: argparse.Namespace) -> int:
         print(f"  {key}: {text}")
     with ExitStack() as stack:
         # A domain of its own: nothing of a laboratory that is running is touched.
-        domain = stack.enter_context(RosDomain())
-        os.environ.update(domain.environment)
+        stack.enter_context(stack.enter_context(RosDomain()).entered())
         running = {name: stack.enter_context(closing(start_node(name))) for name in _NODES}
         running["live"] = stack.enter_context(closing(start_node("live", port=0)))
         print(f"page of this run, while it lasts: {page_of(running['live'])}")

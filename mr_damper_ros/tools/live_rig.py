@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
@@ -38,7 +37,7 @@ def _parser() -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         # A domain of its own: nothing of a laboratory that is running is touched.
-        os.environ.update(stack.enter_context(RosDomain()).environment)
+        stack.enter_context(stack.enter_context(RosDomain()).entered())
         running = {
             name: stack.enter_context(closing(start_node(name, **parameters)))
             for name, parameters in (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -97,6 +98,13 @@ def test_arguments_of_a_node() -> None:
         *("--ros-args", "-r", "__ns:=/left"),
         *("-p", "loop:=true", "-p", "a.b:=0.5", "-p", "path:=x y"),
     ]
+
+
+def test_after_a_domain_the_environment_is_what_it_was() -> None:
+    before = dict(os.environ)
+    with RosDomain() as domain, domain.entered():
+        assert domain.environment.items() <= os.environ.items()
+    assert dict(os.environ) == before
 
 
 def test_two_domains_differ_until_one_is_closed() -> None:
