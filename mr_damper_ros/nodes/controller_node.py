@@ -30,6 +30,9 @@ from mr_damper_ros.tracking.running_error import RunningError
 DEMAND_TOPIC = "damper/desired_force"
 COMMAND_TOPIC = "supply/current_command"
 
+_LATE = 0.05
+"""Seconds: a computer with a processor to spare is late by less; a command is for what is now."""
+
 _LAST_WORD = 1.0
 """Seconds that the supply has to take the last command."""
 
@@ -154,7 +157,7 @@ class ControllerNode(Node):
         self._rest.finish()
         self._heard = time.monotonic()
         now_ns = self.get_clock().now().nanoseconds
-        if self._controller.predictor.freshness.is_late(block.end_ns, now_ns):
+        if self._controller.predictor.freshness.are_older(block.end_ns, now_ns, _LATE):
             block, _ = self._inputs.skip_to_newest(block, self._controller.follow)
             now_ns = self.get_clock().now().nanoseconds
         command = self._controller.command(block, now_ns)

@@ -28,6 +28,9 @@ from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.running_error import RunningError
 
+_LATE = 0.8
+"""Share of ``max_age`` from which on the forces of older samples would soon be invalid."""
+
 _POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
 """Errors of valid forces over the last seconds that deserve a warning, and an error."""
 
@@ -45,9 +48,9 @@ class ModelParameters(ParameterTable):
     predictor: PredictorSettings = group(PredictorSettings, flat=True, read_only=True)
     newest_first: bool = option(
         True,
-        "Where the samples of a running machine have come late, go straight to the newest: the "
-        "blocks before them are only followed, and no force is published for them. What is "
-        "recorded is predicted block by block.",
+        "Where the samples of a running machine come so late that their forces would soon be too "
+        "old (max_age), go straight to the newest: the blocks before them are only followed, and "
+        "no force is published for them. What is recorded is predicted block by block.",
         read_only=True,
     )
     trusted_source: str = option(
@@ -151,7 +154,10 @@ class ModelNode(Node):
         began = time.perf_counter()
         self._rest.finish()
         now_ns = self.get_clock().now().nanoseconds
-        if self._options.newest_first and self._predictor.freshness.is_late(block.end_ns, now_ns):
+        late = _LATE * self._options.predictor.max_age
+        if self._options.newest_first and self._predictor.freshness.are_older(
+            block.end_ns, now_ns, late
+        ):
             block, skipped = self._inputs.skip_to_newest(block, self._predictor.predict)
             self._skipped += skipped
             now_ns = self.get_clock().now().nanoseconds

@@ -15,9 +15,6 @@ from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 _LIVE = 60.0
 """Stamps within so many seconds of the clock are those of a running machine."""
 
-_LATE = 0.05
-"""Seconds: a computer with no processor to spare is late by less."""
-
 
 class Freshness:
     """Follows the age of the samples of a stream.
@@ -36,9 +33,9 @@ class Freshness:
         self.live = False
         self.age = math.nan
 
-    def is_late(self, stamp_ns: int, now_ns: int) -> bool:
-        """Whether live samples up to the stamp are so old that newer ones may wait behind them."""
-        return self.live and (now_ns - stamp_ns) / NANOSECONDS > _LATE
+    def are_older(self, stamp_ns: int, now_ns: int, limit: float) -> bool:
+        """Whether live samples up to the stamp are older than the limit [s]."""
+        return self.live and (now_ns - stamp_ns) / NANOSECONDS > limit
 
     def judge(self, stamp_ns: int, now_ns: int | None) -> Doubt:
         """Whether samples up to the stamp are too old by the clock; None: there is no clock."""
