@@ -93,7 +93,8 @@ def measure_latencies(segment: float, segments: int) -> tuple[Array, Array]:
             part = blocks[number * length : (number + 1) * length]
             begin = part[0].start_ns
             part = [replace(block, start_ns=block.start_ns - begin) for block in part]
-            both.model.latencies.clear()
+            both.model.forget()
+            both.relay.forget()
             with ExitStack() as stack:
                 if number % 2:
                     stack.enter_context(watched(both.domain))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
+import struct
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import rclpy
 from mr_damper_msgs.msg import MtsSamples, PredictedForce, SupplyCurrent
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message, serialize_message
 
 from benchmarks import relay
 from benchmarks.processes import ProfiledDomain, start_node
@@ -37,6 +38,9 @@ _SILENT = 3.0
 
 _BUSY = "while True: pass"
 
+_STAMP, _STAMP_PLACE = struct.Struct("<iI"), 4
+"""Of a serialised message with a header: seconds and nanoseconds, after the encapsulation."""
+
 
 def blocks_of(displacement: Array, force: Array, period: float, size: int) -> list[SampleBlock]:
     """A stream in blocks, whose stamps count from 0."""
@@ -57,19 +61,18 @@ class Route:
 
     By number of the first sample: ``latencies`` [s] from a block's publication to the arrival of
     its answer, and if ``dated`` ``ages`` [s] of its last sample when the answer was published.
-    ``valid`` answers are counted, and named in ``valid_ones``.
+    ``valid_ones`` are the numbers of the valid answers. Answers are kept as they came and read
+    afterwards: this process is not to be what is late.
     """
 
     def __init__(self, node: Any, samples_topic: str, force_topic: str, *, dated: bool) -> None:
         self._node = node
         self._force_topic = force_topic
         self._sent: dict[int, float] = {}
-        self.latencies: dict[int, float] = {}
-        self.ages: dict[int, float] = {}
-        self.valid_ones: set[int] = set()
+        self._heard: list[tuple[bytes, float, int]] = []
         self._publisher = node.create_publisher(MtsSamples, samples_topic, quality.stream())
         hear = self._hear_dated if dated else self._hear
-        node.create_subscription(PredictedForce, force_topic, hear, quality.stream())
+        node.create_subscription(PredictedForce, force_topic, hear, quality.stream(), raw=True)
 
     @property
     def connected(self) -> bool:
@@ -85,36 +88,58 @@ class Route:
         return int(self._publisher.get_subscription_count())
 
     @property
-    def valid(self) -> int:
-        """Valid answers."""
-        return len(self.valid_ones)
+    def answers(self) -> int:
+        """Answers that have come."""
+        return len(self._heard)
 
     @property
     def lost(self) -> int:
         """Blocks without an answer."""
-        return len(self._sent)
+        return len(self._sent.keys() - {message.seq for message, _, _ in self._read()})
 
-    def send(self, block: SampleBlock) -> None:
+    @property
+    def latencies(self) -> dict[int, float]:
+        """In the order of the answers."""
+        return {
+            message.seq: arrival - self._sent[message.seq]
+            for message, arrival, _ in self._read()
+            if message.seq in self._sent
+        }
+
+    @property
+    def ages(self) -> dict[int, float]:
+        """Of those whose publication is dated."""
+        return {
+            message.seq: (published_ns - to_nanoseconds(message.header.stamp)) / NANOSECONDS
+            - len(message.force) * message.period
+            for message, _, published_ns in self._read()
+        }
+
+    @property
+    def valid_ones(self) -> set[int]:
+        """Numbers of the blocks whose force is valid."""
+        return {message.seq for message, _, _ in self._read() if message.valid}
+
+    def forget(self) -> None:
+        """What was sent and heard so far does not count."""
+        self._sent.clear()
+        self._heard.clear()
+
+    def send(self, number: int, message: bytes) -> None:
         """Publish a block."""
-        message = samples_message(block, "damper")
-        self._sent[block.sequence] = time.monotonic()
+        self._sent[number] = time.monotonic()
         self._publisher.publish(message)
 
-    def _hear(self, message: PredictedForce) -> None:
-        now = time.monotonic()
-        number = message.seq
-        sent = self._sent.pop(number, None)
-        if sent is None:
-            return
-        self.latencies[number] = now - sent
-        if message.valid:
-            self.valid_ones.add(number)
+    def _hear(self, message: bytes) -> None:
+        self._heard.append((message, time.monotonic(), 0))
 
-    def _hear_dated(self, message: PredictedForce, way: Mapping[str, int]) -> None:
+    def _hear_dated(self, message: bytes, way: Mapping[str, int]) -> None:
         # This process may be late itself: the middleware tells when the answer was published.
-        age_ns = way["source_timestamp"] - to_nanoseconds(message.header.stamp)
-        self.ages[message.seq] = age_ns / NANOSECONDS - len(message.force) * message.period
-        self._hear(message)
+        self._heard.append((message, time.monotonic(), way["source_timestamp"]))
+
+    def _read(self) -> Iterator[tuple[PredictedForce, float, int]]:
+        for message, arrival, published_ns in self._heard:
+            yield deserialize_message(message, PredictedForce), arrival, published_ns
 
 
 class SideBySide:
@@ -201,32 +226,36 @@ class SideBySide:
         The supply current comes between two blocks: it is a device of its own.
         """
         length = blocks[0].sample_count * blocks[0].period
+        messages = [
+            bytearray(serialize_message(samples_message(block, "damper"))) for block in blocks
+        ]
         start = time.monotonic() + 1.0
         # A block is sent once its last sample has been taken.
         taken_ns = time.time_ns() + round((1.0 - length) * NANOSECONDS)
         currents = max(round(_CURRENT_EVERY / length), 1)
-        for number, block in enumerate(blocks):
-            stamped = replace(block, start_ns=taken_ns + block.start_ns)
+        for number, (block, message) in enumerate(zip(blocks, messages, strict=True)):
+            stamp_ns = taken_ns + block.start_ns
+            _STAMP.pack_into(message, _STAMP_PLACE, *divmod(stamp_ns, NANOSECONDS))
             due = start + length * number
             if number % currents == 0:
                 self._spin_until(due - 0.25 * length)
-                self._supply.publish(current_message(stamped.start_ns, CURRENT, "damper"))
+                self._supply.publish(current_message(stamp_ns, CURRENT, "damper"))
             routes = (self.model, self.relay) if number % 2 else (self.relay, self.model)
             for place, route in enumerate(routes):
                 self._spin_until(due + 0.5 * length * place)
-                route.send(stamped)
-        self._wait_for_answers()
+                route.send(block.sequence, bytes(message))
+        self._wait_for_answers(2 * len(blocks))
 
-    def _wait_for_answers(self) -> None:
+    def _wait_for_answers(self, count: int) -> None:
         last, before = time.monotonic(), self._answers
-        while self.model.lost + self.relay.lost > 0 and time.monotonic() - last < _SILENT:
+        while self._answers < count and time.monotonic() - last < _SILENT:
             self._spin_until(time.monotonic() + 0.1)
             if self._answers > before:
                 last, before = time.monotonic(), self._answers
 
     @property
     def _answers(self) -> int:
-        return len(self.model.latencies) + len(self.relay.latencies)
+        return self.model.answers + self.relay.answers
 
     def _spin_until(self, due: float, done: Callable[[], bool] = lambda: False) -> None:
         while (left := due - time.monotonic()) > 0.0 and not done():

@@ -74,7 +74,7 @@ def beside_a_relay(motion: str, duration: float) -> SingleSamples:
             (both.model.lost, both.relay.lost),
             (first, second),
             (model, relay),
-            both.model.valid / len(blocks),
+            len(both.model.valid_ones) / len(blocks),
         )
 
 
@@ -101,14 +101,15 @@ def overload(duration: float = OVERLOAD, busy: int = BUSY) -> Overload:
     with SideBySide(cores=core, busy=busy, dated=True) as both, on_cores([driver]):
         both.send(stream("random", duration))
         model, relay = both.model, both.relay
-        stale = {k for k, age in model.ages.items() if age > MAX_AGE + ON_THE_WAY}
+        ages, valid = model.ages, model.valid_ones
+        stale = {k for k, age in ages.items() if age > MAX_AGE + ON_THE_WAY}
         return Overload(
-            len(stale & model.valid_ones),
+            len(stale & valid),
             len(stale),
-            max((model.ages[k] for k in model.valid_ones), default=0.0),
+            max((ages[k] for k in valid), default=0.0),
             relay.lost,
             max(relay.ages.values(), default=0.0),
-            model.valid,
+            len(valid),
         )
 
 

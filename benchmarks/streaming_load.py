@@ -193,7 +193,7 @@ def measure_latency(sample_rate: float, block_size: int, duration: float) -> Lat
         blocks = sine_blocks(sample_rate, block_size, duration)
         both.send(blocks)
         settled = round(SETTLED * sample_rate / block_size)
-        if both.model.valid < len(blocks) - settled:
+        if len(both.model.valid_ones) < len(blocks) - settled:
             raise RuntimeError("the model's predictions are not valid: latency is of no use")
         return Latencies(
             *(
