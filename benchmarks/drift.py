@@ -12,7 +12,7 @@ from benchmarks.figure import Figure
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.emulator import TemperatureDependentDamper, ThermalModel
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
@@ -54,7 +54,7 @@ def thermal_model(duration: float) -> ThermalModel:
     """Thermal model that takes the damper of this test from 28 to 71 °C in ``duration`` [s]."""
     cycle = following.one_cycle()
     powers = [
-        float(np.mean(force(values, *cycle, following.CURRENT) * cycle[1]))
+        float(np.mean(sine_force(values, *cycle, following.CURRENT) * cycle[1]))
         for values in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
     ]
 
@@ -103,7 +103,7 @@ def _true_loop(run: Recording, part: slice) -> Array:
     warm = (float(np.mean(run.temperature[part])) - COLD) / (HOT - COLD)
     cycle = following.one_cycle()
     cold, hot = (
-        force(p, *cycle, following.CURRENT) for p in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
+        sine_force(p, *cycle, following.CURRENT) for p in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
     )
     return np.asarray(cold + min(max(warm, 0.0), 1.0) * (hot - cold))
 

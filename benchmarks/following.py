@@ -11,7 +11,7 @@ import numpy as np
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.emulator import Damper, EmulatedRig, RigSettings, ThermalModel
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.rig.faults.fault import Fault
@@ -98,7 +98,7 @@ def window_between(run: Recording, first: int, last: int) -> Window:
 def nrmse(parameters: Array, window: Window) -> float:
     """RMSE/std of the force that parameters (16,) predict on a window."""
     m = window.motion
-    predicted = force(parameters, m.displacement, m.velocity, m.acceleration, window.current)
+    predicted = sine_force(parameters, m.displacement, m.velocity, m.acceleration, window.current)
     return float(np.sqrt(np.mean((predicted - window.force) ** 2)) / np.std(window.force))
 
 

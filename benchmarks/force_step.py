@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks import following
 from benchmarks.figure import Figure
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.emulator import ConstantDamper, scaled
 from mr_damper_ros.rig.faults.machine_faults import ForceLoss
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
@@ -37,13 +37,13 @@ def windows_until_right(offset: float, settings: TrackerSettings) -> float:
         faults=[ForceLoss(FACTOR, time)],
     )
     cycle = following.one_cycle()
-    truth = force(scaled(THESIS_28_CELSIUS, FACTOR), *cycle, following.CURRENT)
+    truth = sine_force(scaled(THESIS_28_CELSIUS, FACTOR), *cycle, following.CURRENT)
     right_since = np.inf
     for step in following.follow(run, settings):
         elapsed = (following.sample_of(run, step.report.stamp_ns) + 1) * run.period - time
         if elapsed <= 0.0:
             continue
-        error = force(step.parameters, *cycle, following.CURRENT) - truth
+        error = sine_force(step.parameters, *cycle, following.CURRENT) - truth
         right = bool(np.linalg.norm(error) <= WITHIN * np.linalg.norm(truth))
         right_since = min(right_since, elapsed) if right else np.inf
     return float(right_since) / following.WINDOW

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.hostile_input import CURRENT, NUMBERS, PERIOD, T0, motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
@@ -33,7 +33,11 @@ _BLIND = 0.25
 
 _PEAK = float(
     np.max(
-        np.abs(force(THESIS_28_CELSIUS, *motion(np.linspace(0.0, 0.5, 500)), np.full(500, CURRENT)))
+        np.abs(
+            sine_force(
+                THESIS_28_CELSIUS, *motion(np.linspace(0.0, 0.5, 500)), np.full(500, CURRENT)
+            )
+        )
     )
 )
 
@@ -102,7 +106,7 @@ class HostileStream:
             return ""
         time_ = (block.sequence + np.arange(block.sample_count)) * PERIOD
         u, v, a = motion(time_)
-        truth = force(THESIS_28_CELSIUS, u, v, a, np.full(time_.size, CURRENT))
+        truth = sine_force(THESIS_28_CELSIUS, u, v, a, np.full(time_.size, CURRENT))
         error = math.sqrt(float(np.mean((predicted - truth) ** 2)))
         return f"a force that is wrong by {error:.0f} N is valid" if error > _RIGHT * _PEAK else ""
 

@@ -18,7 +18,7 @@ from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
 from mr_damper_ros.models import MODELS, published_conditions
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
@@ -161,7 +161,7 @@ def stream_nrmse_ratio(runs: int | None = None) -> float:
             made[part], valid[part] = prediction.force, prediction.valid
         time: Array = np.arange(run.force.size, dtype=float) * run.period
         sine = SineMotion(condition.amplitude, condition.frequency, phase=published_runs.PHASE)
-        exact = force(values, *sine.at(time), condition.current)
+        exact = sine_force(values, *sine.at(time), condition.current)
         errors.append(
             [np.mean((f - run.force)[valid] ** 2) / np.var(run.force) for f in (made, exact)]
         )

@@ -30,7 +30,7 @@ from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.nodes.results import parameter_set, parameters_message, report_message
@@ -118,7 +118,7 @@ def _window(number: int, temperature: float = math.nan) -> RawWindow:
         start_ns=T0 + number * round(_SAMPLES * PERIOD * NANOSECONDS),
         period=PERIOD,
         displacement=u,
-        force=force(THESIS_28_CELSIUS, u, v, a, current) + noise,
+        force=sine_force(THESIS_28_CELSIUS, u, v, a, current) + noise,
         current=current,
         temperature=temperature,
     )

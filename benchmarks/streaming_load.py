@@ -16,7 +16,7 @@ from benchmarks.figure import Figure
 from benchmarks.processes import ProfiledDomain, start_node
 from benchmarks.side_by_side import CURRENT, SideBySide, blocks_of
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.processes.programs import PATIENCE, Program
@@ -209,7 +209,7 @@ def sine_blocks(sample_rate: float, block_size: int, duration: float) -> list[Sa
     time_s = np.arange(round(duration * sample_rate / block_size) * block_size) / sample_rate
     u = AMPLITUDE * np.sin(omega * time_s)
     v = AMPLITUDE * omega * np.cos(omega * time_s)
-    measured = force(THESIS_28_CELSIUS, u, v, -(omega**2) * u, CURRENT)
+    measured = sine_force(THESIS_28_CELSIUS, u, v, -(omega**2) * u, CURRENT)
     return blocks_of(u, measured, 1.0 / sample_rate, block_size)
 
 

@@ -15,7 +15,7 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published_conditions import find, parameters
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.emulator import scaled
 from mr_damper_ros.signals.arrays import Array
 
@@ -46,7 +46,7 @@ def reference_fit(window: Window, start: Array) -> tuple[Array, float]:
     m = window.motion
 
     def norm(trial: Array) -> float:
-        predicted = force(trial, m.displacement, m.velocity, m.acceleration, window.current)
+        predicted = sine_force(trial, m.displacement, m.velocity, m.acceleration, window.current)
         return float(np.linalg.norm(predicted - window.force))
 
     budget = 200 * start.size

@@ -12,10 +12,10 @@ from mr_damper_ros.models.published_conditions import Condition, find
 from mr_damper_ros.models.sigmoid.law import (
     coefficient_jacobian,
     coefficient_parameter_jacobian,
-    force,
     force_from_coefficients,
     operating_point_coefficients,
     sign_of_pair,
+    sine_force,
 )
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
@@ -73,7 +73,7 @@ def loop(parameters: Array, condition: Condition, points: int = LOOP_POINTS) -> 
     u = condition.amplitude * np.sin(angle)
     v = condition.amplitude * omega * np.cos(angle)
     a = -(omega**2) * u
-    return Loop(u, v, a, force(parameters, u, v, a, condition.current))
+    return Loop(u, v, a, sine_force(parameters, u, v, a, condition.current))
 
 
 class CycleMisfit:

@@ -13,7 +13,7 @@ import numpy as np
 from mr_damper_ros.interface.figure_style import DASHES, INK, MARKS, legend_above, panels
 from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published_conditions import find, parameters
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.compared import Compared, comparison, percent
@@ -32,7 +32,7 @@ def squared_change(condition: str, seed: int) -> dict[str, list[float]]:
     for place in range(len(PARAMETER_NAMES)):
         for step, change in enumerate(CHANGES):
             sets[1 + place * len(CHANGES) + step, place] *= 1.0 + change
-    forces = force(sets, m.displacement, m.velocity, m.acceleration, find(condition).current)
+    forces = sine_force(sets, m.displacement, m.velocity, m.acceleration, find(condition).current)
     sums = np.sum((forces[1:] - forces[0]) ** 2, axis=1).reshape(-1, len(CHANGES))
     return {name: row.tolist() for name, row in zip(PARAMETER_NAMES, sums, strict=True)}
 

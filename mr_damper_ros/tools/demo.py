@@ -21,7 +21,7 @@ from mr_damper_ros.interface.figures import save_figures
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.processes.programs import Program
 from mr_damper_ros.processes.ros_domain import RosDomain
 from mr_damper_ros.signals.arrays import Array
@@ -130,8 +130,8 @@ def _summary(watcher: DemoWatcher, recording: Recording, folder: Path) -> int:
     kinematics = (motion.displacement, motion.velocity, motion.acceleration)
     identified = np.array([values[parameter] for parameter in PARAMETER_NAMES])
     amperes = float(np.mean(recording.current))
-    before = _nrmse(force(LITERATURE, *kinematics, amperes), measured)
-    after = _nrmse(force(identified, *kinematics, amperes), measured)
+    before = _nrmse(sine_force(LITERATURE, *kinematics, amperes), measured)
+    after = _nrmse(sine_force(identified, *kinematics, amperes), measured)
     print(f"\nNRMSE with the literature set, before:     {before:10.2%}")
     print(f"NRMSE with the identified set, after:      {after:10.2%}")
     both = [seq for seq in sorted(watcher.predicted) if seq in watcher.measured]

@@ -22,8 +22,8 @@ from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     coefficient_jacobian,
     coefficient_parameter_jacobian,
-    force,
     operating_point_coefficients,
+    sine_force,
 )
 from mr_damper_ros.models.window_problem import WindowProblem
 from mr_damper_ros.signals.arrays import Array
@@ -166,7 +166,7 @@ def run(
     u = amplitude * np.sin(omega * time + phase)
     v = amplitude * omega * np.cos(omega * time + phase)
     a = -(omega**2) * u
-    clean = force(parameters, u, v, a, current)
+    clean = sine_force(parameters, u, v, a, current)
     error = np.zeros(samples) if seed is None else _normal(seed, samples, noise)
     return Run(
         parameters=np.asarray(parameters, dtype=float),
@@ -257,7 +257,7 @@ def drifting_force(run: Run, warm: float) -> Array:
     The two published sets lie in different basins, so it is the forces that are mixed.
     """
     cold, hot = (
-        force(p, run.displacement, run.velocity, run.acceleration, run.current)
+        sine_force(p, run.displacement, run.velocity, run.acceleration, run.current)
         for p in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
     )
     return np.asarray((1.0 - warm) * cold + warm * hot)

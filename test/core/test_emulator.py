@@ -251,18 +251,18 @@ def test_between_two_temperatures_the_force_is_interpolated() -> None:
     )
     np.testing.assert_allclose(middle, 0.5 * (cold + hot), rtol=ROUNDING)
     np.testing.assert_allclose(
-        cold, sigmoid.force(THESIS_28_CELSIUS, *kinematics, 1.5), rtol=ROUNDING
+        cold, sigmoid.sine_force(THESIS_28_CELSIUS, *kinematics, 1.5), rtol=ROUNDING
     )
     np.testing.assert_allclose(
-        hot, sigmoid.force(THESIS_71_CELSIUS, *kinematics, 1.5), rtol=ROUNDING
+        hot, sigmoid.sine_force(THESIS_71_CELSIUS, *kinematics, 1.5), rtol=ROUNDING
     )
 
 
 def test_scaled_parameters_scale_the_force() -> None:
     motion = SINE.at(np.linspace(0.0, 1.0, 200))
     np.testing.assert_allclose(
-        sigmoid.force(scaled(LITERATURE, 0.74), *motion, 0.5),
-        0.74 * sigmoid.force(LITERATURE, *motion, 0.5),
+        sigmoid.sine_force(scaled(LITERATURE, 0.74), *motion, 0.5),
+        0.74 * sigmoid.sine_force(LITERATURE, *motion, 0.5),
         rtol=ROUNDING,
     )
 

@@ -35,8 +35,8 @@ from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    force,
     operating_point_coefficients,
+    sine_force,
 )
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
@@ -110,7 +110,7 @@ def excess(windows: tuple[Window, ...], fit: GlobalFit) -> float:
     ratios = []
     for window in windows:
         m = window.motion
-        predicted = force(
+        predicted = sine_force(
             fit.parameter_set.values, m.displacement, m.velocity, m.acceleration, window.current
         )
         ratios.append(known.rms(predicted - window.force) / known.NOISE)
@@ -171,7 +171,7 @@ def test_the_figures_of_the_fit_are_those_of_its_windows(found: GlobalFit) -> No
     nrmse = []
     for window in grid():
         m = window.motion
-        predicted = force(
+        predicted = sine_force(
             found.parameter_set.values, m.displacement, m.velocity, m.acceleration, window.current
         )
         nrmse.append(known.rms(predicted - window.force) / np.std(window.force))
@@ -200,7 +200,7 @@ def test_the_start_does_not_matter_where_all_is_observable(start: Array, found: 
 
 def test_a_condition_that_was_not_fitted_is_predicted(found: GlobalFit) -> None:
     run = known.run(amplitude=7.5e-3, frequency=2.0, current=0.75, seed=None)
-    predicted = force(
+    predicted = sine_force(
         found.parameter_set.values, run.displacement, run.velocity, run.acceleration, 0.75
     )
     assert known.rms(predicted - run.clean) / np.std(run.clean) < PREDICTED

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import lagged
-from mr_damper_ros.models.sigmoid.law import force, operating_point_coefficients
+from mr_damper_ros.models.sigmoid.law import operating_point_coefficients, sine_force
 
 PERIOD = 1e-3
 
@@ -329,7 +329,7 @@ def test_a_sigmoid_that_is_a_dashpot_makes_a_maxwell_element():
 
 def test_sigmoid_is_the_package_law_and_the_extension_vanishes():
     w = motion()
-    plain = force(PLAUSIBLE, w.displacement, w.velocity, w.acceleration, 0.5)
+    plain = sine_force(PLAUSIBLE, w.displacement, w.velocity, w.acceleration, 0.5)
     np.testing.assert_allclose(MODELS["sigmoid"].force(PLAUSIBLE, w, 0.5, PERIOD), plain)
     extended = [*PLAUSIBLE, 0.0, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(

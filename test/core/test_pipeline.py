@@ -13,7 +13,7 @@ from step_worker import StepWorker
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.pipeline import (
     Event,
@@ -44,7 +44,8 @@ def window(number: int, current: float = 1.0, speed: float = 1.0) -> RawWindow:
         start_ns=number * 10**9,
         period=PERIOD,
         displacement=u,
-        force=0.95**number * force(THESIS_28_CELSIUS, u, v, a, np.full(COUNT, current)) + noise,
+        force=0.95**number * sine_force(THESIS_28_CELSIUS, u, v, a, np.full(COUNT, current))
+        + noise,
         current=np.full(COUNT, current),
     )
 

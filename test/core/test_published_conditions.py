@@ -18,7 +18,7 @@ from mr_damper_ros.models.published_conditions import (
     is_clean,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.rig.excitation import SineMotion
 
 PHASE = 1.0
@@ -27,7 +27,7 @@ PHASE = 1.0
 def steady_force(condition: Condition, method: str) -> np.ndarray:
     time = np.arange(1000) / 1000.0 / condition.frequency
     motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(time)
-    return force(parameters(condition, method), *motion, condition.current)
+    return sine_force(parameters(condition, method), *motion, condition.current)
 
 
 def difference(condition: Condition) -> float:

@@ -12,7 +12,7 @@ from mr_damper_ros.models.published_conditions import (
     is_clean,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.thesis.published_runs import PHASE, recording_name, synthesise
 
@@ -23,7 +23,7 @@ def test_a_run_is_the_published_force_with_the_published_noise() -> None:
     assert run.sample_count == 7001
     assert run.period == 1e-3
     motion = SineMotion(0.005, 1.0, phase=PHASE).at(run.time)
-    residual = run.force - force(parameters(condition), *motion, 0.5)
+    residual = run.force - sine_force(parameters(condition), *motion, 0.5)
     # The standard error of a standard deviation from 7001 values is 0.85 %.
     assert np.std(residual) == pytest.approx(5.53, rel=0.03)
     assert np.mean(residual) == pytest.approx(0.0, abs=0.25)
@@ -50,5 +50,5 @@ def test_a_run_can_be_made_again_and_every_condition_has_noise_of_its_own() -> N
     for condition in CONDITIONS[:2]:
         run = synthesise(condition)
         motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(run.time)
-        noises.append(run.force - force(parameters(condition), *motion, condition.current))
+        noises.append(run.force - sine_force(parameters(condition), *motion, condition.current))
     assert abs(np.corrcoef(noises)[0, 1]) < 0.1

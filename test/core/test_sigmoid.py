@@ -23,11 +23,11 @@ from mr_damper_ros.models.sigmoid.law import (
     Coefficients,
     coefficient_jacobian,
     coefficient_parameter_jacobian,
-    force,
     force_from_coefficients,
     operating_point_coefficients,
     secant_damping,
     secant_damping_jacobian,
+    sine_force,
 )
 from mr_damper_ros.signals.arrays import Array
 
@@ -51,7 +51,7 @@ def cycle(condition: Condition, samples: int = 240) -> tuple[Array, Array, Array
 
 def loop(condition: Condition, method: str) -> Array:
     """Force over one cycle of a condition by one row of the tables."""
-    return force(thesis.parameters(condition, method), *cycle(condition), condition.current)
+    return sine_force(thesis.parameters(condition, method), *cycle(condition), condition.current)
 
 
 def routine(x: Array, d: Array, v: Array, a: Array, i_ref: float) -> Array:
@@ -103,7 +103,7 @@ def test_the_law_is_the_routine(condition: Condition, method: str) -> None:
     kinematics = cycle(condition)
     expected = routine(x, *kinematics, condition.current)
     assert np.all(np.isfinite(expected)), "the routine itself overflows: no reference"
-    difference = force(x, *kinematics, condition.current) - expected
+    difference = sine_force(x, *kinematics, condition.current) - expected
     assert np.max(np.abs(difference)) <= ROUNDING * np.max(np.abs(expected))
 
 
@@ -121,7 +121,7 @@ def test_the_law_is_the_routine_for_the_other_sets_and_any_motion(
     valid = np.isfinite(expected)
     assert valid.sum() > 150
     np.testing.assert_allclose(
-        force(values, u, v, a, current)[valid], expected[valid], rtol=ROUNDING, atol=ROUNDING
+        sine_force(values, u, v, a, current)[valid], expected[valid], rtol=ROUNDING, atol=ROUNDING
     )
 
 
@@ -132,7 +132,7 @@ def test_where_the_routine_overflows_the_law_saturates() -> None:
     assert np.isnan(routine(x, u, v, a, 0.0)).all(), "the routine no longer shows the fault"
     c = operating_point_coefficients(x, 0.1, 0.0)
     expected = (-c.f_t - c.f_d) * (1.0 + 0.1 * c.k_e)
-    np.testing.assert_allclose(force(x, u, v, a, 0.0), expected, rtol=ROUNDING)
+    np.testing.assert_allclose(sine_force(x, u, v, a, 0.0), expected, rtol=ROUNDING)
 
 
 ANY = st.floats(allow_nan=False, allow_infinity=False)
@@ -151,7 +151,7 @@ def test_finite_inputs_give_a_finite_force_without_a_warning(
 ) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = force(np.array(values), *inputs)
+        result = sine_force(np.array(values), *inputs)
     assert np.all(np.isfinite(result)), "not finite"
 
 
@@ -160,19 +160,19 @@ def test_many_sets_at_once_are_the_sets_one_by_one() -> None:
     sets = THESIS_28_CELSIUS * rng.uniform(0.5, 1.5, (3, 4, 16))
     u, v, a = rng.normal(0.0, (5e-3, 0.05, 1.0), (50, 3)).T
     current = rng.uniform(0.0, 1.5, 50)
-    together = force(sets, u, v, a, current)
+    together = sine_force(sets, u, v, a, current)
     assert together.shape == (3, 4, 50)
-    singly = [[force(values, u, v, a, current) for values in row] for row in sets]
+    singly = [[sine_force(values, u, v, a, current) for values in row] for row in sets]
     np.testing.assert_array_equal(together, singly)
 
 
 def test_scalars_give_one_sample() -> None:
-    assert force(THESIS_28_CELSIUS, 0.0, 0.03, 0.0, 1.0).shape == (1,)
+    assert sine_force(THESIS_28_CELSIUS, 0.0, 0.03, 0.0, 1.0).shape == (1,)
 
 
 def test_a_set_of_another_length_is_refused_by_name() -> None:
     with pytest.raises(ValueError, match=r"length 16 \(got shape \(15,\)\).*f0, I0, I1"):
-        force(np.zeros(15), 0.0, 0.0, 0.0, 0.0)
+        sine_force(np.zeros(15), 0.0, 0.0, 0.0, 0.0)
 
 
 def test_the_peak_velocity_of_a_sine_is_constant() -> None:
@@ -251,7 +251,7 @@ SMOOTH_ROWS = [(c, m) for c, m in ROWS if m == "nelder_mead"]
 def test_derivatives_by_the_sixteen_parameters(condition: Condition, method: str) -> None:
     values = np.array(thesis.parameters(condition, method))
     u, v, a = cycle(condition, 60)
-    numeric = numeric_derivatives(lambda p: force(p, u, v, a, condition.current), values)
+    numeric = numeric_derivatives(lambda p: sine_force(p, u, v, a, condition.current), values)
     analytic = known.parameter_jacobian(values, u, v, a, condition.current)
     assert_columns_agree(analytic, numeric, PARAMETER_NAMES)
 
@@ -272,7 +272,7 @@ def test_derivatives_around_a_plausible_damper(
     rng = np.random.default_rng(seed)
     u, v, a = rng.normal(0.0, (5e-3, 0.05, 1.0), (40, 3)).T
     current = rng.uniform(0.0, 1.5, 40)
-    numeric = numeric_derivatives(lambda p: force(p, u, v, a, current), values)
+    numeric = numeric_derivatives(lambda p: sine_force(p, u, v, a, current), values)
     assert_columns_agree(
         known.parameter_jacobian(values, u, v, a, current), numeric, PARAMETER_NAMES
     )
@@ -462,6 +462,6 @@ def test_one_differential_evolution_row_has_lost_the_sign_of_k5() -> None:
     condition = thesis.find("7.5mm_1Hz_1.5A")
     values = np.array(thesis.parameters(condition, "differential_evolution"))
     values[known.index("k5")] *= -1.0
-    mended = force(values, *cycle(condition), condition.current)
+    mended = sine_force(values, *cycle(condition), condition.current)
     good = loop(condition, "nelder_mead")
     assert np.linalg.norm(mended - good) / np.linalg.norm(good) < 0.05

@@ -17,7 +17,7 @@ from mr_damper_ros.models.published_conditions import (
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, force
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import (
     conditions,
@@ -418,7 +418,9 @@ def test_the_averaged_cycle_has_the_error_of_all_samples(name):
     m = w.motion
     for factor in (1.0, 1.02):
         values = parameters(find(name)) * factor
-        residual = force(values, m.displacement, m.velocity, m.acceleration, w.current) - w.force
+        residual = (
+            sine_force(values, m.displacement, m.velocity, m.acceleration, w.current) - w.force
+        )
         ours = np.sqrt(misfit.costs(values))
         assert ours == pytest.approx(np.sqrt(np.mean(residual**2)), rel=WITHIN_PHASES)
 

@@ -12,7 +12,7 @@ import pytest
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, force
+from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, sine_force
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict
 from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.held_back import held_back_samples
@@ -95,7 +95,7 @@ def experienced(**settings: object) -> WindowTracker:
 def error_of(parameters: ParameterSet, run: known.Run | None = None) -> float:
     """RMSE [N] of a set against the truth of a run."""
     run = run or known.run(seed=None)
-    predicted = force(
+    predicted = sine_force(
         parameters.values, run.displacement, run.velocity, run.acceleration, run.current
     )
     return known.rms(predicted - run.clean)

@@ -11,7 +11,7 @@ import pytest
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.sigmoid.law import force
+from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -24,7 +24,7 @@ START = ParameterSet(known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0
 def random_window() -> RawWindow:
     motion = BandLimitedRandom(3e-3, 0.5, 3.0).at(np.arange(SAMPLES) * known.PERIOD)
     current = np.full(SAMPLES, 1.0)
-    clean = force(
+    clean = sine_force(
         known.PLAUSIBLE, motion.displacement, motion.velocity, motion.acceleration, current
     )
     noise = np.random.default_rng(3).normal(0.0, known.NOISE, SAMPLES)

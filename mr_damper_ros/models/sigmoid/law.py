@@ -275,7 +275,7 @@ def _divided(dividend: Array, divisor: Array) -> Array:
     return np.where(small, 0.0, dividend / np.where(small, 1.0, divisor))
 
 
-def force(
+def sine_force(
     parameters: ArrayLike,
     displacement: ArrayLike,
     velocity: ArrayLike,
