@@ -159,12 +159,16 @@ def motions(duration: float) -> dict[str, Excitation]:
     }
 
 
-def figures(duration: float = DURATION, blocks: tuple[int, ...] = (1, 10)) -> list[Figure]:
+def figures(
+    duration: float = DURATION,
+    blocks: tuple[int, ...] = (1, 10),
+    rates: tuple[float, ...] = (200.0, 1000.0),
+) -> list[Figure]:
     """``jitter_valid`` and ``jitter_nrmse_ratio``."""
     worst_valid, worst_ratio = (np.inf, ""), (0.0, "")
     for name, damper in _SETS.items():
         for moved, motion in motions(duration).items():
-            for rate in (200.0, 1000.0):
+            for rate in rates:
                 rig = made(damper, motion, rate, duration)
                 for size in blocks:
                     way = Way(rate, size, "clean")
@@ -177,9 +181,9 @@ def figures(duration: float = DURATION, blocks: tuple[int, ...] = (1, 10)) -> li
                         worst_ratio = max(worst_ratio, (nrmse / clean, what))
     what_is_measured = (
         f"stamps off by up to {JITTER:.0%} of a period and {LOSS:.0%} of the blocks lost, the time "
-        "read or the samples taken unevenly, 200 Hz and 1 kHz, blocks of "
-        f"{' and '.join(map(str, blocks))}, a sine and random motion, the thesis' damper and a "
-        "viscous one with a tanh, from a cold start"
+        f"read or the samples taken unevenly, {' and '.join(f'{rate:g}' for rate in rates)} Hz, "
+        f"blocks of {' and '.join(map(str, blocks))}, a sine and random motion, the thesis' damper "
+        "and a viscous one with a tanh, from a cold start"
     )
     return [
         Figure(

@@ -167,6 +167,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (exports, inverse):
         monkeypatch.setattr(module, "CONDITIONS", module.CONDITIONS[:1])
         monkeypatch.setattr(module, "POINTS", 100)
+    monkeypatch.setattr(switched_current, "SETTLED", 4.0)
     short = {
         **bench.FULL,
         "window_refit": lambda: window_refit.figures(1, (CONDITION,), 1000),
@@ -174,7 +175,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "repeated_evolution": lambda: repeated_evolution.figures(1, 1, 1),
         "noise_limit": lambda: noise_limit.figures(2, 1000),
         "honest_errors": lambda: honest_errors.figures(6, 2, 8),
-        "switched_current": lambda: switched_current.figures(22.0, switched_current.CASES[:1]),
+        "switched_current": lambda: switched_current.figures(8.0, switched_current.CASES[:1]),
         "step_current": lambda: step_current.figures(step_current.CASES[:1], (0.2, 1.0), (0.2,)),
         "drift": lambda: drift.figures(8.0),
         # It takes what a damper needs to be known: test_force_controller.py.
@@ -195,7 +196,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "hostile_messages": list,
         "supply_safety": list,
         "topic_pairing": lambda: topic_pairing.figures(4.0),
-        "jitter": lambda: jitter.figures(8.0, (10,)),
+        "jitter": lambda: jitter.figures(8.0, (10,), (200.0,)),
         "many_recordings": lambda: many_recordings.figures(4, 4),
         "planned_runs": lambda: planned_runs.figures_of(
             [planned_runs.PlannedTrial("some", 4.0, 0.01, 0.01, inside=True, random=12.0)]
