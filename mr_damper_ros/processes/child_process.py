@@ -22,8 +22,8 @@ would get in each other's way, and sums would depend on their number."""
 
 _PR_SET_PDEATHSIG = 1
 
-_NICENESS = 10
-"""A tenth of the share of the processor that others have, where they want all of it."""
+_NICENESS = 5
+"""A third of the share of the processor that others have, where they want all of it."""
 
 _START = (
     "import sys; count, *rest = sys.argv[1:]; "
