@@ -174,7 +174,7 @@ class SideBySide:
                 self._model = start_node("model", domain, parameter_file=file)
                 stack.callback(self._model.close)
             if identifier:
-                stack.callback(start_node("identifier", domain, parameter_file=file).close)
+                stack.callback(start_node("identifier", domain, initial_parameters=str(file)).close)
             context = rclpy.Context()
             with domain.entered():
                 context.init()
@@ -189,16 +189,7 @@ class SideBySide:
             self._supply = node.create_publisher(SupplyCurrent, "supply/current", quality.stream())
             self.model = Route(node, "mts/samples", "damper/predicted_force", dated=dated)
             self.relay = Route(node, relay.SAMPLES_TOPIC, relay.FORCE_TOPIC, dated=dated)
-            everybody = 2 if identifier else 1
-            self._spin_until(
-                time.monotonic() + PATIENCE,
-                lambda: (
-                    self.model.connected
-                    and self.relay.connected
-                    and self.model.subscribers >= everybody
-                    and self._supply.get_subscription_count() >= everybody
-                ),
-            )
+            self._wait_for(2 if identifier else 1)
             with on_cores(cores):
                 for _ in range(busy):
                     stack.callback(Program([sys.executable, "-c", _BUSY]).close)
@@ -256,6 +247,21 @@ class SideBySide:
     @property
     def _answers(self) -> int:
         return self.model.answers + self.relay.answers
+
+    def _wait_for(self, nodes: int) -> None:
+        """Wait until so many nodes listen; raises RuntimeError where one does not."""
+
+        def connected() -> bool:
+            return (
+                self.model.connected
+                and self.relay.connected
+                and self.model.subscribers >= nodes
+                and self._supply.get_subscription_count() >= nodes
+            )
+
+        self._spin_until(time.monotonic() + PATIENCE, connected)
+        if not connected():
+            raise RuntimeError("model, relay or identifier did not start")
 
     def _spin_until(self, due: float, done: Callable[[], bool] = lambda: False) -> None:
         while (left := due - time.monotonic()) > 0.0 and not done():
