@@ -25,6 +25,9 @@ from mr_damper_ros.rig.excitation import (
 _GRID = 5e-3
 """Period [s] of the samples of a motion of up to some 20 Hz; a spline goes through them."""
 
+_RAMP = 0.5
+"""Seconds in which a random motion begins and ends."""
+
 
 def _damper(model: str, **values: float) -> ParameterSet:
     names = MODELS[model].parameter_names
@@ -86,14 +89,20 @@ DAMPERS = {
 
 
 def random_motion(rms: float, low: float, high: float, duration: float, seed: int) -> SampledMotion:
-    """Gaussian motion of ``rms`` [m], of a flat spectrum from ``low`` to ``high`` [Hz]."""
+    """Gaussian motion of ``rms`` [m], of a flat spectrum from ``low`` to ``high`` [Hz].
+
+    It begins at rest, and comes to rest after the ``duration`` [s]: a machine that stops at once
+    would tear at the damper.
+    """
     rng = np.random.default_rng(seed)
     tones = 60
     rates = 2.0 * np.pi * (low + (high - low) * (np.arange(tones) + rng.random(tones)) / tones)
-    time = np.arange(round(duration / _GRID) + 1) * _GRID
+    end = duration + _RAMP
+    time = np.arange(round(end / _GRID) + 1) * _GRID
     sines, cosines = (rms / math.sqrt(tones) * rng.standard_normal(tones) for _ in range(2))
     angles = np.outer(time, rates)
-    return SampledMotion(np.sin(angles) @ sines + np.cos(angles) @ cosines, _GRID)
+    ramp = np.sin(0.5 * np.pi * np.clip(np.minimum(time, end - time) / _RAMP, 0.0, 1.0)) ** 2
+    return SampledMotion(ramp * (np.sin(angles) @ sines + np.cos(angles) @ cosines), _GRID)
 
 
 def chirp(top_speed: float, most: float, low: float, high: float, duration: float) -> SampledMotion:
