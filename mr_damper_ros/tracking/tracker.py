@@ -93,6 +93,8 @@ class WindowTracker:
         self._temperatures = TemperatureMaps(memory.temperatures)
         self._scatter = ScaleScatter(memory.scales)
         self._searched_points = memory.searched_points
+        # Good windows until the next search: the first ones know little, each waits twice as long.
+        self._global_patience = 1
         self._seen_ns = 0
         self._other_damper = False
         self._motion = SteadyMotion()
@@ -303,11 +305,12 @@ class WindowTracker:
             # No window fit finds a lag, a stiffness or an offset. One operating point does, but it
             # may be a poor one: the next few may correct what it has led to.
             return self._good_since_global > 0 and self._accepted <= period
-        return self._good_since_global >= period and points > 1
+        return self._good_since_global >= min(period, self._global_patience) and points > 1
 
     def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
         """Task of a global identification of the reservoir, with other settings if given."""
         self._good_since_global = 0
+        self._global_patience *= 2
         self._searched_points = self._reservoir.operating_points
         settings = evolution or self._settings.evolution
         stamp_ns = max(self._kept_ns, self.parameters.stamp_ns)
