@@ -93,7 +93,7 @@ class WindowTracker:
         self._temperatures = TemperatureMaps(memory.temperatures)
         self._scatter = ScaleScatter(memory.scales)
         self._searched_points = memory.searched_points
-        # Good windows until the next search: the first ones know little, each waits twice as long.
+        # Good windows until the next search: the first know little, each waits half as long again.
         self._global_patience = 1
         self._seen_ns = 0
         self._other_damper = False
@@ -310,7 +310,7 @@ class WindowTracker:
     def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
         """Task of a global identification of the reservoir, with other settings if given."""
         self._good_since_global = 0
-        self._global_patience *= 2
+        self._global_patience += max(self._global_patience // 2, 1)
         self._searched_points = self._reservoir.operating_points
         settings = evolution or self._settings.evolution
         stamp_ns = max(self._kept_ns, self.parameters.stamp_ns)

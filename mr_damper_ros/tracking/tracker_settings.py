@@ -47,7 +47,8 @@ class TrackerSettings(CheckedSettings):
     )
     global_period: int = option(
         20,
-        "A global identification follows every so many windows that fit; 0 for never.",
+        "A global identification follows every so many windows that fit, the first ones sooner: "
+        "after 1, 2, 3, 4, 6, 9 and so on; 0 for never.",
         minimum=0,
         maximum=1_000_000,
     )

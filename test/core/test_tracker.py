@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 
 import known
@@ -566,16 +567,22 @@ def toured(**settings: object) -> WindowTracker:
     return tracked
 
 
-def test_a_search_falls_due_after_so_many_windows_at_several_points() -> None:
+def test_a_search_falls_due_after_ever_more_windows_at_several_points() -> None:
     tracked = tracker(global_period=3)
-    reports = fed(
-        tracked,
-        *(window(n, strength=1.0 - 0.1 * n, current=0.5 + 0.5 * (n % 2)) for n in range(4)),
-    )
-    assert all(report.accepted for report in reports)
-    assert [report.global_due for report in reports] == [False, False, True, True]
-    tracked.global_task()
-    assert not fed(tracked, window(5, strength=0.5, current=0.5))[0].global_due
+    numbers = itertools.count()
+
+    def due() -> bool:
+        n = next(numbers)
+        (report,) = fed(tracked, window(n, strength=1.0 - 0.05 * n, current=0.5 + 0.5 * (n % 2)))
+        assert report.accepted
+        return report.global_due
+
+    assert [due(), due()] == [False, True]
+    waited = []
+    for _ in range(3):
+        tracked.global_task()
+        waited.append(next(count for count in itertools.count(1) if due()))
+    assert waited == [2, 3, 3]
 
 
 def test_one_operating_point_is_not_searched() -> None:
