@@ -31,6 +31,7 @@ from benchmarks import (
     planned_runs,
     repeated_evolution,
     reversal_jump,
+    rig_troubles,
     step_current,
     switched_current,
     topic_pairing,
@@ -102,6 +103,8 @@ FULL: dict[str, Measure] = {
     "hostile_messages": _of_nodes("hostile_messages"),
     "supply_safety": _of_nodes("supply_safety"),
     "topic_pairing": topic_pairing.figures,
+    "topic_samples": _of_nodes("topic_samples"),
+    "rig_troubles": rig_troubles.figures,
 }
 """Every module of figures, in the order of the table."""
 
@@ -125,6 +128,8 @@ QUICK: dict[str, Measure] = {
     "lossy_link": _of_nodes("lossy_link", duration=20.0),
     "supply_safety": _of_nodes("supply_safety", trials=12),
     "topic_pairing": lambda: topic_pairing.figures(60.0),
+    "topic_samples": _of_nodes("topic_samples", duration=10.0),
+    "rig_troubles": lambda: rig_troubles.figures(seeds=(0,)),
 }
 """Shorter versions of the long ones, for development: their figures are not the real ones."""
 

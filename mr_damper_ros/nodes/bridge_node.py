@@ -32,8 +32,8 @@ class BridgeParameters(ParameterTable):
 
     source: str = option(
         "emulated",
-        "Where the samples come from: an emulated rig, a bag, a record file, topics of other "
-        "nodes.",
+        "Where the samples come from: an emulated rig, a bag, a record file, a serial line or the "
+        "network (stream), a data acquisition device (daq), topics of other nodes.",
         choices=tuple(ALL_SOURCES),
         read_only=True,
     )

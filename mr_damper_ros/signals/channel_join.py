@@ -8,6 +8,7 @@ are missing there is no joined sample, and the count goes on: whoever takes them
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +46,8 @@ class ChannelJoin:
 
     def __init__(
         self,
-        leader: StampedChannel,
-        follower: StampedChannel,
+        leader: StampedChannel[float],
+        follower: StampedChannel[float],
         *,
         own_clocks: bool = False,
         sampled_at_stamps: bool = False,
@@ -54,9 +55,9 @@ class ChannelJoin:
         self.leader, self.follower = leader, follower
         self._own_clocks = own_clocks
         self._at_stamps = sampled_at_stamps
-        self._leading: deque[EvenSample] = deque()
-        self._following: deque[EvenSample] = deque()
-        self._last: EvenSample | None = None
+        self._leading: deque[EvenSample[float]] = deque()
+        self._following: deque[EvenSample[float]] = deque()
+        self._last: EvenSample[float] | None = None
         self.without_partner = 0
 
     def lead(self, stamp_ns: int, arrival_ns: int, value: float) -> None:
@@ -102,12 +103,12 @@ class ChannelJoin:
         self.without_partner += int(np.count_nonzero(~known))
         return self._runs(samples[:count], leading, following, known)
 
-    def _longest(self, channel: StampedChannel) -> float:
+    def _longest(self, channel: StampedChannel[float]) -> float:
         """Time [ns] between two neighbours at most."""
         periods = _JITTERING_NEIGHBOURS if self._at_stamps else _NEIGHBOURS
         return periods * channel.period * NANOSECONDS
 
-    def _times(self, samples: deque[EvenSample] | list[EvenSample], base: int) -> Array:
+    def _times(self, samples: Iterable[EvenSample[float]], base: int) -> Array:
         return np.array(
             [(s.stamp_ns if self._at_stamps else s.time_ns) - base for s in samples],
             dtype=np.float64,
@@ -126,7 +127,7 @@ class ChannelJoin:
             self._following.popleft()
 
     def _runs(
-        self, samples: list[EvenSample], leading: Array, following: Array, known: np.ndarray
+        self, samples: list[EvenSample[float]], leading: Array, following: Array, known: np.ndarray
     ) -> list[JoinedRun]:
         index = np.array([sample.index for sample in samples])
         kept = np.flatnonzero(known)

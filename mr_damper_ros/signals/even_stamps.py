@@ -11,12 +11,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.stamp_clock import StampClock
+
+V = TypeVar("V")
+"""What is stamped: a number, or all that was measured at a time."""
 
 _HALF, _MARGIN = 0.5, 0.12
 """Sample periods that a stamp may be off, and by how much the clock may be wrong besides."""
@@ -48,16 +52,16 @@ _DOUBTFUL, _LOOKED_AT = 0.2, 200
 
 
 @dataclass(frozen=True)
-class EvenSample:
+class EvenSample(Generic[V]):
     """A sample by its number, when it was taken by the clock [ns], its stamp and its value."""
 
     index: int
     time_ns: int
     stamp_ns: int
-    value: float
+    value: V
 
 
-class EvenStamps:
+class EvenStamps(Generic[V]):
     """Finds the numbers and times of samples; stamps [ns] come in their order.
 
     The period is found from the first few hundred. ``lost`` counts the numbers that were skipped,
@@ -68,17 +72,17 @@ class EvenStamps:
         self.period = math.nan
         """Time [s] between two samples; NaN until it is known."""
         self._clock: StampClock | None = None
-        self._begun: list[tuple[int, float]] = []
+        self._begun: list[tuple[int, V]] = []
         self._next = 0
         self._doubts: deque[bool] = deque(maxlen=_LOOKED_AT)
         # With how late each was stamped [sample periods].
-        self._waiting: list[tuple[EvenSample, float]] = []
+        self._waiting: list[tuple[EvenSample[V], float]] = []
         self.lost = 0
         self.unclear = 0
 
-    def add(self, stamp_ns: int, value: float) -> list[EvenSample]:
+    def add(self, stamp_ns: int, value: V) -> list[EvenSample[V]]:
         """Take in a sample; returns those that are certain now."""
-        certain: list[EvenSample] = []
+        certain: list[EvenSample[V]] = []
         if self._clock is not None:
             late_ns = stamp_ns - self._clock.at(self._next)
             doubtful = sum(self._doubts) > _DOUBTFUL * _LOOKED_AT
@@ -96,7 +100,7 @@ class EvenStamps:
             certain += self._begin()
         return certain
 
-    def _begin(self) -> list[EvenSample]:
+    def _begin(self) -> list[EvenSample[V]]:
         """Find the clock from what has come, and begin with that."""
         begun, self._begun = self._begun, []
         self.period, numbers, first_ns = _count([stamp for stamp, _ in begun])
@@ -108,13 +112,13 @@ class EvenStamps:
         # A loss among the very first would not show: they are left out.
         skipped = min(_STRETCH, len(begun) // 3)
         self._next += int(numbers[skipped])
-        certain: list[EvenSample] = []
+        certain: list[EvenSample[V]] = []
         for stamp_ns, value in begun[skipped:]:
             late = (stamp_ns - clock.at(self._next)) / (self.period * NANOSECONDS)
             certain += self._place(stamp_ns, value, late)
         return certain
 
-    def _place(self, stamp_ns: int, value: float, late: float) -> list[EvenSample]:
+    def _place(self, stamp_ns: int, value: V, late: float) -> list[EvenSample[V]]:
         clock = self._clock
         assert clock is not None
         self._doubts.append(abs(late) > _HALF + _MARGIN)

@@ -1,14 +1,16 @@
-"""One channel of single stamped values, as they arrive: in order, counted, at their times."""
+"""One channel of stamped values, as they arrive: in order, counted, at their times."""
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, insort
 from collections import deque
 from dataclasses import dataclass
+from typing import Generic
 
 from mr_damper_ros.signals.arrival_clock import ArrivalClock
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.even_stamps import EvenSample, EvenStamps
+from mr_damper_ros.signals.even_stamps import EvenSample, EvenStamps, V
 
 _REMEMBERED = 64
 """Stamps that are remembered, so that one that comes again is known."""
@@ -25,7 +27,7 @@ class ChannelCounts:
     jumps: int = 0
 
 
-class StampedChannel:
+class StampedChannel(Generic[V]):
     """Puts values in the order of their stamps [ns] and tells when each was taken.
 
     Values wait until the stamps are ``hold_back`` [s] further, for those that they have overtaken.
@@ -34,10 +36,10 @@ class StampedChannel:
 
     def __init__(self, hold_back: float) -> None:
         self._hold_ns = round(hold_back * NANOSECONDS)
-        self._waiting: list[tuple[int, float]] = []
+        self._waiting: list[tuple[int, V]] = []
         self._seen: deque[int] = deque(maxlen=_REMEMBERED)
         self._released: int | None = None
-        self._even = EvenStamps()
+        self._even: EvenStamps[V] = EvenStamps()
         self.clock = ArrivalClock()
         self.counts = ChannelCounts()
 
@@ -56,11 +58,11 @@ class StampedChannel:
         """Samples next to lost ones that were left out, for it is not clear where they belong."""
         return self._even.unclear
 
-    def add(self, stamp_ns: int, arrival_ns: int, value: float) -> list[EvenSample]:
+    def add(self, stamp_ns: int, arrival_ns: int, value: V) -> list[EvenSample[V]]:
         """Take in a value; returns the samples that are in order and certain now."""
         counts = self.counts
         counts.received += 1
-        if not abs(value) < float("inf"):
+        if isinstance(value, float) and not math.isfinite(value):
             counts.not_finite += 1
             return []
         self.clock.add(stamp_ns, arrival_ns)
@@ -79,7 +81,7 @@ class StampedChannel:
             counts.repeated += 1
             return []
         insort(self._waiting, (stamp_ns, value), key=lambda item: item[0])
-        found: list[EvenSample] = []
+        found: list[EvenSample[V]] = []
         while self._waiting and self._waiting[-1][0] - self._waiting[0][0] >= self._hold_ns:
             stamp_ns, value = self._waiting.pop(0)
             self._released = stamp_ns

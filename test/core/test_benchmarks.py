@@ -27,6 +27,7 @@ from benchmarks import (
     planned_runs,
     recordings,
     repeated_evolution,
+    rig_troubles,
     step_current,
     switched_current,
     topic_pairing,
@@ -40,6 +41,7 @@ from benchmarks.fault_scenarios import SCENARIOS
 from benchmarks.figure import Figure, table
 from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.interface.rig_trouble import Trouble
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import scaled
@@ -50,6 +52,7 @@ CONDITION = "5.0mm_1Hz_1.5A"
 
 KEYS = [
     *("pairing_error_ms", "pairing_invented", "pairing_miscounted", "pairing_joined"),
+    *("check_rig_named", "check_rig_invented"),
     *("window_nm_speedup", "window_nm_ms", "window_ls_speedup", "global_speedup", "global_s"),
     *("de100_s", "crlb_ratio", "coverage_percent"),
     *("drift_scale_error_p95_percent", "drift_nrmse_ratio", "step_windows"),
@@ -73,6 +76,7 @@ KEYS = [
     *("inverse_miss_of_span", "inverse_us_per_sample"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
 ]
+FEW_FAULTS = {"force_hum:20": Trouble.HUM, "force_gain:-1": Trouble.INVERTED}
 FAST = TrackerSettings(method="least_squares", global_period=0)
 
 NOISE_OF_300 = 0.15
@@ -195,6 +199,8 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "lossy_link": list,
         "hostile_messages": list,
         "supply_safety": list,
+        "topic_samples": list,
+        "rig_troubles": lambda: rig_troubles.figures(FEW_FAULTS, (0,), ("steps",)),
         "topic_pairing": lambda: topic_pairing.figures(4.0),
         "jitter": lambda: jitter.figures(8.0, (10,), (200.0,)),
         "many_recordings": lambda: many_recordings.figures(4, 4),
@@ -206,6 +212,17 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorted(figure.key for figure in found) == sorted(KEYS)
     assert all(figure.definition for figure in found)
     assert all(figure.note for figure in found if figure.value is None)
+
+
+def test_the_faults_of_a_rig_are_named_and_none_invented() -> None:
+    assert [f.reached for f in rig_troubles.figures(FEW_FAULTS, (0,), ("steps",))] == ["yes"] * 2
+
+
+def test_a_fault_that_is_not_named_and_one_that_is_invented_are_counted() -> None:
+    wrong = {"force_hum:20": Trouble.SWAPPED}
+    named, invented = rig_troubles.figures(wrong, (0,), ())
+    assert (named.value, invented.value) == (0.0, 1.0)
+    assert "force_hum:20 (seed 0)" in named.note
 
 
 def test_topics_are_paired_and_their_losses_counted() -> None:

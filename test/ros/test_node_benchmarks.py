@@ -10,7 +10,7 @@ from contextlib import closing
 
 import pytest
 
-from benchmarks import live_page, lossy_link, single_sample, streaming_load
+from benchmarks import live_page, lossy_link, single_sample, streaming_load, topic_samples
 from benchmarks.network import LossyLink, NetworkError
 from benchmarks.streaming_load import Counter
 
@@ -42,6 +42,15 @@ def test_every_key_of_the_page_is_measured_once() -> None:
         *("live_cpu_percent", "live_memory_growth_mb", "live_p99_ratio")
     ]
     assert all(isinstance(figure.value, float) for figure in figures)
+
+
+def test_every_key_of_samples_from_topics_is_measured_once() -> None:
+    figures = topic_samples.figures(duration=2.0, bags=topic_samples.BAGS[:1])
+    assert [figure.key for figure in figures] == [
+        *("topics_lost_inside", "topics_lost_by_dds", "topics_rmse_ratio")
+    ]
+    # Of a run of seven seconds.
+    assert figures[2].reached == "yes"
 
 
 def test_a_missing_block_is_counted() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
-from support import Listener, assert_one_sentence
+from support import Listener, assert_one_sentence, installed_programs
 
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.processes.programs import Program, node_arguments
@@ -150,7 +150,7 @@ def test_its_options_are_those_of_the_bridge(program: Path) -> None:
     bridge = Program([sys.executable, str(program), "--help"])
     assert bridge.wait() == 0
     assert "pipe.path" in bridge.output
-    assert "one of bag, record, emulated, pipe" in " ".join(bridge.output.split())
+    assert "one of bag, record, emulated, stream, daq, pipe" in " ".join(bridge.output.split())
     bridge.close()
 
 
@@ -163,4 +163,43 @@ def test_what_it_lacks_is_one_sentence(program: Path, path: str, sentence: str) 
     assert bridge.wait() == 2
     assert sentence in bridge.errors
     assert_one_sentence(bridge.errors)
+    bridge.close()
+
+
+ENTRY_POINTS = """[mr_damper_ros.sources]
+pipe = pipe_source:PipeSource
+broken = pipe_source:NoSuchSource
+wrong = pipe_source:PipeOptions
+"""
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> dict[str, str]:
+    """The environment in which another package is installed, with a source as its entry point."""
+    (tmp_path / "pipe_source.py").write_text(ONE_FILE, encoding="utf-8")
+    folder = tmp_path / "pipe_source-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: pipe-source\nVersion: 1.0\n", encoding="utf-8"
+    )
+    (folder / "entry_points.txt").write_text(ENTRY_POINTS, encoding="utf-8")
+    return {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+
+
+def test_a_source_of_another_package_comes_by_its_entry_point(
+    installed: dict[str, str], pipe: tuple[Path, int], listener: Listener
+) -> None:
+    samples = listener.listen(MtsSamples, "mts/samples")
+    path, descriptor = pipe
+    command = [str(installed_programs() / "bridge")]
+    parameters = {"source": "pipe", "pipe__path": path, "wait_for_subscribers": 1}
+    bridge = Program([*command, *node_arguments(parameters)], installed)
+    bridge.wait_for_log(f"reading {path}")
+    os.write(descriptor, b"0 1 0.5\n0 2 0.5\n")
+    listener.until(lambda: sum(len(m.force) for m in samples) == 2, "two samples")
+    assert np.concatenate([from_field(m.force) for m in samples]).tolist() == [1.0, 2.0]
+    assert bridge.stop() == 0, bridge.log
+    # Those that are none are told, and hold up nothing.
+    assert "the source broken cannot be loaded" in bridge.errors
+    assert "the source wrong is no Source" in bridge.errors
     bridge.close()

@@ -1,13 +1,17 @@
 """Sources of samples: one file each, and one line here."""
 
 from mr_damper_ros.rig.sources.bag_source import BagSource
+from mr_damper_ros.rig.sources.daq_source import DaqSource
 from mr_damper_ros.rig.sources.emulated_source import EmulatedSource
 from mr_damper_ros.rig.sources.record_source import RecordSource
 from mr_damper_ros.rig.sources.source import Source
+from mr_damper_ros.rig.sources.stream_source import StreamSource
 
 SOURCES: dict[str, type[Source]] = {
     "bag": BagSource,
     "record": RecordSource,
     "emulated": EmulatedSource,
+    "stream": StreamSource,
+    "daq": DaqSource,
 }
 """By the name that the parameter ``source`` of the bridge has for each."""

@@ -1,0 +1,141 @@
+"""What `check_rig` says of an emulated rig with one fault after the other, and of a sound one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+import numpy as np
+
+from benchmarks.figure import Figure
+from mr_damper_ros.interface.rig_check import check_rig
+from mr_damper_ros.interface.rig_record import HeardBlock, RigRecord
+from mr_damper_ros.interface.rig_trouble import Trouble
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, chirp, stepped
+from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.rig.faults.fault import Instruments
+from mr_damper_ros.rig.faults.fault_text import faults_of
+
+SECONDS = 30.0
+RATE = 1000.0
+BLOCK = 20
+SECOND = 10**9
+MOTIONS: dict[str, Excitation] = {
+    "steps": stepped(0.005, 0.5, 3.0, SECONDS),
+    "sine": SineMotion(0.005, 1.0),
+    "fast": SineMotion(0.002, 4.0),
+    "chirp": chirp(0.005, 0.5, 3.0, SECONDS),
+    "random": BandLimitedMotion(0.01, 0.3, 4.0, 1),
+}
+
+
+@cache
+def record(
+    faults: str = "", motion: str = "steps", current: float = 1.0, seed: int = 0
+) -> RigRecord:
+    """What is heard of an emulated rig with these faults."""
+    found = faults_of(faults.split(), seed)
+    rig = EmulatedRig(
+        ConstantDamper(THESIS_28_CELSIUS),
+        MOTIONS[motion],
+        current,
+        settings=RigSettings(displacement_noise=2e-6, seed=seed),
+        faults=found,
+    )
+    instruments = Instruments(found)
+    heard = RigRecord()
+    for count in range(round(SECONDS * RATE / BLOCK)):
+        made = rig.next_block(BLOCK)
+        for block, _ in instruments.read(made):
+            heard.blocks.append(
+                HeardBlock(
+                    block.start_ns,
+                    block.sequence,
+                    block.period,
+                    block.displacement,
+                    block.force,
+                    made.stamp_ns(BLOCK - 1),
+                )
+            )
+            if count % 5 == 0 and np.isfinite(block.current[0]):
+                stamp = block.start_ns + block.supply_ahead_ns
+                heard.measured.append((stamp, float(block.current[0])))
+                heard.commanded.append((made.start_ns, current))
+    return heard
+
+
+FAULTS = {
+    "swapped": Trouble.SWAPPED,
+    "force_gain:-1": Trouble.INVERTED,
+    "displacement_gain:-1": Trouble.INVERTED,
+    "displacement_gain:1000": Trouble.UNIT,
+    "force_gain:0.001": Trouble.UNIT,
+    "force_offset:800": Trouble.OFFSET,
+    "force_delay:0.003": Trouble.SKEW,
+    "displacement_delay:0.004": Trouble.SKEW,
+    "force_noise:60": Trouble.NOISE,
+    "displacement_noise:3e-5": Trouble.NOISE,
+    "force_hum:20": Trouble.HUM,
+    "displacement_hum:2e-5": Trouble.HUM,
+    "force_clip:600": Trouble.CLIPPED,
+    "displacement_clip:0.004": Trouble.CLIPPED,
+    "force_coarse:40": Trouble.COARSE,
+    "displacement_coarse:0.0005": Trouble.COARSE,
+    "force_spikes:500": Trouble.SPIKES,
+    "force_stuck": Trouble.STUCK,
+    "force_nan": Trouble.NOT_FINITE,
+    "wrong_period:2": Trouble.RATE,
+    "stamp_jitter:0.5": Trouble.JITTER,
+    "lost_blocks:0.02": Trouble.LOST,
+    "doubled_blocks:0.05": Trouble.REPEATED,
+    "reordered_blocks:0.05": Trouble.REPEATED,
+    "clock_jump:60@15": Trouble.RESTARTED,
+    "late_blocks": Trouble.BURSTS,
+    "current_missing": Trouble.NO_CURRENT,
+    "current_offset:0.2": Trouble.CURRENT,
+    "supply_clock:2": Trouble.CURRENT_CLOCK,
+    "tempo:0": Trouble.AT_REST,
+}
+"""What each fault is to be called."""
+
+
+def figures(
+    faults: Mapping[str, Trouble] = FAULTS,
+    seeds: Sequence[int] = (0, 1, 2),
+    motions: Sequence[str] = tuple(MOTIONS),
+) -> list[Figure]:
+    """``check_rig_named`` and ``check_rig_invented``."""
+    named, invented, wrong = 0, 0, []
+    for seed in seeds:
+        for fault, trouble in faults.items():
+            called = {finding.trouble for finding in check_rig(record(fault, seed=seed)).findings}
+            named += trouble in called
+            invented += len(called - {trouble})
+            if called != {trouble}:
+                wrong.append(f"{fault} (seed {seed})")
+        for motion in motions:
+            for current in (0.0, 1.0):
+                found = check_rig(record(motion=motion, current=current, seed=seed)).findings
+                invented += len(found)
+                if found:
+                    wrong.append(f"{motion} at {current:g} A (seed {seed})")
+    note = f"Other than so: {', '.join(wrong)}." if wrong else ""
+    return [
+        Figure(
+            "check_rig_named",
+            named / (len(faults) * len(seeds)),
+            f"Part of {len(faults)} faults of the emulated rig, {len(seeds)} seeds each, half a "
+            "minute, that check_rig named.",
+            (1.0, 1.0),
+            note,
+        ),
+        Figure(
+            "check_rig_invented",
+            float(invented),
+            f"Findings that it added to these, and made on the sound rig in {len(motions)} motions "
+            "with and without current.",
+            (0.0, 0.0),
+        ),
+    ]

@@ -1,0 +1,1 @@
+"""What live sources share: devices read in the background, formats, times, blocks."""

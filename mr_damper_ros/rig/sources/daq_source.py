@@ -1,0 +1,270 @@
+"""Analogue channels of a data acquisition device as a source."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mr_damper_ros.rig.acquisition.analog_input import AnalogChannels, Readings
+from mr_damper_ros.rig.acquisition.block_maker import BlockMaker, Measured
+from mr_damper_ros.rig.acquisition.device_reader import DeviceReader, Portion
+from mr_damper_ros.rig.acquisition.host_clock import HostClock
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
+from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+
+if TYPE_CHECKING:
+    from mr_damper_ros.rig.acquisition.row_times import RowTimes
+
+DRIVERS = {
+    "simulated": "mr_damper_ros.rig.acquisition.simulated_input",
+    "nidaqmx": "mr_damper_ros.rig.acquisition.nidaqmx_input",
+    "labjack": "mr_damper_ros.rig.acquisition.labjack_input",
+    "lsl": "mr_damper_ros.rig.acquisition.lsl_input",
+}
+"""The module of each, whose ``connector`` imports the library."""
+
+_QUANTITIES = ("displacement", "force", "current")
+
+_FULL = 0.999
+"""Part of the range from which on a channel counts as saturated."""
+
+_SILENCE = 2.0
+
+
+def _scale(name: str, unit: str) -> float:
+    return option(  # type: ignore[no-any-return]
+        1.0, f"{unit} per volt of the {name}; negative turns the sign.", read_only=True
+    )
+
+
+def _offset(name: str, unit: str) -> float:
+    return option(0.0, f"What is added to the {name} then [{unit}].", read_only=True)  # type: ignore[no-any-return]
+
+
+def _range(name: str) -> float:
+    return option(  # type: ignore[no-any-return]
+        10.0,
+        f"The channel of the {name} goes from minus this to plus this [V]; what is at its end is "
+        "left out.",
+        minimum=1e-6,
+        maximum=1e12,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True)
+class DaqOptions(ParameterTable):
+    """The device of ``source: daq``."""
+
+    driver: str = option(
+        "simulated",
+        "What it is: nidaqmx (National Instruments), labjack (T4, T7, T8), lsl (a stream of the "
+        "lab streaming layer), or simulated.",
+        choices=tuple(DRIVERS),
+        read_only=True,
+    )
+    device: str = option(
+        "",
+        "Which one: Dev1 of NI, a serial number, name or address of LabJack (empty: the only one), "
+        "the name of an LSL stream.",
+        read_only=True,
+    )
+    rate: float = option(
+        1000.0,
+        "Samples per second [Hz] that the device is told to take; an LSL stream has its own.",
+        minimum=1.0,
+        maximum=100_000.0,
+        read_only=True,
+    )
+    differential: bool = option(
+        True, "Channels of NI and LabJack are wired differentially, not to ground.", read_only=True
+    )
+    displacement_channel: str = option(
+        "",
+        "Channel of the displacement: ai0 of NI, AIN0 of LabJack, label or number of LSL.",
+        read_only=True,
+    )
+    displacement_scale: float = _scale("displacement", "Metres")
+    displacement_offset: float = _offset("displacement", "m")
+    displacement_range: float = _range("displacement")
+    force_channel: str = option("", "Channel of the force.", read_only=True)
+    force_scale: float = _scale("force", "Newtons")
+    force_offset: float = _offset("force", "N")
+    force_range: float = _range("force")
+    current_channel: str = option(
+        "", "Channel of the current in the coil; empty: there is none.", read_only=True
+    )
+    current_scale: float = _scale("current", "Amperes")
+    current_offset: float = _offset("current", "A")
+    current_range: float = _range("current")
+
+    def objection(self) -> str:
+        """Say what is missing."""
+        if self.driver in ("nidaqmx", "lsl") and not self.device:
+            what = "the device, such as Dev1" if self.driver == "nidaqmx" else "the LSL stream"
+            return f"daq.driver is {self.driver}, but daq.device is empty: name {what}"
+        for name in _QUANTITIES:
+            if getattr(self, f"{name}_scale") == 0.0:
+                return f"daq.{name}_scale is 0: give what a volt stands for"
+            needed = name != "current" and self.driver != "simulated"
+            if needed and not getattr(self, f"{name}_channel"):
+                return f"daq.{name}_channel is empty: name the channel of the {name}"
+        return ""
+
+
+class DaqSource(Source):
+    """Samples of analogue channels; a device that is lost is connected to again."""
+
+    options = DaqOptions
+    prefix = "daq."
+    live = True
+
+    def __init__(self, settings: DaqOptions, stream: StreamSettings) -> None:
+        super().__init__(settings, stream)
+        self._reader: DeviceReader[Readings] | None = None
+        self._heard = 0.0
+        # Samples at the end of its range, by channel: in all, and when that was last told.
+        self._saturated: dict[str, int] = {}
+        self._told: dict[str, int] = {}
+        self._missing = 0
+        self._times: Mapping[str, object] = {}
+
+    @property
+    def _wanted(self) -> list[str]:
+        """The quantities that there are channels of."""
+        given = self.settings
+        return [
+            name for name in _QUANTITIES
+            if given.driver == "simulated" or getattr(given, f"{name}_channel")
+        ]  # fmt: skip
+
+    def open(self) -> list[str]:
+        """Load the library; the device is connected to when the streaming starts."""
+        given: DaqOptions = self.settings
+        wanted = self._wanted
+        channels = AnalogChannels(
+            given.device,
+            tuple(getattr(given, f"{name}_channel") for name in wanted),
+            tuple(getattr(given, f"{name}_range") for name in wanted),
+            given.rate,
+            given.differential,
+        )
+        self._connect = import_module(DRIVERS[given.driver]).connector(channels)
+        places = zip(wanted, channels.names, strict=True)
+        return [
+            f"{given.driver} {given.device}: "
+            + ", ".join(f"{name} from {channel or 'a sine'}" for name, channel in places)
+        ]
+
+    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
+        """The samples as the device takes them."""
+        self.close()
+        self._saturated = dict.fromkeys(self._wanted, 0)
+        self._told = dict(self._saturated)
+        self._missing = 0
+        self._heard = time.monotonic()
+        self._reader = DeviceReader(self._connect)
+        return self._stream(self._reader, HostClock(start_ns))
+
+    def state(self) -> SourceState:
+        """How the device is, and which channels were at the end of their range."""
+        reader = self._reader
+        if reader is None:
+            return SourceState("", {})
+        values: dict[str, object] = {
+            "connections": reader.connections,
+            **{f"{name} at the end of its range": n for name, n in self._saturated.items()},
+            "without a value": self._missing,
+            **self._times,
+        }
+        return SourceState(self._fault(reader), values)
+
+    def close(self) -> None:
+        """Let the device go."""
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+
+    def _stream(self, reader: DeviceReader[Readings], clock: HostClock) -> Iterator[RigBlock]:
+        from mr_damper_ros.rig.acquisition.row_times import CountedRows, StampedRows
+
+        maker, connection = BlockMaker(self.stream.block_size), 0
+        times: RowTimes | None = None
+        try:
+            while True:
+                for portion in reader.take():
+                    self._heard = time.monotonic()
+                    if times is None:
+                        counted = portion.data.stamps is None
+                        times = CountedRows.at(portion.data.rate) if counted else StampedRows(1.0)
+                    elif portion.connection != connection:
+                        times.interrupted()
+                    connection = portion.connection
+                    self._add(portion, times, maker, clock)
+                    self._times = times.values()
+                    yield from maker.take()
+                if clock.look():
+                    maker.cut()
+                yield from maker.take()
+        finally:
+            reader.close()
+
+    def _add(
+        self, portion: Portion[Readings], times: RowTimes, maker: BlockMaker, clock: HostClock
+    ) -> None:
+        """Bring readings to their units and times; the last of them was taken just now."""
+        from mr_damper_ros.rig.acquisition.row_format import Row
+
+        values, rate, stamps = portion.data
+        count = values.shape[1]
+        channels = self._in_units(values)
+        ago = (count - 1 - np.arange(count)) / rate if rate > 0.0 else np.zeros(count)
+        taken = portion.arrival_ns - np.round(ago * NANOSECONDS).astype(np.int64)
+        stamped = [None] * count if stamps is None else stamps.tolist()
+        for stamp, taken_ns, row in zip(stamped, taken.tolist(), channels.T.tolist(), strict=True):
+            for sample in times.add(Row(Measured(*row), None, stamp), taken_ns):
+                # The others have a number, too, so that they are seen to be missing.
+                if sample.measured.possible:
+                    stamp_ns = sample.time_ns + clock.ahead_ns
+                    maker.add(sample.number, stamp_ns, sample.period, sample.measured)
+
+    def _in_units(self, volts: Array) -> Array:
+        """The channels in units (3, n); NaN where one is not known, or at the end of its range."""
+        channels = np.full((len(_QUANTITIES), volts.shape[1]), math.nan)
+        for name, values in zip(self._wanted, volts, strict=True):
+            scale, offset, limit = (
+                getattr(self.settings, f"{name}_{what}") for what in ("scale", "offset", "range")
+            )
+            known = np.isfinite(values)
+            full = known & (np.abs(values) >= _FULL * limit)
+            self._saturated[name] += int(np.count_nonzero(full))
+            self._missing += int(np.count_nonzero(~known))
+            sound = known & ~full
+            channels[_QUANTITIES.index(name)] = np.where(sound, scale * values + offset, math.nan)
+        return channels
+
+    def _fault(self, reader: DeviceReader[Readings]) -> str:
+        """What is wrong, in a sentence; empty for nothing."""
+        told, self._told = self._told, dict(self._saturated)
+        if reader.fault:
+            return reader.fault
+        if time.monotonic() - self._heard > _SILENCE:
+            return f"nothing comes from {self.settings.driver} {self.settings.device}"
+        for name, count in self._told.items():
+            new = count - told[name]
+            if new:
+                limit = getattr(self.settings, f"{name}_range")
+                return (
+                    f"the {name} is at the end of its range of {limit:g} V: {new} samples of it "
+                    "were left out"
+                )
+        return ""

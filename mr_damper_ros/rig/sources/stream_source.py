@@ -1,0 +1,251 @@
+"""Lines or binary records as a source: over a serial line, by TCP, or as UDP datagrams."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mr_damper_ros.rig.acquisition.block_maker import BlockMaker
+from mr_damper_ros.rig.acquisition.byte_links import connector, parse_address
+from mr_damper_ros.rig.acquisition.device_reader import Device, DeviceReader, Portion
+from mr_damper_ros.rig.acquisition.host_clock import HostClock
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
+from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.counted_times import CountedTimes
+
+if TYPE_CHECKING:
+    from mr_damper_ros.rig.acquisition.row_decoders import RowDecoder
+    from mr_damper_ros.rig.acquisition.row_format import RowFormat
+    from mr_damper_ros.rig.acquisition.row_times import RowTimes, TimedSample
+
+_RATES = (1.0, 1e5)
+
+_SILENCE = 2.0
+"""Seconds without a byte after which the sender counts as silent."""
+
+_MANY = 0.05
+"""Part of the rows that cannot be read which is told."""
+
+
+@dataclass(frozen=True)
+class StreamOptions(ParameterTable):
+    """What comes in by ``source: stream``."""
+
+    address: str = option(
+        "",
+        "Where it comes from: serial:/dev/ttyACM0, tcp:192.168.1.30:5000 (this computer connects), "
+        "udp:0.0.0.0:5000 (the address of this computer at which datagrams arrive), or simulated.",
+        read_only=True,
+    )
+    baud: int = option(
+        115200, "Speed of a serial line [Bd].", minimum=50, maximum=20_000_000, read_only=True
+    )
+    columns: str = option(
+        "",
+        "What a line or a record holds, in its order, and the units, such as "
+        "time:us,displacement:mm,force:N or count:16,displacement:mm,force:-0.5*N,current:A: "
+        "count is a number that counts up, of 8, 16, 32 or 64 bits.",
+        read_only=True,
+    )
+    rate: float = option(
+        math.nan,
+        "Samples per second [Hz], where no column holds the time; from 1 to 100000.",
+        read_only=True,
+    )
+    layout: str = option(
+        "",
+        "Of binary records: < (low byte first) or > and a letter for each column, as of Python's "
+        "struct, such as <Hff; empty for lines of text.",
+        read_only=True,
+    )
+    mark: str = option(
+        "", "Bytes before each binary record, in hexadecimal, such as AA55.", read_only=True
+    )
+    check: str = option(
+        "none",
+        "What follows each binary record: none, the sum of its bytes and those of the mark "
+        "(sum8), their exclusive or (xor8), or their CRC-16/XMODEM (crc16, high byte first).",
+        choices=("none", "sum8", "xor8", "crc16"),
+        read_only=True,
+    )
+
+    def objection(self) -> str:
+        """Say what is missing, or does not go together."""
+        if not self.address:
+            return "source is stream, but stream.address is empty: say where the stream comes from"
+        if not self.columns:
+            return (
+                "source is stream, but stream.columns is empty: say what a line holds, such as "
+                "time:us,displacement:mm,force:N"
+            )
+        try:
+            address = parse_address(self.address)
+            form = self.row_format()
+        except ValueError as error:
+            return f"stream: {error}"
+        if form.time_unit is None and math.isnan(self.rate):
+            return "stream.columns hold no time: give stream.rate, the samples per second"
+        if not (math.isnan(self.rate) or _RATES[0] <= self.rate <= _RATES[1]):
+            return f"stream.rate is {self.rate:g} Hz: it must be from 1 to 100000 Hz"
+        if form.time_unit is not None and not math.isnan(self.rate):
+            return "stream.columns hold the time, and stream.rate is given, too: leave one out"
+        if not self.layout and (self.mark or self.check != "none"):
+            return "stream.mark and stream.check are of binary records, but stream.layout is empty"
+        if address.kind == "serial" and self.layout and not self.mark and self.check == "none":
+            return (
+                "binary records over a serial line need stream.mark or stream.check, else a lost "
+                "byte is never noticed"
+            )
+        return ""
+
+    def row_format(self) -> RowFormat:
+        """The format of the rows; raises ValueError, with a sentence."""
+        from mr_damper_ros.rig.acquisition.row_decoders import check_layout
+        from mr_damper_ros.rig.acquisition.row_format import parse_row_format
+
+        form = parse_row_format(self.columns)
+        if self.layout:
+            check_layout(self.layout, form)
+        try:
+            bytes.fromhex(self.mark)
+        except ValueError as error:
+            raise ValueError(
+                f"the mark '{self.mark}' is not hexadecimal: write it like AA55"
+            ) from error
+        return form
+
+
+class StreamSource(Source):
+    """Samples from whatever sends them; a link that is lost is made again."""
+
+    options = StreamOptions
+    prefix = "stream."
+    live = True
+
+    def __init__(self, settings: StreamOptions, stream: StreamSettings) -> None:
+        super().__init__(settings, stream)
+        self._address = parse_address("udp:[::]:1")
+        self._reader: DeviceReader[bytes] | None = None
+        self._decoder: RowDecoder | None = None
+        self._times: RowTimes | None = None
+        self._heard = 0.0
+        # Rows that could and could not be read: in all, and when that was last told.
+        self._readable, self._unreadable = 0, 0
+        self._told = (0, 0)
+
+    def open(self) -> list[str]:
+        """See what is to be read; the link is made when the streaming starts."""
+        given: StreamOptions = self.settings
+        self._address = parse_address(given.address)
+        self._form = given.row_format()
+        self._connect = self._connector()
+        kind = f"records {given.layout}" if given.layout else "lines"
+        return [f"{kind} from {given.address}: {given.columns}"]
+
+    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
+        """The samples as they come."""
+        self.close()
+        self._decoder, self._times = self._new_decoder(), self._new_times()
+        self._readable, self._unreadable, self._told = 0, 0, (0, 0)
+        self._heard = time.monotonic()
+        self._reader = DeviceReader(self._connect)
+        return self._stream(self._reader, HostClock(start_ns))
+
+    def state(self) -> SourceState:
+        """How the link is, what of it could not be read, and what is wrong with the times."""
+        reader, times = self._reader, self._times
+        if reader is None or times is None:
+            return SourceState("", {})
+        values = {"connections": reader.connections, "unreadable": self._unreadable}
+        return SourceState(self._fault(reader, times), {**values, **times.values()})
+
+    def close(self) -> None:
+        """Let the link go."""
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+
+    def _stream(self, reader: DeviceReader[bytes], clock: HostClock) -> Iterator[RigBlock]:
+        maker, connection = BlockMaker(self.stream.block_size), 0
+        decoder, times = self._decoder, self._times
+        assert decoder is not None
+        assert times is not None
+        try:
+            while True:
+                for portion in reader.take():
+                    self._heard = time.monotonic()
+                    begins = portion.connection != connection
+                    if begins and connection:
+                        times.interrupted()
+                    connection = portion.connection
+                    if begins or self._address.kind == "udp":
+                        # A serial line is joined in the middle of something.
+                        decoder.begin(whole=self._address.kind != "serial")
+                    for sample in self._samples(portion, decoder, times):
+                        stamp_ns = sample.time_ns + clock.ahead_ns
+                        maker.add(sample.number, stamp_ns, sample.period, sample.measured)
+                    # However much waits, it does not keep the bridge from stopping.
+                    yield from maker.take()
+                if clock.look():
+                    maker.cut()
+                yield from maker.take()
+        finally:
+            reader.close()
+
+    def _samples(
+        self, portion: Portion[bytes], decoder: RowDecoder, times: RowTimes
+    ) -> Iterator[TimedSample]:
+        end = b"\n" if self._address.kind == "udp" and not self.settings.layout else b""
+        for row in decoder.feed(portion.data + end):
+            if row is None:
+                self._unreadable += 1
+                times.skip()
+            else:
+                self._readable += 1
+                yield from times.add(row, portion.arrival_ns)
+
+    def _connector(self) -> Callable[[], Device[bytes]]:
+        given: StreamOptions = self.settings
+        if self._address.kind != "simulated":
+            return connector(self._address, given.baud)
+        from mr_damper_ros.rig.acquisition.simulated_sender import SimulatedSender
+
+        mark = bytes.fromhex(given.mark)
+        return lambda: SimulatedSender(self._form, given.rate, given.layout, mark, given.check)
+
+    def _new_decoder(self) -> RowDecoder:
+        from mr_damper_ros.rig.acquisition.row_decoders import LineDecoder, RecordDecoder
+
+        given: StreamOptions = self.settings
+        if not given.layout:
+            return LineDecoder(self._form)
+        return RecordDecoder(self._form, given.layout, bytes.fromhex(given.mark), given.check)
+
+    def _new_times(self) -> RowTimes:
+        from mr_damper_ros.rig.acquisition.row_times import CountedRows, StampedRows
+
+        unit = self._form.time_unit
+        if unit is not None:
+            return StampedRows(unit)
+        counts = None if self._form.count is None else 2**self._form.bits
+        return CountedRows(CountedTimes(self.settings.rate, counts))
+
+    def _fault(self, reader: DeviceReader[bytes], times: RowTimes) -> str:
+        """What is wrong, in a sentence; empty for nothing."""
+        told, self._told = self._told, (self._readable, self._unreadable)
+        read, unread = self._readable - told[0], self._unreadable - told[1]
+        if reader.fault:
+            return reader.fault
+        if time.monotonic() - self._heard > _SILENCE:
+            return f"nothing arrives from {self.settings.address}: does its sender send?"
+        if unread > _MANY * (read + unread):
+            assert self._decoder is not None
+            return (
+                f"{unread} of {read + unread} rows cannot be read as {self.settings.columns}, such "
+                f"as '{self._decoder.example}'"
+            )
+        return times.fault()

@@ -1,0 +1,442 @@
+"""The source `daq`: with devices that are not there, behind the real libraries where installed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.rig.acquisition import analog_input
+from mr_damper_ros.rig.acquisition.device_reader import Device
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources import SOURCES, daq_source
+from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.settings.option_table import build
+
+START = 1_700_000_000_000_000_000
+PATIENCE = 30.0
+CHANNELS = {"displacement_channel": "ai0", "force_channel": "ai1"}
+
+
+def daq(**options: Any) -> Source:
+    kind = SOURCES["daq"]
+    return kind(build(kind.options, options), StreamSettings(10))
+
+
+class StreamedDevice:
+    """Blocks of a source until something is so."""
+
+    def __init__(self, **options: Any) -> None:
+        self.source = daq(**options)
+        assert self.source.settings.objection() == ""
+        self.found = self.source.open()
+        self._blocks = self.source.blocks(START)
+        self.blocks: list[RigBlock] = []
+        self._deadline = time.monotonic() + PATIENCE
+
+    def until(self, done: Callable[[], object]) -> None:
+        while not done():
+            assert time.monotonic() < self._deadline, self.source.state()
+            block = next(self._blocks)
+            if block.sample_count:
+                self.blocks.append(block)
+
+    def samples(self) -> int:
+        return sum(block.sample_count for block in self.blocks)
+
+    def joined(self, name: str) -> np.ndarray:
+        return np.concatenate([getattr(block, name) for block in self.blocks])
+
+    def numbers(self) -> np.ndarray:
+        parts = [block.sequence + np.arange(block.sample_count) for block in self.blocks]
+        return np.concatenate([np.empty(0, dtype=int), *parts])
+
+
+@pytest.fixture
+def rig() -> Iterator[Callable[..., StreamedDevice]]:
+    made: list[StreamedDevice] = []
+
+    def make(**options: Any) -> StreamedDevice:
+        made.append(StreamedDevice(**options))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.source.close()
+
+
+# -- any device --------------------------------------------------------------------------------
+
+
+def test_volts_become_metres_newtons_and_amperes(rig: Callable[..., StreamedDevice]) -> None:
+    made = rig(displacement_scale=-0.001, force_scale=100.0, force_offset=7.0, current_scale=2.0)
+    made.until(lambda: made.samples() >= 300)
+    # The simulated device: 5 V and 7 V at 1 Hz, and 1.5 V.
+    phase = np.arcsin(made.joined("displacement") / -0.005)
+    assert np.ptp(made.joined("displacement")) > 0.002
+    expected = 7.0 + 700.0 * np.tanh(3.0 * np.abs(np.cos(phase)))
+    np.testing.assert_allclose(np.abs(made.joined("force") - 7.0) + 7.0, expected, atol=1e-6)
+    assert set(made.joined("current")) == {3.0}
+    assert (np.diff(made.numbers()) == 1).all()
+    assert {block.period for block in made.blocks} == {1e-3}
+
+
+def test_a_channel_at_the_end_of_its_range_is_left_out_and_told(
+    rig: Callable[..., StreamedDevice],
+) -> None:
+    made = rig(force_range=6.0)
+    made.until(lambda: np.diff(made.numbers()).max(initial=1) > 1)
+    assert np.abs(made.joined("force")).max() < 6.0
+    state = made.source.state()
+    assert "the force is at the end of its range of 6 V" in state.fault
+    assert state.values["force at the end of its range"]
+    assert state.values["displacement at the end of its range"] == 0
+
+
+def test_a_current_at_the_end_of_its_range_is_not_known(rig: Callable[..., StreamedDevice]) -> None:
+    made = rig(current_range=1.5)
+    made.until(lambda: made.samples() >= 100)
+    assert np.isnan(made.joined("current")).all()
+    assert (np.diff(made.numbers()) == 1).all()
+
+
+class Fake:
+    """A device of two channels that gives what a test wants; lost where that is an error."""
+
+    def __init__(self, portions: Iterator[Any]) -> None:
+        self._portions = portions
+
+    def read(self) -> Any:
+        portion = next(self._portions, None)
+        if portion is None:
+            time.sleep(0.01)
+        if isinstance(portion, Exception):
+            raise portion
+        return portion
+
+    def close(self) -> None:
+        pass
+
+
+def readings(first: int, count: int = 50) -> analog_input.Readings:
+    ramp = 1e-6 * np.arange(first, first + count)
+    return analog_input.Readings(np.stack([ramp, ramp]), 1000.0)
+
+
+@pytest.fixture
+def fake(
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+) -> Callable[..., StreamedDevice]:
+    """A rig whose device gives these portions, connection by connection."""
+
+    def make(*connections: list[Any]) -> StreamedDevice:
+        turns = iter(connections)
+
+        def connect() -> Device[Any]:
+            return Fake(iter(next(turns, [])))
+
+        class Driver:
+            @staticmethod
+            def connector(channels: analog_input.AnalogChannels) -> Callable[[], Device[Any]]:
+                return connect
+
+        monkeypatch.setattr(daq_source, "import_module", lambda name: Driver)
+        return rig(driver="labjack", **CHANNELS)
+
+    return make
+
+
+def test_a_device_that_is_lost_goes_on_after_a_gap(fake: Callable[..., StreamedDevice]) -> None:
+    made = fake([readings(0), OSError("the cable")], [readings(1000)])
+    made.until(lambda: made.samples() >= 100)
+    steps = np.diff(made.numbers())
+    # Half a second passes before it is connected to again.
+    assert steps.max() > 300
+    assert np.count_nonzero(steps != 1) == 1
+    times = [block.start_ns - START for block in made.blocks]
+    assert times[5] - times[4] > 300_000_000
+
+
+def test_what_a_device_left_out_is_missing_in_the_count(
+    fake: Callable[..., StreamedDevice],
+) -> None:
+    hole = readings(0)
+    hole.values[1, 20:23] = np.nan
+    made = fake([hole])
+    made.until(lambda: made.samples() >= 40)
+    # The seven after the last whole block wait for others.
+    assert sorted(set(range(43)) - set((made.numbers() - made.numbers()[0]).tolist())) == [
+        *(20, 21, 22)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"driver": "nidaqmx"}, "daq.device is empty"),
+        ({"driver": "lsl"}, "name the LSL stream"),
+        ({"driver": "labjack"}, "daq.displacement_channel is empty"),
+        ({"driver": "nidaqmx", "device": "Dev1", "displacement_channel": "ai0"}, "daq.force_ch"),
+        ({"force_scale": 0.0}, "daq.force_scale is 0"),
+        ({}, ""),
+    ],
+)
+def test_what_is_missing_is_said(options: dict[str, Any], part: str) -> None:
+    objection = daq(**options).settings.objection()
+    assert part in objection
+    assert bool(objection) == bool(part)
+
+
+@pytest.mark.parametrize("driver", ["nidaqmx", "labjack", "lsl"])
+def test_a_library_that_is_missing_is_one_sentence(
+    driver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = {"nidaqmx": "nidaqmx", "labjack": "labjack.ljm", "lsl": "pylsl"}[driver]
+    monkeypatch.setitem(__import__("sys").modules, library, None)
+    with pytest.raises(ValueError, match="not installed: pip install"):
+        daq(driver=driver, device="x", **CHANNELS).open()
+
+
+# -- National Instruments ----------------------------------------------------------------------
+
+
+def fake_ni(monkeypatch: pytest.MonkeyPatch, volts: np.ndarray) -> Any:
+    """The real nidaqmx on a driver that gives these volts (2, n), then says that it is gone."""
+    nidaqmx = pytest.importorskip("nidaqmx")
+    from nidaqmx._base_interpreter import BaseInterpreter
+
+    class Interpreter(BaseInterpreter):
+        def __init__(self) -> None:
+            self.calls: list[tuple[Any, ...]] = []
+            self.at = 0
+
+        def create_task(self, name: str) -> tuple[str, bool]:
+            return "task", True
+
+        def internal_get_last_created_chan(self) -> str:
+            raise NotImplementedError
+
+        def create_ai_voltage_chan(self, task: str, *arguments: Any) -> None:
+            self.calls.append(arguments)
+
+        def cfg_samp_clk_timing(self, task: str, *arguments: Any) -> None:
+            self.calls.append(arguments)
+
+        def get_timing_attribute_double(self, task: str, attribute: int) -> float:
+            return 999.5
+
+        def get_task_attribute_string(self, task: str, attribute: int) -> str:
+            return "task"
+
+        def get_task_attribute_uint32(self, task: str, attribute: int) -> int:
+            return 2
+
+        def start_task(self, task: str) -> None:
+            self.calls.append(("start",))
+
+        def get_read_attribute_uint32(self, task: str, attribute: int) -> int:
+            if attribute != 0x1223:
+                return 2
+            if self.at == volts.shape[1]:
+                raise nidaqmx.DaqError("Device was unplugged.\n\nDevice: Dev1", -201003)
+            return min(30, volts.shape[1] - self.at)
+
+        def read_analog_f64(
+            self, task: str, count: int, timeout: float, fill: int, into: np.ndarray
+        ) -> tuple[np.ndarray, int]:
+            into[:] = volts[:, self.at : self.at + count]
+            self.at += count
+            return into, count
+
+        def clear_task(self, task: str) -> None:
+            self.calls.append(("clear",))
+
+    Interpreter.__abstractmethods__ = frozenset()
+    made: list[Any] = []
+
+    def interpreter(grpc_options: object = None) -> Any:
+        if not made:
+            made.append(Interpreter())
+            return made[0]
+        raise nidaqmx.DaqError("There is no such device.", -200220)
+
+    monkeypatch.setattr(nidaqmx.utils, "_select_interpreter", interpreter)
+    return made
+
+
+NI = {"driver": "nidaqmx", "device": "Dev1", **CHANNELS}
+
+
+def test_nidaqmx_reads_the_channels_of_a_task_until_the_device_is_gone(
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+) -> None:
+    ramp = 1e-3 * np.arange(200)
+    made = fake_ni(monkeypatch, np.stack([ramp, -ramp]))
+    running = rig(**NI, displacement_scale=0.01, force_scale=1000.0, force_range=5.0)
+    running.until(lambda: running.samples() >= 200)
+    np.testing.assert_allclose(running.joined("displacement"), 0.01 * ramp)
+    np.testing.assert_allclose(running.joined("force"), -1000.0 * ramp)
+    assert {block.period for block in running.blocks} == {1.0 / 999.5}
+    running.until(lambda: "no such device" in running.source.state().fault)
+    calls = made[0].calls
+    constants = pytest.importorskip("nidaqmx.constants")
+    volts = constants.VoltageUnits.VOLTS.value
+    wiring = constants.TerminalConfiguration.DIFF.value
+    assert calls[0] == ("Dev1/ai0", "", wiring, -10.0, 10.0, volts, "")
+    assert calls[1] == ("Dev1/ai1", "", wiring, -5.0, 5.0, volts, "")
+    assert (calls[2][0], calls[2][4]) == (1000.0, 10_000)
+    assert calls[3:] == [("start",), ("clear",)]
+
+
+def test_nidaqmx_without_its_driver_is_told(rig: Callable[..., StreamedDevice]) -> None:
+    pytest.importorskip("nidaqmx")
+    running = rig(**NI)
+    running.until(lambda: "Dev1: " in running.source.state().fault)
+    assert "NI-DAQmx" in running.source.state().fault
+
+
+# -- LabJack -----------------------------------------------------------------------------------
+
+
+NO_SCANS_RETURNED = 1309
+
+
+class FakeLjm:
+    """LabJack's library as labjack-ljm calls it: a stream of two channels, then an error."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self._values = iter(values.T.reshape(-1, 20, 2))
+        self.written: dict[str, float] = {}
+        self.gone = False
+        self.idle = 0
+
+    def LJM_OpenS(self, *arguments: Any) -> int:  # noqa: N802
+        if self.gone:
+            return 1227
+        arguments[-1]._obj.value = 7
+        return 0
+
+    def LJM_eWriteNames(self, handle: int, count: Any, names: Any, values: Any, error: Any) -> int:  # noqa: N802
+        for k in range(count.value):
+            self.written[names._obj[k].decode()] = values._obj[k]
+        return 0
+
+    def LJM_WriteLibraryConfigS(self, name: bytes, value: Any) -> int:  # noqa: N802
+        self.written[name.decode()] = value.value
+        return 0
+
+    def LJM_NamesToAddresses(self, count: Any, names: Any, addresses: Any, types: Any) -> int:  # noqa: N802
+        for k in range(count.value):
+            name = names._obj[k].decode()
+            addresses._obj[k] = 2 * int(name[3:]) if name.startswith("AIN") else -1
+        return 0
+
+    def LJM_eStreamStart(self, *arguments: Any) -> int:  # noqa: N802
+        arguments[-1]._obj.value = 1000.5
+        return 0
+
+    def LJM_eStreamRead(self, handle: int, data: Any, *backlogs: Any) -> int:  # noqa: N802
+        values = next(self._values, None)
+        if values is None:
+            self.idle += 1
+            self.gone = self.idle > 5
+            return 1224 if self.gone else NO_SCANS_RETURNED
+        data._obj[:] = values.ravel().tolist()
+        return 0
+
+    def LJM_eStreamStop(self, handle: int) -> int:  # noqa: N802
+        return 0
+
+    def LJM_Close(self, handle: int) -> int:  # noqa: N802
+        return 0
+
+    def LJM_ErrorToString(self, code: int, text: Any) -> None:  # noqa: N802
+        pass
+
+
+LABJACK = {"driver": "labjack", "displacement_channel": "AIN0", "force_channel": "AIN2"}
+
+
+def test_labjack_streams_its_channels_until_the_device_is_gone(
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+) -> None:
+    ljm = pytest.importorskip("labjack.ljm.ljm")
+    ramp = 1e-3 * np.arange(200)
+    values = np.stack([ramp, -ramp])
+    values[1, 50] = -9999.0
+    fake = FakeLjm(values)
+    monkeypatch.setattr(ljm, "_staticLib", fake)
+    running = rig(**LABJACK, force_range=1.0)
+    running.until(lambda: running.samples() >= 190)
+    expected = np.delete(ramp, 50)
+    np.testing.assert_allclose(running.joined("displacement"), expected[:190])
+    assert {block.period for block in running.blocks} == {1.0 / 1000.5}
+    assert running.source.state().values["without a value"] == 1
+    assert fake.written["AIN0_RANGE"] == 10.0
+    assert fake.written["AIN2_RANGE"] == 1.0
+    assert fake.written["AIN2_NEGATIVE_CH"] == 3.0
+    assert fake.written["LJM_STREAM_SCANS_RETURN"] == 2.0
+    running.until(lambda: "1227" in running.source.state().fault)
+
+
+def test_a_channel_that_a_labjack_does_not_have_is_told(
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+) -> None:
+    ljm = pytest.importorskip("labjack.ljm.ljm")
+    monkeypatch.setattr(ljm, "_staticLib", FakeLjm(np.empty((2, 0))))
+    running = rig(**{**LABJACK, "force_channel": "ai2"})
+    running.until(lambda: "it has no channel ai2" in running.source.state().fault)
+
+
+def test_labjack_without_its_library_is_told(
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+) -> None:
+    ljm = pytest.importorskip("labjack.ljm.ljm")
+    monkeypatch.setattr(ljm, "_staticLib", None)
+    running = rig(**LABJACK)
+    running.until(lambda: "LJM is not installed" in running.source.state().fault)
+
+
+# -- lab streaming layer: real streams ---------------------------------------------------------
+
+
+def test_a_stream_of_the_lab_streaming_layer_comes_with_the_stamps_of_its_sender(
+    rig: Callable[..., StreamedDevice],
+) -> None:
+    pylsl = pytest.importorskip("pylsl")
+    name = f"press {time.monotonic_ns()}"
+    info = pylsl.StreamInfo(name, "Rig", 2, 500.0, pylsl.cf_double64, name)
+    info.set_channel_labels(["load", "stroke"])
+    outlets = [pylsl.StreamOutlet(info)]
+    running = rig(
+        driver="lsl", device=name, displacement_channel="stroke", force_channel="0",
+        displacement_scale=0.001, force_range=1e6,
+    )  # fmt: skip
+    begin = pylsl.local_clock()
+    sent = 0
+
+    def send() -> bool:
+        """Sends all that is due, and goes on until enough has come."""
+        nonlocal sent
+        while sent < (pylsl.local_clock() - begin) * 500.0:
+            outlets[0].push_sample([float(sent), 2.0 * math.sin(sent / 50.0)], begin + sent / 500.0)
+            sent += 1
+        return running.samples() >= 300
+
+    running.until(send)
+    k = running.joined("force")
+    assert (np.diff(k) == 1.0).all()
+    np.testing.assert_allclose(running.joined("displacement"), 0.002 * np.sin(k / 50.0))
+    assert {round(block.period, 9) for block in running.blocks} == {0.002}
+    outlets.clear()
+    running.until(lambda: "stream" in running.source.state().fault)
+
+
+def test_a_stream_that_nobody_sends_is_told(rig: Callable[..., StreamedDevice]) -> None:
+    pytest.importorskip("pylsl")
+    running = rig(driver="lsl", device="nobody's", **CHANNELS)
+    running.until(lambda: "no stream 'nobody's' on the network" in running.source.state().fault)

@@ -1,0 +1,624 @@
+"""The source `stream`: what senders put on a wire, and all that can be wrong with it."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mr_damper_ros.rig.acquisition.block_maker import BlockMaker, Measured
+from mr_damper_ros.rig.acquisition.byte_links import parse_address
+from mr_damper_ros.rig.acquisition.device_reader import DeviceReader
+from mr_damper_ros.rig.acquisition.host_clock import HostClock
+from mr_damper_ros.rig.acquisition.row_decoders import CHECKS, LineDecoder, RecordDecoder
+from mr_damper_ros.rig.acquisition.row_format import Row, parse_row_format
+from mr_damper_ros.rig.acquisition.row_times import StampedRows
+from mr_damper_ros.rig.acquisition.simulated_sender import SimulatedSender
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources import SOURCES
+from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.settings.option_table import build
+
+START = 1_700_000_000_000_000_000
+PATIENCE = 30.0
+TIMED = "time:us,displacement:mm,force:-1*N"
+MILLISECOND = 1_000_000
+
+
+def stream(block_size: int = 10, **options: Any) -> Source:
+    kind = SOURCES["stream"]
+    return kind(build(kind.options, options), StreamSettings(block_size))
+
+
+def opened(**options: Any) -> Source:
+    source = stream(**options)
+    assert source.settings.objection() == ""
+    source.open()
+    return source
+
+
+def lines(first: int, count: int) -> bytes:
+    """Samples at 1 kHz: the displacement counts micrometres, the force newtons."""
+    return b"".join(
+        b"%d, %.3f, %d\n" % (1000 * k, 1e-3 * k, -k) for k in range(first, first + count)
+    )
+
+
+def gathered(source: Source, enough: Callable[[list[RigBlock]], bool]) -> list[RigBlock]:
+    """Blocks that come from a source until there are enough."""
+    found: list[RigBlock] = []
+    deadline = time.monotonic() + PATIENCE
+    blocks = source.blocks(START)
+    try:
+        for block in blocks:
+            assert time.monotonic() < deadline, source.state()
+            if block.sample_count:
+                found.append(block)
+            if enough(found):
+                break
+    finally:
+        source.close()
+    return found
+
+
+def forces(blocks: list[RigBlock]) -> np.ndarray:
+    return np.concatenate([block.force for block in blocks]) if blocks else np.empty(0)
+
+
+def until_force(value: float) -> Callable[[list[RigBlock]], bool]:
+    return lambda found: bool(found) and found[-1].force[-1] >= value
+
+
+class Sender:
+    """A server that hands each connection to the next of ``acts``, in a thread of its own."""
+
+    def __init__(self, *acts: Callable[[socket.socket], None]) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.address = f"tcp:127.0.0.1:{self._server.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._serve, args=(acts,), daemon=True)
+        self._thread.start()
+
+    def _serve(self, acts: tuple[Callable[[socket.socket], None], ...]) -> None:
+        for act in acts:
+            connection, _ = self._server.accept()
+            with closing(connection):
+                try:
+                    act(connection)
+                except OSError:
+                    return
+
+    def close(self) -> None:
+        self._server.close()
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., str]]:
+    senders: list[Sender] = []
+
+    def start(*acts: Callable[[socket.socket], None]) -> str:
+        senders.append(Sender(*acts))
+        return senders[-1].address
+
+    yield start
+    for sender in senders:
+        sender.close()
+
+
+def sends(*parts: bytes) -> Callable[[socket.socket], None]:
+    """Sends these and stays connected until the other side goes."""
+
+    def act(connection: socket.socket) -> None:
+        for part in parts:
+            connection.sendall(part)
+        connection.recv(1)
+
+    return act
+
+
+# -- over real links ---------------------------------------------------------------------------
+
+
+def test_lines_over_tcp_are_samples_in_si_units(
+    serve: Callable[..., str],
+) -> None:
+    source = opened(address=serve(sends(lines(0, 1000))), columns=TIMED)
+    blocks = gathered(source, until_force(980))
+    force = forces(blocks)
+    assert (np.diff(force) == 1.0).all()
+    np.testing.assert_allclose(
+        np.concatenate([block.displacement for block in blocks]), 1e-6 * force, atol=1e-12
+    )
+    assert {block.sample_count for block in blocks[:-1]} == {10}
+    for one, other in pairwise(blocks):
+        assert other.sequence == one.sequence + 10
+    assert blocks[0].period == pytest.approx(1e-3, rel=1e-9)
+
+
+def test_datagrams_are_lines_of_one_sender(serve: Callable[..., str]) -> None:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    source = opened(address=f"udp:127.0.0.1:{port}", columns=TIMED)
+    done = threading.Event()
+
+    def send() -> None:
+        with (
+            closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender,
+            closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as another,
+        ):
+            k = 0
+            while not done.is_set():
+                sender.sendto(lines(k, 5).rstrip(), ("127.0.0.1", port))
+                another.sendto(lines(10**6 + k, 5), ("127.0.0.1", port))
+                k += 5
+                time.sleep(0.005)
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    try:
+        blocks = gathered(source, lambda found: len(found) >= 20)
+    finally:
+        done.set()
+        thread.join()
+    # Samples of the other would be a million further on.
+    assert np.ptp(forces(blocks)) < 10_000
+
+
+def test_lines_come_over_a_serial_line_that_is_joined_in_the_middle_of_one() -> None:
+    pytest.importorskip("serial")
+    master, slave = os.openpty()
+    source = opened(address=f"serial:{os.ttyname(slave)}", columns=TIMED)
+    blocks = source.blocks(START)
+    deadline = time.monotonic() + PATIENCE
+    while source.state().values["connections"] == 0:
+        assert time.monotonic() < deadline, source.state()
+        next(blocks)
+    # The end of "1007, 1, 2": as a line of its own it would be another sample.
+    os.write(master, b"7, 1, 2\n")
+    found: list[RigBlock] = []
+    for k in range(0, 1000, 50):
+        os.write(master, lines(k, 50))
+        found.append(next(blocks))
+    while forces(found).size == 0 or forces(found)[-1] < 980.0:
+        assert time.monotonic() < deadline, source.state()
+        found.append(next(blocks))
+    source.close()
+    os.close(slave)
+    os.close(master)
+    assert (np.diff(forces(found)) == 1.0).all()
+
+
+def test_a_serial_line_that_is_unplugged_is_told_and_does_not_hang() -> None:
+    pytest.importorskip("serial")
+    master, slave = os.openpty()
+    name = os.ttyname(slave)
+    source = opened(address=f"serial:{name}", columns=TIMED)
+    blocks = source.blocks(START)
+    os.write(master, lines(0, 100))
+    next(blocks)
+    os.close(slave)
+    os.close(master)
+    deadline = time.monotonic() + PATIENCE
+    while name not in source.state().fault:
+        assert time.monotonic() < deadline, source.state()
+        next(blocks)
+    source.close()
+
+
+def test_a_link_that_is_cut_is_made_again_and_leaves_a_gap(serve: Callable[..., str]) -> None:
+    def cut(connection: socket.socket) -> None:
+        connection.sendall(lines(0, 1000) + b"1000000, 1.0")
+
+    address = serve(cut, sends(lines(3000, 1000)))
+    source = opened(address=address, columns=TIMED)
+    blocks = gathered(source, until_force(3980))
+    force = forces(blocks)
+    # The stamps tell how long the gap was; samples that wait for others may be lost with it.
+    assert ((np.diff(force) == 1.0) | (np.diff(force) > 1900.0)).all()
+    numbers = np.concatenate([b.sequence + np.arange(b.sample_count) for b in blocks])
+    assert len(set((force - numbers).tolist())) == 1
+    assert source.settings.address == address
+
+
+def test_who_is_not_there_is_told_and_waited_for() -> None:
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        port = server.getsockname()[1]
+    source = opened(address=f"tcp:127.0.0.1:{port}", columns=TIMED)
+    blocks = source.blocks(START)
+    deadline = time.monotonic() + PATIENCE
+    while "nobody answers" not in source.state().fault:
+        assert time.monotonic() < deadline, source.state()
+        assert next(blocks).sample_count == 0
+    sender = closing(socket.create_server(("127.0.0.1", port)))
+    with sender as server:
+        connection, _ = server.accept()
+        with closing(connection):
+            connection.sendall(lines(0, 1000))
+            while next(blocks).sample_count == 0:
+                assert time.monotonic() < deadline, source.state()
+        source.close()
+
+
+def test_an_address_that_is_taken_is_told() -> None:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as taken:
+        taken.bind(("127.0.0.1", 0))
+        source = opened(address=f"udp:127.0.0.1:{taken.getsockname()[1]}", columns=TIMED)
+        blocks = source.blocks(START)
+        deadline = time.monotonic() + PATIENCE
+        while "no datagrams can be received" not in source.state().fault:
+            assert time.monotonic() < deadline, source.state()
+            next(blocks)
+        source.close()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"columns": "time:us,displacement:mm,-,force:-2*kN,current:mA"},
+        {
+            "columns": "count:16,displacement:mm,force:N,temperature:degC",
+            "layout": "<HffxB",
+            "mark": "AA55",
+            "check": "crc16",
+            "rate": 500.0,
+        },
+    ],
+)
+def test_the_simulated_sender_keeps_to_any_format(options: dict[str, Any]) -> None:
+    form = parse_row_format(options["columns"])
+    layout, mark, check = (options.get(name, "") for name in ("layout", "mark", "check"))
+    rate = options.get("rate", math.nan)
+    sender = SimulatedSender(form, rate, layout, bytes.fromhex(mark), check or "none")
+    decoder: LineDecoder | RecordDecoder = (
+        RecordDecoder(form, layout, bytes.fromhex(mark), check) if layout else LineDecoder(form)
+    )
+    decoder.begin(whole=True)
+    rows = decoder.feed(b"".join(sender.row(k) for k in range(2000)))
+    assert len(rows) == 2000
+    assert all(row is not None for row in rows)
+    quarter = rows[125 if layout else 250]
+    assert quarter is not None
+    assert quarter.measured.displacement == pytest.approx(0.005, abs=1e-7)
+    assert rows[0] is not None
+    assert rows[0].measured.force == pytest.approx(1000.0 * math.tanh(3.0), rel=1e-6)
+
+
+def test_a_stream_may_be_simulated() -> None:
+    source = opened(address="simulated", columns=TIMED)
+    blocks = gathered(source, lambda found: len(found) >= 3)
+    assert blocks[0].period == pytest.approx(1e-3, rel=1e-6)
+
+
+# -- what comes over it ------------------------------------------------------------------------
+
+
+def test_a_sender_of_garbage_is_told_and_given_nothing(serve: Callable[..., str]) -> None:
+    noise = random.Random(1).randbytes(100_000)
+    source = opened(address=serve(sends(noise, b"\n")), columns=TIMED)
+    blocks = source.blocks(START)
+    deadline = time.monotonic() + PATIENCE
+    while "cannot be read as" not in source.state().fault:
+        assert time.monotonic() < deadline, source.state()
+        assert next(blocks).sample_count == 0
+    source.close()
+
+
+def test_garbage_between_lines_costs_no_more_than_what_it_hits(serve: Callable[..., str]) -> None:
+    rng = random.Random(2)
+    parts = []
+    for k in range(0, 2000, 100):
+        parts += [lines(k, 100), rng.randbytes(30).replace(b"\n", b"") + b"\n", b"nan,nan,nan\n"]
+    source = opened(address=serve(sends(*parts)), columns=TIMED)
+    force = forces(gathered(source, until_force(1980)))
+    assert (np.diff(force) == 1.0).all()
+
+
+def test_a_line_without_end_takes_no_room() -> None:
+    decoder = LineDecoder(parse_row_format(TIMED))
+    decoder.begin(whole=True)
+    rows = [row for _ in range(1000) for row in decoder.feed(b"1" * 4096)]
+    assert rows == [None]
+    assert len(decoder._rest) <= 1024
+    assert decoder.feed(b"\n0,1,2\n") == [Row(Measured(1e-3, -2.0), None, 0.0)]
+
+
+def test_a_sender_that_floods_is_held_up_and_nothing_grows() -> None:
+    class Flood:
+        def __init__(self) -> None:
+            self.portions = 0
+
+        def read(self) -> bytes:
+            self.portions += 1
+            return b"0,1,2\n"
+
+        def close(self) -> None:
+            pass
+
+    flood = Flood()
+    reader = DeviceReader(lambda: flood)
+    deadline = time.monotonic() + PATIENCE
+    while flood.portions < 257:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    time.sleep(0.2)
+    assert flood.portions == 257, "256 wait, and one is in hand"
+    assert len(reader.take()) == 256
+    reader.close()
+
+
+def test_a_driver_that_hangs_does_not_hold_up_who_closes_it() -> None:
+    hangs = threading.Event()
+
+    class Deaf:
+        def read(self) -> bytes | None:
+            hangs.wait(PATIENCE)
+            return None
+
+        def close(self) -> None:
+            pass
+
+    reader = DeviceReader(Deaf)
+    began = time.monotonic()
+    reader.close()
+    passed = time.monotonic() - began
+    hangs.set()
+    assert passed < 0.5 * PATIENCE
+
+
+def test_a_driver_that_fails_in_a_way_of_its_own_is_told_and_tried_again() -> None:
+    tried = []
+
+    def connect() -> Any:
+        tried.append(1)
+        raise KeyError("Dev1")
+
+    reader: DeviceReader[bytes] = DeviceReader(connect)
+    deadline = time.monotonic() + PATIENCE
+    while len(tried) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert reader.fault == "the driver failed: KeyError: 'Dev1'"
+    reader.close()
+
+
+def test_the_clock_of_this_computer_may_be_set_and_stamps_follow_it() -> None:
+    now = {"steady": 100, "wall": 10**18}
+    clock = HostClock(START, lambda: now["steady"], lambda: now["wall"])
+    assert 100 + clock.ahead_ns == START
+    now = {"steady": 10**9 + 100, "wall": 10**18 + 10**9 + 500_000}
+    assert not clock.look(), "half a millisecond is no step"
+    now["wall"] += 3600 * 10**9
+    assert clock.look()
+    assert 10**9 + 100 + clock.ahead_ns == pytest.approx(START + 3601 * 10**9, abs=10**6)
+    assert not clock.look()
+
+
+# -- formats -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "force"),
+    [
+        (b"0,1.5,-7\r\n", 7.0),
+        (b"0; 1.5 ;-7\n", 7.0),
+        (b"0\t1.5\t-7\n", 7.0),
+        (b"  0 1.5   -7e0\n", 7.0),
+        (b"0,1.5\n", None),
+        (b"0,,1.5,-7\n", None),
+        (b"0,1.5,-7,8\n", None),
+        (b"0,1.5,nan\n", None),
+        (b"0,1e400,-7\n", None),
+        (b"0,1.5,1e300\n", None),
+        (b"-5,1.5,-7\n", None),
+        (b"0,1.5,\xff\n", None),
+    ],
+)
+def test_a_line_is_read_or_refused(line: bytes, force: float | None) -> None:
+    decoder = LineDecoder(parse_row_format(TIMED))
+    decoder.begin(whole=True)
+    (row,) = decoder.feed(line)
+    assert (row and row.measured.force) == force
+
+
+def test_remarks_and_empty_lines_are_no_samples() -> None:
+    decoder = LineDecoder(parse_row_format(TIMED))
+    decoder.begin(whole=True)
+    assert decoder.feed(b"# ready\n\n\r\n") == []
+
+
+def test_all_that_a_sender_knows_is_taken() -> None:
+    form = parse_row_format("count:8,displacement:mm,-,force:kN,current:mA,temperature:K")
+    row = form.row([b"7", b"2", b"x", b"0.5", b"1500", b"300.15"])
+    assert row is not None
+    assert row.number == 7
+    assert row.measured == pytest.approx((0.002, 500.0, 1.5, 27.0))
+
+
+LAYOUT = "<HffxB"
+RECORDS = "count:16,displacement:mm,force:N,-"
+
+
+def record(k: int, check: str = "crc16", mark: bytes = b"\xaa\x55") -> bytes:
+    data = mark + struct.pack(LAYOUT, k % 2**16, float(k), -2.0 * k, 9)
+    return data + CHECKS[check][1](data)[: CHECKS[check][0]]
+
+
+def records(check: str = "crc16") -> RecordDecoder:
+    decoder = RecordDecoder(parse_row_format(RECORDS), LAYOUT, b"\xaa\x55", check)
+    decoder.begin(whole=False)
+    return decoder
+
+
+def numbers(rows: list[Row | None]) -> list[int | None]:
+    return [row.number for row in rows if row is not None]
+
+
+@pytest.mark.parametrize("check", list(CHECKS))
+def test_records_are_found_wherever_one_begins_to_listen(check: str) -> None:
+    data = b"".join(record(k, check) for k in range(20))
+    for begin in range(1, 12):
+        decoder = records(check)
+        rows = [row for at in range(begin, len(data), 7) for row in decoder.feed(data[at : at + 7])]
+        assert numbers(rows) == list(range(1, 20))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 999), st.binary(max_size=20)), max_size=5))
+def test_no_record_is_made_of_garbage_in_between(hits: list[tuple[int, bytes]]) -> None:
+    data = b"".join(record(k) for k in range(100))
+    for at, noise in hits:
+        data = data[:at] + noise + data[at + 3 :]
+    decoder = records()
+    for row in decoder.feed(data):
+        if row is not None and row.number is not None:
+            assert row.measured.force == -2.0 * row.number
+
+
+def test_nothing_of_a_megabyte_of_garbage_is_a_record() -> None:
+    decoder = records("none")
+    rows = decoder.feed(random.Random(3).randbytes(1_000_000))
+    assert numbers(rows) == []
+    assert len(decoder._rest) < 100
+
+
+# -- stamps ------------------------------------------------------------------------------------
+
+
+def stamped(rows: StampedRows, times: Iterator[float] | list[float]) -> list[int]:
+    """Numbers of the samples that come of rows with these times [s], which arrive at once."""
+    return [
+        sample.number
+        for k, at in enumerate(times)
+        for sample in rows.add(Row(Measured(0.0, float(k)), None, at), k * MILLISECOND)
+    ]
+
+
+def test_stamps_of_a_sender_are_brought_to_the_clock_of_this_computer() -> None:
+    rows, rng = StampedRows(1e-6), np.random.default_rng(4)
+    errors = []
+    for k in range(4000):
+        taken = START // 1000 + k * MILLISECOND
+        arrival = taken + round(MILLISECOND * (0.5 + rng.exponential()))
+        for sample in rows.add(Row(Measured(0.0, float(k)), None, 7.0 + 1e-3 * k), arrival):
+            right = START // 1000 + round(sample.measured.force) * MILLISECOND
+            errors.append(sample.time_ns - right - MILLISECOND // 2)
+    # The shortest time on the way stays in the times.
+    assert max(map(abs, errors[500:])) < 0.2 * MILLISECOND
+
+
+def test_a_counter_of_microseconds_may_begin_at_0_again() -> None:
+    rows = StampedRows(1e-6)
+    begin = 2**32 - 500_000
+    found = stamped(rows, [((begin + 1000 * k) % 2**32) * 1e-6 for k in range(1000)])
+    assert found[-1] - found[0] == len(found) - 1
+    assert len(found) > 950
+    assert rows.values()["wrong stamps"] == 0
+
+
+def test_a_wrong_stamp_costs_one_sample() -> None:
+    rows = StampedRows(1e-6)
+    times = [1e-3 * k for k in range(1000)]
+    times[500] = 4e3
+    found = stamped(rows, times)
+    assert sorted(set(range(found[0], found[-1])) - set(found)) == [500]
+    assert rows.values()["wrong stamps"] == 1
+
+
+def test_a_sender_that_was_started_again_begins_anew() -> None:
+    rows = StampedRows(1e-6)
+    found = stamped(rows, [100.0 + 1e-3 * k for k in range(1000)] + [1e-3 * k for k in range(1000)])
+    assert len(found) > 1900
+    assert (np.diff(found) > 0).all()
+
+
+@pytest.mark.parametrize("jump", [3600.0, -3600.0])
+def test_a_sender_whose_clock_is_set_goes_on_after_a_few_samples(jump: float) -> None:
+    rows = StampedRows(1e-6)
+    times = [5000.0 + 1e-3 * k + (jump if k >= 8000 else 0.0) for k in range(10_000)]
+    found = stamped(rows, times)
+    assert len(found) > 9900
+    assert rows.fault() == ""
+
+
+def test_a_wrong_unit_of_the_time_is_told() -> None:
+    rows = StampedRows(1e-3)
+    found = stamped(rows, [1.0 * k for k in range(40)])
+    assert found == []
+    assert "is the unit of the time right?" in rows.fault()
+
+
+# -- blocks ------------------------------------------------------------------------------------
+
+
+@given(st.sets(st.integers(0, 60), min_size=1), st.integers(1, 12))
+def test_blocks_hold_what_came_and_none_has_a_gap(taken: set[int], size: int) -> None:
+    maker = BlockMaker(size)
+    for k in sorted(taken):
+        maker.add(k, START + k, 1e-9, Measured(float(k), 2.0 * k))
+    maker.cut()
+    blocks = maker.take()
+    held = [b.sequence + k for b in blocks for k in range(b.sample_count)]
+    assert held == sorted(taken)
+    assert max(block.sample_count for block in blocks) <= size
+    for block in blocks:
+        assert block.displacement[0] == block.sequence == block.start_ns - START
+        assert math.isnan(block.current[0])
+
+
+# -- what cannot be ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({}, "stream.address is empty"),
+        ({"address": "tcp:a:1"}, "stream.columns is empty"),
+        ({"address": "tcp:a", "columns": TIMED}, "the address 'tcp:a' cannot be used"),
+        ({"address": "tcp:a:70000", "columns": TIMED}, "cannot be used"),
+        ({"address": "udp::5", "columns": TIMED}, "cannot be used"),
+        ({"columns": "displacement:mm,force:N"}, "give stream.rate"),
+        ({"columns": TIMED, "rate": 1000.0}, "leave one out"),
+        ({"columns": "displacement:mm,force:N", "rate": 0.5}, "must be from 1 to 100000 Hz"),
+        ({"columns": "velocity:m/s,time:s,force:N"}, "a velocity does not do"),
+        ({"columns": "count,time:s,displacement:mm,force:N"}, "only one is needed"),
+        ({"columns": "count,count,displacement:mm,force:N"}, "name count twice"),
+        ({"columns": "count:12,displacement:mm,force:N"}, "a count of 12 bits"),
+        ({"columns": "displacement=x:mm,force=y:N", "rate": 1e3}, "by a header"),
+        ({"columns": "time:datetime,displacement:mm,force:N"}, "cannot hold dates"),
+        ({"columns": "time:s,displacement:mm,force:lb"}, "'lb' is no unit"),
+        ({"columns": TIMED, "mark": "AA"}, "stream.layout is empty"),
+        ({"columns": TIMED, "layout": "fff"}, "begin with <"),
+        ({"columns": TIMED, "layout": "<ff"}, "holds 2 numbers"),
+        ({"columns": TIMED, "layout": "<fff", "mark": "xy"}, "is not hexadecimal"),
+        ({"columns": RECORDS, "layout": "<IffB", "rate": 1e3}, "write count:32"),
+        ({"columns": RECORDS, "layout": "<dffB", "rate": 1e3}, "is no integer"),
+        (
+            {"columns": TIMED, "layout": "<fff", "address": "serial:/dev/ttyACM0"},
+            "need stream.mark or stream.check",
+        ),
+    ],
+)
+def test_what_does_not_go_together_is_said(options: dict[str, Any], part: str) -> None:
+    if options and "columns" in options:
+        options = {"address": "tcp:a:1", **options}
+    assert part in stream(**options).settings.objection()
+
+
+def test_addresses_are_those_of_three_kinds() -> None:
+    found = [parse_address(a) for a in ("serial:/dev/ttyS0", "tcp:rig:5", "udp:[::1]:65535")]
+    assert [(a.kind, a.host, a.number) for a in found] == [
+        *(("serial", "/dev/ttyS0", 0), ("tcp", "rig", 5), ("udp", "::1", 65535))
+    ]
