@@ -16,6 +16,7 @@ from mr_damper_ros.estimation.differential_evolution import (
 )
 from mr_damper_ros.estimation.global_search import Candidate, GlobalSearch
 from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
+from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
@@ -35,6 +36,7 @@ class GlobalFit:
     what each window's own coefficients leave of its force; ``cost``: mean square over all samples
     of the residual in units of it, 1 where nothing but noise is left. ``candidates``: the local
     searches of which this is the outcome; ``stopped``: whether it was stopped before its end.
+    ``levels``: what was known of the levels of the records, None where they had none.
     """
 
     parameter_set: ParameterSet
@@ -47,6 +49,7 @@ class GlobalFit:
     cost: float
     candidates: tuple[Candidate, ...] = ()
     stopped: bool = False
+    levels: LevelPrior | None = None
 
     def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array]:
         """Coefficients (c,) and their standard errors at (peak velocity [m/s], current [A])."""
@@ -71,6 +74,7 @@ def identify_global(
     *,
     method: str = "global",
     known: Array | None = None,
+    levels: LevelPrior | None = None,
 ) -> GlobalFit:
     """One parameter set for all windows.
 
@@ -81,7 +85,7 @@ def identify_global(
     "differential_evolution" searches on the samples over all free parameters at once, as the thesis
     does. ``report`` hears of the progress and may stop the search: the best so far is then returned
     with ``success`` False. ``known`` (p,): the outcome of an earlier search, from which this one
-    starts as well.
+    starts as well. ``levels``: each record has a force scale and a zero of its own.
 
     Raises ValueError where there are no windows, a force does not change, or for an unknown
     method.
@@ -89,13 +93,14 @@ def identify_global(
     if method not in GLOBAL_METHODS:
         raise ValueError(f"method '{method}' is unknown: use one of {', '.join(GLOBAL_METHODS)}")
     start = np.asarray(start, dtype=float)
-    search = GlobalSearch(model, windows, start, settings, ProgressClock(1, report), known)
+    clock = ProgressClock(1, report)
+    search = GlobalSearch(model, windows, start, settings, clock, known, levels=levels)
     try:
         search.run(method)
         ending = Ending.EXHAUSTED if search.exhausted else Ending.CONVERGED
     except StopRequestedError:
         ending = Ending.STOPPED
-    return _result(search, method, ending)
+    return replace(_result(search, method, ending), levels=levels)
 
 
 def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:

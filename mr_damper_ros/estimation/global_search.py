@@ -33,6 +33,7 @@ from mr_damper_ros.estimation.observability import (
     varied_parameters,
 )
 from mr_damper_ros.estimation.pooled_polish import PooledPolish
+from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.estimation.separate_fits import SeparateFits
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
@@ -76,8 +77,10 @@ class GlobalSearch:
         clock: ProgressClock,
         known: Array | None,
         later: int = 0,
+        levels: LevelPrior | None = None,
     ) -> None:
         """``later`` generations follow this search; ValueError where there are no windows."""
+        self._levels = levels
         if not windows:
             raise ValueError("there are no windows to identify from")
         self.model = model
@@ -109,7 +112,7 @@ class GlobalSearch:
         self.best = start
         self.shortcoming = ""
         self.candidates: list[Candidate] = []
-        self._separate = SeparateFits(model, windows, clock)
+        self._separate = SeparateFits(model, windows, clock, levels)
 
     @property
     def evaluations(self) -> int:
@@ -212,7 +215,7 @@ class GlobalSearch:
             return {}
         start = self.model.to_simpler(self._start)
         search = GlobalSearch(
-            simpler, self.windows, start, self._settings, self._clock, None, later
+            simpler, self.windows, start, self._settings, self._clock, None, later, self._levels
         )
         try:
             search.run(method)

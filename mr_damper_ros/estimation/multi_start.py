@@ -27,6 +27,7 @@ from mr_damper_ros.estimation.global_fit import (
     identify_global,
 )
 from mr_damper_ros.estimation.global_search import Candidate
+from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.force_model import Model
@@ -89,6 +90,7 @@ class _Search:
     settings: EvolutionSettings
     method: str
     known: Array | None
+    levels: LevelPrior | None
 
 
 def _run(search: _Search, tell: Tell) -> GlobalFit:
@@ -100,13 +102,15 @@ def _run(search: _Search, tell: Tell) -> GlobalFit:
         tell,
         method=search.method,
         known=search.known,
+        levels=search.levels,
     )
 
 
 class SearchRecord:
     """What the searches from several seeds have found so far, in a form that JSON can hold.
 
-    It belongs to this model, these windows, start (p,), settings (but for the seed) and method.
+    It belongs to this model, these windows, start (p,), settings (but for the seed), method and
+    levels of the records.
     """
 
     def __init__(
@@ -116,8 +120,10 @@ class SearchRecord:
         start: Array,
         settings: EvolutionSettings,
         method: str,
+        levels: LevelPrior | None = None,
     ) -> None:
-        self._digest = _digest(model, windows, start, settings, method)
+        self._digest = _digest(model, windows, start, settings, method, levels)
+        self._levels = levels
         self.fits: dict[int, GlobalFit] = {}
 
     def is_finished(self, seed: int) -> bool:
@@ -139,7 +145,10 @@ class SearchRecord:
                     "it is of another search (other bags, start, model, method or settings): "
                     "begin a new one, or search as then"
                 )
-            fits = {int(seed): _from_document(fit) for seed, fit in document["found"].items()}
+            fits = {
+                int(seed): replace(_from_document(fit), levels=self._levels)
+                for seed, fit in document["found"].items()
+            }
         except (KeyError, TypeError, AttributeError, ParameterError) as error:
             raise SearchRecordError("it is not the record of a search: begin a new one") from error
         self.fits.update(fits)
@@ -154,6 +163,7 @@ def identify_from_seeds(
     report: Report | None = None,
     *,
     method: str = "global",
+    levels: LevelPrior | None = None,
     processes: ProcessPool | None = None,
     record: SearchRecord | None = None,
     keep: Callable[[SearchRecord], None] | None = None,
@@ -168,7 +178,7 @@ def identify_from_seeds(
     """
     if count < 1:
         raise ValueError(f"starts is {count}: at least 1 is needed")
-    record = record or SearchRecord(model, windows, start, settings, method)
+    record = record or SearchRecord(model, windows, start, settings, method, levels)
     seeds = [settings.seed + place for place in range(count)]
     missing = [seed for seed in seeds if not record.is_finished(seed)]
     tasks = []
@@ -176,9 +186,8 @@ def identify_from_seeds(
         before = record.fits.get(seed)
         known = None if before is None else before.parameter_set.values
         seeded = replace(settings, seed=seed)
-        tasks.append(
-            _Search(model.name, tuple(windows), np.asarray(start, float), seeded, method, known)
-        )
+        values = np.asarray(start, float)
+        tasks.append(_Search(model.name, tuple(windows), values, seeded, method, known, levels))
 
     def done(place: int, fit: GlobalFit) -> None:
         before = record.fits.get(missing[place])
@@ -222,8 +231,11 @@ def _digest(
     start: Array,
     settings: EvolutionSettings,
     method: str,
+    levels: LevelPrior | None,
 ) -> str:
-    digest = hashlib.sha256(repr((model.name, replace(settings, seed=0), method)).encode())
+    with_levels = () if levels is None else (levels,)
+    asked = (model.name, replace(settings, seed=0), method, *with_levels)
+    digest = hashlib.sha256(repr(asked).encode())
     for array in (start, *(a for w in windows for a in _arrays(w))):
         digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
     return digest.hexdigest()

@@ -15,7 +15,8 @@ from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.observability import parameter_ranges
 from mr_damper_ros.estimation.profile_likelihood import Profile, ProfileLikelihood
-from mr_damper_ros.estimation.separate_fits import thinned_for_search
+from mr_damper_ros.estimation.record_levels import Level, LevelledProblem
+from mr_damper_ros.estimation.separate_fits import levelled, thinned_for_search
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -33,7 +34,17 @@ _Ranges = Mapping[str, tuple[float, float]]
 def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> PooledProblem:
     """The misfit that the set was searched with."""
     found = fit.parameter_set
-    return found.law.pooled_problem(thinned_for_search(windows), fit.noise.tolist(), found.values)
+    few = thinned_for_search(windows)
+    pooled = found.law.pooled_problem(few, fit.noise.tolist(), found.values)
+    return levelled(pooled, fit.levels)
+
+
+def record_levels(fit: GlobalFit, windows: Sequence[Window]) -> list[Level]:
+    """The level of each record, by rising number; none where the records have none."""
+    misfit = search_misfit(fit, windows)
+    if not isinstance(misfit, LevelledProblem):
+        return []
+    return misfit.levels(fit.parameter_set.values)
 
 
 def profiles_of(
@@ -80,7 +91,13 @@ def profiled(
             break
         start = min(lower, key=misfit.mean_square)
         again = identify_global(
-            fit.parameter_set.law, windows, start, settings, report, known=start
+            fit.parameter_set.law,
+            windows,
+            start,
+            settings,
+            report,
+            known=start,
+            levels=fit.levels,
         )
         before, after = (misfit.mean_square(each.parameter_set.values) for each in (fit, again))
         if not after < before:

@@ -11,6 +11,7 @@ from mr_damper_ros.estimation.adaptation import no_search
 from mr_damper_ros.estimation.differential_evolution import ProgressClock
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.observability import current_varies, varied_parameters
+from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
@@ -28,13 +29,21 @@ _STAGE = "each run by itself"
 class SeparateFits:
     """Fits of the windows one by one, thinned; what they leave of the force is the noise of each.
 
-    ``pooled``: the misfit of one set to all of the thinned windows, weighed by their noise.
+    ``pooled``: the misfit of one set to all of the thinned windows, weighed by their noise, with
+    the ``levels`` of their records if they have any.
     """
 
     pooled: PooledProblem
 
-    def __init__(self, model: Model, windows: Sequence[Window], clock: ProgressClock) -> None:
+    def __init__(
+        self,
+        model: Model,
+        windows: Sequence[Window],
+        clock: ProgressClock,
+        levels: LevelPrior | None = None,
+    ) -> None:
         self._model = model
+        self._levels = levels
         self._thinned = thinned_for_search(windows)
         self._clock = clock
         self.fits: list[WindowFit] = []
@@ -70,7 +79,8 @@ class SeparateFits:
 
     def misfit(self, windows: Sequence[Window], known: Array | None = None) -> PooledProblem:
         """The misfit of one set to these windows, the same ones, thinned or not."""
-        return self._model.pooled_problem(windows, [fit.rmse for fit in self.fits], known)
+        noise = [fit.rmse for fit in self.fits]
+        return levelled(self._model.pooled_problem(windows, noise, known), self._levels)
 
     @property
     def operating_points(self) -> tuple[list[float], list[float]]:
@@ -105,6 +115,11 @@ def _table(fits: Sequence[WindowFit]) -> CoefficientTable:
         coefficients=np.array([fit.coefficients for fit in fits]),
         errors=np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in fits]),
     )
+
+
+def levelled(pooled: PooledProblem, levels: LevelPrior | None) -> PooledProblem:
+    """The problem with the levels of its records integrated out, or as it is where None."""
+    return pooled if levels is None else LevelledProblem(pooled, levels)
 
 
 def thinned_for_search(windows: Sequence[Window]) -> list[Window]:

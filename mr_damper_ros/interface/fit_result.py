@@ -11,6 +11,7 @@ from mr_damper_ros.estimation.differential_evolution import Report
 from mr_damper_ros.estimation.experiment_design import RigRange
 from mr_damper_ros.estimation.multi_start import MultiStart
 from mr_damper_ros.estimation.profiled_fit import profiles_of
+from mr_damper_ros.estimation.record_levels import Level
 from mr_damper_ros.interface import findings
 from mr_damper_ros.interface.comparison import Comparison, error_entry, error_over
 from mr_damper_ros.interface.estimates import (
@@ -47,13 +48,15 @@ class FittedRun:
     """What the identified set makes of one run.
 
     ``operating_point``: peak velocity [m/s] and current [A] that stand for the run;
-    ``coefficients``: those of the law there, by name.
+    ``coefficients``: those of the law there, by name; ``level``: force scale and zero of the run's
+    own, None where none were asked for. The ``error`` is that of the set without them.
     """
 
     measured: MeasuredRun
     comparison: Comparison
     operating_point: tuple[float, float]
     coefficients: dict[str, Estimate]
+    level: Level | None = None
 
     @property
     def name(self) -> str:
@@ -123,8 +126,12 @@ class Identification:
 
     @property
     def explains(self) -> bool:
-        """Whether the set leaves no more than 30 % of the force's standard deviation."""
-        return self.nrmse <= MOST_LEFT
+        """Whether the set leaves no more than 30 % of the force's standard deviation.
+
+        With the level of each run, where the runs have any.
+        """
+        left = [run.level.nrmse for run in self.runs if run.level is not None]
+        return (max(left) if left else self.nrmse) <= MOST_LEFT
 
     @property
     def success(self) -> bool:
@@ -250,9 +257,16 @@ def _entry(run: FittedRun) -> dict[str, Any]:
         "coefficient_standard_errors": {
             name: as_json(entry.standard_error) for name, entry in run.coefficients.items()
         },
+        **({} if run.level is None else {"level": run.level._asdict()}),
     }
 
 
 def _line(run: FittedRun) -> str:
-    error = run.error
-    return f"{run.name}: RMSE {error.rmse:.4g} N, NRMSE {error.nrmse:.2%} ({error.count} samples)"
+    error, level = run.error, run.level
+    line = f"{run.name}: RMSE {error.rmse:.4g} N, NRMSE {error.nrmse:.2%} ({error.count} samples)"
+    if level is None:
+        return line
+    return (
+        f"{line}; at its level {level.nrmse:.2%}: force scale {level.scale:.4f} ± "
+        f"{level.scale_error:.4f}, zero {level.zero:.1f} ± {level.zero_error:.1f} N"
+    )

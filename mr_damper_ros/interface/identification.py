@@ -20,7 +20,8 @@ from mr_damper_ros.estimation.multi_start import (
     SearchRecordError,
     identify_from_seeds,
 )
-from mr_damper_ros.estimation.profiled_fit import profiled
+from mr_damper_ros.estimation.profiled_fit import profiled, record_levels
+from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.interface import findings
 from mr_damper_ros.interface.comparison import compare, error_over
 from mr_damper_ros.interface.estimates import Estimate
@@ -60,6 +61,7 @@ def identify(
     accept_doubtful: bool = False,
     resume: str | os.PathLike[str] | None = None,
     profile: Sequence[str] = (),
+    level_per_record: float = 0.0,
     report: Report | None = None,
 ) -> Identification:
     """Fit one parameter set to all runs given.
@@ -95,6 +97,9 @@ def identify(
     profile
         Names of parameters whose profile likelihood is wanted. Where one has its minimum far from
         the value found, the search starts again from there.
+    level_per_record
+        Spread, such as 0.1, of a force scale that each run has for itself, drawn to 1, besides a
+        force zero: temperature, filling and the load cell's zero then do not bend the law. 0: none.
     report
         Called with the progress; where it returns False, the best so far is the result.
 
@@ -146,6 +151,7 @@ def identify(
             processes=processes,
             resume=None if resume is None else Path(resume),
             profile=profile,
+            level_per_record=level_per_record,
             report=report,
         )
 
@@ -161,12 +167,14 @@ def identify_measured(
     processes: ProcessPool,
     resume: Path | None = None,
     profile: Sequence[str] = (),
+    level_per_record: float = 0.0,
     report: Report | None = None,
 ) -> Identification:
     """:func:`identify` for runs that are read already, from values (p,) to start with."""
     windows = all_windows(measured)
     law = MODELS[model]
-    record = SearchRecord(law, windows, start_values, settings, method)
+    levels = _levels_of(measured, level_per_record) if level_per_record else None
+    record = SearchRecord(law, windows, start_values, settings, method, levels)
     if resume is not None and resume.exists():
         _take(record, resume)
     began = time.monotonic()
@@ -178,6 +186,7 @@ def identify_measured(
         starts,
         report,
         method=method,
+        levels=levels,
         processes=processes,
         record=record,
         keep=None if resume is None else partial(_keep, resume),
@@ -209,6 +218,11 @@ def start_values_of(source: ParameterSet | str | os.PathLike[str] | None, model:
     return found.start_of(model)
 
 
+def _levels_of(measured: Sequence[MeasuredRun], spread: float) -> LevelPrior:
+    records = [place for place, run in enumerate(measured) for _ in run.windows]
+    return LevelPrior(tuple(records), spread)
+
+
 def _take(record: SearchRecord, path: Path) -> None:
     try:
         record.take(json.loads(path.read_text(encoding="utf-8")))
@@ -226,8 +240,9 @@ def _keep(path: Path, record: SearchRecord) -> None:
 def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRun, ...]:
     fit = searches.best
     quantities = fit.parameter_set.law.coefficient_quantities
+    levels = dict(enumerate(record_levels(fit, all_windows(runs))))
     fitted = []
-    for run in runs:
+    for place, run in enumerate(runs):
         point = run.longest.operating_point
         values, errors = fit.coefficients(point)
         coefficients = {
@@ -237,5 +252,5 @@ def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRu
             )
         }
         comparison = compare(fit.parameter_set, run)
-        fitted.append(FittedRun(run, comparison, point, coefficients))
+        fitted.append(FittedRun(run, comparison, point, coefficients, levels.get(place)))
     return tuple(fitted)

@@ -69,6 +69,10 @@ class PooledProblem(Protocol):
     def population_cost(self, parameters: Array) -> Array:
         """The mean square of many sets, shape (s, p) to (s,)."""
 
+    @property
+    def sample_weights(self) -> Array:
+        """Weights (n,) [1/N] of the samples of all windows, 0 where one has no residual."""
+
 
 def window_weights(windows: Sequence[Window], noise: Sequence[float]) -> list[float]:
     """Weight [1/N] of the samples of each window; ValueError where there are no windows."""

@@ -35,6 +35,13 @@ class PooledDifferences:
             for window in windows
         ]
 
+    @property
+    def sample_weights(self) -> Array:
+        """Weights (n,) [1/N] of the samples, 0 where the past is not known."""
+        return np.concatenate(
+            [w * settled for w, settled in zip(self._weights, self._settled, strict=True)]
+        )
+
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
         return np.concatenate([part for _, part in self._residuals(parameters)])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES, EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
+from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.interface.findings import Findings, searches
 from mr_damper_ros.interface.fit_result import MOST_LEFT
 from mr_damper_ros.interface.identification import identify
@@ -118,6 +119,17 @@ def _parser() -> argparse.ArgumentParser:
         "its minimum elsewhere, the search starts again from there",
     )
     parser.add_argument(
+        "--level-per-record",
+        nargs="?",
+        type=float,
+        const=USUAL_SPREAD,
+        default=0.0,
+        metavar="SPREAD",
+        help="give each bag a force scale, drawn to 1 with this standard deviation (default "
+        "%(const)s), and a force zero of its own, so that temperature, filling and an uncentred "
+        "load cell do not bend the law",
+    )
+    parser.add_argument(
         "--top-velocity",
         type=float,
         metavar="M/S",
@@ -161,6 +173,7 @@ def _identify(options: argparse.Namespace) -> int:
             accept_doubtful=options.accept_doubtful,
             resume=options.resume,
             profile=options.profile,
+            level_per_record=options.level_per_record,
             report=progress,
         )
         more = Findings([], {})

@@ -67,6 +67,14 @@ class PooledMisfit:
         self._in_coil: tuple[float, PooledMisfit] | None = None
         self.sample_count = sum(window.sample_count for window in windows)
 
+    @property
+    def sample_weights(self) -> Array:
+        """Weights (n,) [1/N] of the samples, 0 where the past is not known."""
+        counted: list[Array] = [np.ones(window.sample_count) for window in self.windows]
+        if self._slowest_lag > 0.0:
+            counted = [1.0 - unsettled for unsettled in self._unsettled]
+        return np.concatenate([w * c for w, c in zip(self._weights, counted, strict=True)])
+
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
         forces = self._forces(parameters)

@@ -1,0 +1,169 @@
+"""A level of its own for each record: what bends the shape of a law where it is left out.
+
+A damper is warmer, fuller or older from one record to the next, and a load cell is zeroed anew: the
+measured force of a record is s F + z, F that of the law. Scale s and zero z are unknown, normal
+about 1 and 0: s with a spread that is given, z with that of the force itself, so nearly free. They
+are linear, so they are integrated out: what is minimised over the parameters is the misfit at the
+most probable levels, the prior included (a linear mixed model: Laird and Ware, Biometrics 38,
+1982). Of the residual r and X, the effect of both levels in units of their spreads, with X = U S
+V', only U'r is damped, by 1 / sqrt(1 + S²). It gets two rows of its own, next to those of the
+record, so that it counts for the standard errors as the one draw that it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.estimation.determination import noise_level
+from mr_damper_ros.models.operating_points import PooledProblem
+from mr_damper_ros.signals.arrays import Array
+
+USUAL_SPREAD = 0.1
+"""Standard deviation [1] of the force scale from record to record, where no other is given."""
+
+
+@dataclass(frozen=True)
+class LevelPrior:
+    """``records``: number of the record that each window is of; ``spread`` of the scales [1].
+
+    Raises ValueError where the spread is not positive.
+    """
+
+    records: tuple[int, ...]
+    spread: float = USUAL_SPREAD
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.spread < 1.0:
+            raise ValueError(
+                f"the spread of the levels is {self.spread}: it must lie between 0 and 1"
+            )
+
+
+class Level(NamedTuple):
+    """Scale [1] and zero [N] of a record's force with their standard errors.
+
+    ``nrmse``: RMSE over the standard deviation of the force that is left with them [1].
+    """
+
+    scale: float
+    scale_error: float
+    zero: float
+    zero_error: float
+    nrmse: float
+
+
+class _Whitened(NamedTuple):
+    """Of one record: the rows, U (n, 2), S (2,), and V scaled back to scale and zero (2, 2)."""
+
+    rows: np.ndarray
+    left: Array
+    sizes: Array
+    right: Array
+
+
+class LevelledProblem:
+    """A pooled problem with the levels of its records integrated out; see :class:`PooledProblem`.
+
+    The rows of a record are followed by two for its levels. The Jacobian is that of the sum of
+    squares: exact in its gradient, and in its curvature as far as Gauss and Newton go.
+    """
+
+    def __init__(self, pooled: PooledProblem, prior: LevelPrior) -> None:
+        self.windows = pooled.windows
+        self.sample_count = pooled.sample_count
+        self._pooled = pooled
+        self._weights = pooled.sample_weights
+        self._measured = np.concatenate([window.force for window in self.windows])
+        sizes = [window.sample_count for window in self.windows]
+        of_sample = np.repeat(np.array(prior.records), sizes)
+        self._records = [np.flatnonzero(of_sample == k) for k in sorted(set(prior.records))]
+        self._spreads = [
+            np.array([prior.spread, max(float(np.std(self._measured[rows])), 1e-12)])
+            for rows in self._records
+        ]
+
+    @property
+    def sample_weights(self) -> Array:
+        """Weights of the samples alone (n,)."""
+        return self._weights
+
+    def residual(self, parameters: Array) -> Array:
+        """Weighted residual [1], two rows more for each record."""
+        plain = self._pooled.residual(parameters)
+        return self._each(plain, lambda each: _damped(each, plain[each.rows]))
+
+    def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
+        """Derivatives of it, so far as its sum of squares is concerned."""
+        plain = self._pooled.residual(parameters)
+        derivatives = self._pooled.jacobian(parameters, columns)
+
+        def of_record(each: _Whitened) -> Array:
+            scale = 1.0 + float(_levels(each, plain)[0])
+            return _damped(each, scale * derivatives[each.rows])
+
+        return self._each(plain, of_record)
+
+    def mean_square(self, parameters: Array) -> float:
+        """Sum of squares over the number of samples."""
+        residual = self.residual(parameters)
+        return float(residual @ residual) / self.sample_count
+
+    def population_cost(self, parameters: Array) -> Array:
+        """The same of many sets, shape (s, p) to (s,)."""
+        return np.array([self.mean_square(values) for values in parameters])
+
+    def levels(self, parameters: Array) -> list[Level]:
+        """Of each record, by rising number, for parameters (p,)."""
+        plain = self._pooled.residual(parameters)
+        noise = max(noise_level(self, parameters), 1e-12)
+        found = []
+        for each, spread in zip(self._whitened(plain), self._spreads, strict=True):
+            scale, zero = _levels(each, plain)
+            variances = each.right**2 @ (1.0 / (1.0 + (each.sizes / noise) ** 2))
+            errors = np.sqrt(np.minimum(variances, spread**2))
+            weights, measured = self._weights[each.rows], self._measured[each.rows]
+            counted = weights > 0.0
+            force = measured + np.divide(
+                plain[each.rows], weights, out=np.zeros(measured.size), where=counted
+            )
+            left = ((1.0 + scale) * force + zero - measured)[counted]
+            found.append(
+                Level(
+                    scale=1.0 + float(scale),
+                    scale_error=float(errors[0]),
+                    zero=float(zero),
+                    zero_error=float(errors[1]),
+                    nrmse=float(np.sqrt(np.mean(left**2)) / np.std(measured[counted])),
+                )
+            )
+        return found
+
+    def _each(self, plain: Array, of_record: Callable[[_Whitened], Array]) -> Array:
+        return np.concatenate([of_record(each) for each in self._whitened(plain)])
+
+    def _whitened(self, plain: Array) -> list[_Whitened]:
+        whitened = []
+        for rows, spread in zip(self._records, self._spreads, strict=True):
+            weights = self._weights[rows]
+            force = plain[rows] + weights * self._measured[rows]
+            effect = np.column_stack((force, weights)) * spread
+            left, sizes, right = np.linalg.svd(effect, full_matrices=False)
+            whitened.append(_Whitened(rows, left, sizes, spread[:, np.newaxis] * right.T))
+        return whitened
+
+
+def _damped(each: _Whitened, values: Array) -> Array:
+    """Rows (n, ...) of a record without what its levels explain, and two rows of that, damped."""
+    along = each.left.T @ values
+    damping = 1.0 / np.sqrt(1.0 + each.sizes**2)
+    return np.concatenate((values - each.left @ along, (damping * along.T).T))
+
+
+def _levels(each: _Whitened, plain: Array) -> Array:
+    """The most probable scale less 1, and zero [N], of a record (2,)."""
+    along = each.left.T @ plain[each.rows]
+    return np.asarray(-each.right @ (each.sizes / (1.0 + each.sizes**2) * along))

@@ -1,0 +1,170 @@
+"""A force scale and a zero of each record's own: found with known truth, and told."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import known
+import numpy as np
+import pytest
+
+import mr_damper_ros as mr
+from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+
+LAW = MODELS["hyperbolic_tangent"]
+TRUTH = known.EXAMPLES[LAW.name]
+
+SCALES = (0.93, 1.08, 0.97, 1.02)
+"""Of the four records; their mean is 1."""
+
+ZEROS = (400.0, -300.0, 150.0, -250.0)
+"""[N], their mean is 0; the force goes up to some 800 N."""
+
+AMPLITUDES = (3e-3, 5e-3, 7e-3, 9e-3)
+
+SCALE_ERROR = 0.005
+"""Of a scale against the mean of all: 1000 samples with 5 N of noise tell it to 0.0005."""
+
+ZERO_ERROR = 2.0
+"""[N] against the mean of all; the noise leaves 0.2 N."""
+
+SHAPE_ERROR = 0.02
+"""Relative, of the viscous damping, which shows in how the force grows with the speed."""
+
+BENT = 0.05
+"""Relative: what ignored levels do to it at least."""
+
+OF_THE_MEAN = 0.2
+"""Relative: the sandwich of a covariance takes the four levels that there are, not their prior."""
+
+HONEST = 3.0
+"""Stated standard errors by which the strength may miss the truth."""
+
+ROUNDING = 1e-6
+"""Relative, of derivatives by differences."""
+
+
+def record(place: int, scale: float, zero: float) -> Recording:
+    run = known.run(amplitude=AMPLITUDES[place], seed=place, samples=1000, frequency=2.0)
+    motion = run.window.motion
+    force = LAW.force(TRUTH, motion, 1.0, run.period)
+    noise = np.random.default_rng(place).normal(0.0, 5.0, force.size)
+    return Recording(
+        name=f"record {place}",
+        start_ns=known.T0,
+        period=run.period,
+        displacement=run.displacement,
+        force=scale * force + zero + noise,
+        current=np.ones(force.size),
+    )
+
+
+def records() -> list[Recording]:
+    return [record(place, *level) for place, level in enumerate(zip(SCALES, ZEROS, strict=True))]
+
+
+@cache
+def identified(spread: float) -> mr.Identification:
+    return mr.identify(records(), model=LAW.name, level_per_record=spread)
+
+
+def levels() -> list[tuple[float, float, float, float]]:
+    found = [run.level for run in identified(0.1).runs]
+    return [level[:4] for level in found if level is not None]
+
+
+def test_the_levels_of_the_records_are_found() -> None:
+    scales, _, zeros, _ = np.array(levels()).T
+    # What all records have in common, the law itself takes.
+    np.testing.assert_allclose(scales / scales.mean(), SCALES, atol=SCALE_ERROR)
+    offset = identified(0.1).parameters["f0"].value - TRUTH[LAW.parameter_names.index("f0")]
+    np.testing.assert_allclose(zeros + scales * offset, ZEROS, atol=10.0 * ZERO_ERROR)
+
+
+def test_the_shape_is_not_bent_by_them() -> None:
+    place = LAW.parameter_names.index("c")
+    with_levels, without = (
+        abs(identified(spread).parameter_set.values[place] / TRUTH[place] - 1.0)
+        for spread in (0.1, 0.0)
+    )
+    assert with_levels < SHAPE_ERROR < BENT < without
+
+
+def test_the_set_knows_its_strength_no_better_than_the_levels_allow() -> None:
+    found = identified(0.1).parameters["alpha"]
+    of_the_mean = found.value * 0.1 / np.sqrt(len(SCALES))
+    assert found.standard_error == pytest.approx(of_the_mean, rel=OF_THE_MEAN)
+    missed = abs(found.value - TRUTH[LAW.parameter_names.index("alpha")])
+    assert missed < HONEST * found.standard_error
+
+
+def test_levels_are_told_line_by_line_and_in_json() -> None:
+    result = identified(0.1)
+    assert str(result).count("force scale") == len(SCALES)
+    entries = json.loads(json.dumps(result.document()))["bags"]
+    assert [entry["level"]["scale"] for entry in entries] == [
+        run.level.scale for run in result.runs if run.level is not None
+    ]
+    assert result.explains
+
+
+def test_without_the_option_there_is_no_level() -> None:
+    result = identified(0.0)
+    assert all(run.level is None for run in result.runs)
+    assert "force scale" not in str(result)
+
+
+def windows() -> list[Window]:
+    return [Window.from_samples(r.displacement, r.force, r.current, r.period) for r in records()]
+
+
+def problem(law: str, spread: float = 0.1) -> LevelledProblem:
+    pooled = MODELS[law].pooled_problem(windows(), [20.0, 30.0, 15.0, 25.0])
+    return LevelledProblem(pooled, LevelPrior((0, 0, 1, 2), spread))
+
+
+@pytest.mark.parametrize("law", ["hyperbolic_tangent", "sigmoid", "sigmoid_lag"])
+def test_the_gradient_is_that_of_differences(law: str) -> None:
+    misfit = problem(law)
+    values = 1.05 * known.EXAMPLES[law]
+    places = MODELS[law].places(MODELS[law].scale_names)
+    gradient = 2.0 * misfit.jacobian(values, places).T @ misfit.residual(values)
+    expected = np.empty(places.size)
+    for number, place in enumerate(places.tolist()):
+        step = 1e-5 * max(abs(float(values[place])), 1e-3) * np.eye(values.size)[place]
+        above, below = (misfit.mean_square(values + s * step) for s in (0.5, -0.5))
+        expected[number] = misfit.sample_count * (above - below) / step[place]
+    np.testing.assert_allclose(gradient, expected, rtol=1e-3, atol=ROUNDING * gradient.max())
+
+
+def by_brute_force(misfit: LevelledProblem, values: Array, spread: float) -> float:
+    """The least misfit over levels, by an augmented least-squares problem."""
+    pooled = MODELS["hyperbolic_tangent"].pooled_problem(windows(), [20.0, 30.0, 15.0, 25.0])
+    plain, weights = pooled.residual(values), pooled.sample_weights
+    measured = np.concatenate([window.force for window in misfit.windows])
+    total = 0.0
+    for rows in np.split(np.arange(plain.size), [2000, 3000]):
+        force = plain[rows] / weights[rows] + measured[rows]
+        spreads = np.array([spread, np.std(measured[rows])])
+        effect = np.column_stack((weights[rows] * force, weights[rows])) * spreads
+        matrix = np.vstack((effect, np.eye(2)))
+        target = np.concatenate((-plain[rows], np.zeros(2)))
+        left = matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0] - target
+        total += float(left @ left)
+    return total / plain.size
+
+
+def test_the_misfit_is_that_at_the_most_probable_levels() -> None:
+    values = 1.1 * TRUTH
+    misfit = problem("hyperbolic_tangent")
+    assert misfit.mean_square(values) == pytest.approx(by_brute_force(misfit, values, 0.1))
+
+
+def test_a_spread_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="the spread of the levels is -0.1"):
+        mr.identify(records(), model=LAW.name, level_per_record=-0.1)
