@@ -68,7 +68,7 @@ def unsmoothed_records(utfsm: Path) -> list[Recording]:
 
 @cache
 def sinusoid_set(utfsm: Path, model: str) -> ParameterSet:
-    """The set of ``model`` (sigmoid or sigmoid_lag) for all processed sinusoid records."""
+    """The set of ``model`` for all processed sinusoid records."""
     windows = recordings.processed_windows(utfsm)
     start = start_set(model).values
     return identify_global(MODELS[model], windows, start, EvolutionSettings()).parameter_set
@@ -125,6 +125,9 @@ def fit_percent(record: Recording, force: Array) -> float:
 
 
 def fits(utfsm: Path, model: str, following: Following | None) -> list[float]:
-    """Fit [%] of each record with the sinusoid set of a model to start from."""
+    """Fit [%] of each record, its smoothing undone, with the sinusoid set of a model to start from.
+
+    As delivered, displacement and force are averages, between which no law can hold.
+    """
     start = sinusoid_set(utfsm, model)
-    return [fit_percent(r, predicted(r, start, following)) for r in records(utfsm)]
+    return [fit_percent(r, predicted(r, start, following)) for r in unsmoothed_records(utfsm)]

@@ -10,7 +10,7 @@ from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
 
 
 def figures() -> list[Figure]:
-    """``utfsm_extended_nrmse``."""
+    """``utfsm_extended_nrmse`` and ``utfsm_one_set``."""
     place = recordings.folder()
     value = None
     if place is not None:
@@ -24,5 +24,13 @@ def figures() -> list[Figure]:
             "all with the optional lag, stiffness and offset, ramps included.",
             (0.0, 8.0),
             recordings.NONE if place is None else "",
-        )
+        ),
+        Figure(
+            "utfsm_one_set",
+            value,
+            "The same figure with the bar of one set for twenty records; the other laws are among "
+            "utfsm_sixteen and utfsm_models.",
+            (0.0, 6.0),
+            recordings.NONE if place is None else "",
+        ),
     ]

@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks import recordings
 from benchmarks.figure import Figure
+from benchmarks.state_law import STATE_LAW
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.models import MODELS
@@ -34,23 +35,35 @@ def left_out_nrmse(utfsm: Path, law: str) -> list[float]:
     return [float(np.median(errors)), float(np.mean(errors))]
 
 
+LAWS = {"sixteen": "sigmoid", "extended": EXTENDED_MODEL, "springs": STATE_LAW}
+
+
 def figures() -> list[Figure]:
-    """``utfsm_left_out_sixteen_nrmse`` and ``utfsm_left_out_extended_nrmse``."""
+    """``utfsm_left_out_<law>_nrmse`` and ``utfsm_left_out``."""
     place = recordings.folder()
-    shared = (
-        "Median and mean over the processed sinusoid records of RMSE/std of the force [%], each "
-        "amplitude and frequency predicted by the set of the others; "
-    )
+    note = recordings.NONE if place is None else ""
+    errors = {
+        name: None if place is None else left_out_nrmse(place, law) for name, law in LAWS.items()
+    }
+    medians = [found[0] for found in errors.values() if found is not None]
     return [
+        *(
+            Figure(
+                f"utfsm_left_out_{name}_nrmse",
+                errors[name],
+                "Median and mean over the processed sinusoid records of RMSE/std of the force [%], "
+                "each amplitude and frequency predicted by the set of the others: "
+                f"{MODELS[law].title}.",
+                None,
+                note,
+            )
+            for name, law in LAWS.items()
+        ),
         Figure(
-            f"utfsm_left_out_{name}_nrmse",
-            None if place is None else left_out_nrmse(place, model),
-            shared + words,
-            None,
-            recordings.NONE if place is None else "",
-        )
-        for name, model, words in (
-            ("sixteen", "sigmoid", "the sixteen parameters alone."),
-            ("extended", EXTENDED_MODEL, "the extended law."),
-        )
+            "utfsm_left_out",
+            min(medians, default=None),
+            "The median of the best of these laws [%].",
+            (0.0, 8.0),
+            note,
+        ),
     ]

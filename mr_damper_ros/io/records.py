@@ -39,6 +39,7 @@ def read_record(
     stop: float | None = None,
     variable: str | None = None,
     moving_average: int | None = None,
+    begins_in_motion: bool = False,
     maximum_samples: int = MAXIMUM_SAMPLES,
 ) -> Recording:
     """Read a record file into a recording.
@@ -53,11 +54,12 @@ def read_record(
     ``current`` [A] is that of the whole record where no column holds it; ``period`` [s] the time
     between samples where no column holds the time; ``start`` and ``stop`` [s], from the first
     sample, cut out a part. ``moving_average``: the makers of the record averaged it over the last
-    so many samples, which is undone, exactly but for the rounding, where it begins at rest; what
-    was filtered in another way cannot be brought back. A velocity column is compared with the
-    displacement and not kept; where there is no displacement it is integrated, which
-    ``details["note"]`` says. A file with more than ``maximum_samples`` is refused, before it has
-    filled the memory.
+    so many samples, which is undone, exactly but for the rounding, where it begins at rest;
+    ``begins_in_motion``: it does not, and what the average has lost is left out, which in a record
+    of many cycles is little. What was filtered in another way cannot be brought back. A velocity
+    column is compared with the displacement and not kept; where there is no displacement it is
+    integrated, which ``details["note"]`` says. A file with more than ``maximum_samples`` is
+    refused, before it has filled the memory.
 
     Raises RecordError (or ColumnError, RecordingError), in one sentence that says what to change,
     and OSError where the file cannot be read.
@@ -70,7 +72,7 @@ def read_record(
     _check_current(wanted, current)
     record = read_samples(path, wanted, period, variable, maximum_samples)
     if moving_average is not None:
-        record = record.without_average(moving_average)
+        record = record.without_average(moving_average, begins_in_motion)
     return record.between(start, stop).recording(current)
 
 

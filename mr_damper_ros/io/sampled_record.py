@@ -13,7 +13,7 @@ from mr_damper_ros.io.columns import Columns
 from mr_damper_ros.io.raw_table import RawTable, RecordError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.moving_average import undo_average
+from mr_damper_ros.signals.moving_average import undo_average, undo_average_in_motion
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, NotFiniteError, Recording
 
 _JITTER_TO_MENTION = 0.01
@@ -81,10 +81,12 @@ class SampledRecord:
             {**self.details, "part": f"rows {first + 1} to {rows.stop}"},
         )
 
-    def without_average(self, count: int) -> SampledRecord:
-        """The record before its makers averaged it over ``count`` samples; it begins at rest.
+    def without_average(self, count: int, in_motion: bool = False) -> SampledRecord:
+        """The record before its makers averaged it over ``count`` samples.
 
-        Raises RecordError where it does not, or is no longer than the average.
+        It begins at rest, or ``in_motion``: then what the average has lost is not exact either, see
+        :func:`undo_average_in_motion`. Raises RecordError where it does not begin at rest, or is
+        too short for the average.
         """
         if not 2 <= count < self.time.size:
             raise RecordError(
@@ -94,10 +96,17 @@ class SampledRecord:
         values = dict(self.values)
         for quantity in _AVERAGED & set(values):
             smooth = values[quantity]
+            if in_motion:
+                try:
+                    values[quantity] = undo_average_in_motion(smooth, count)
+                except ValueError as error:
+                    raise RecordError(str(error)) from error
+                continue
             if np.ptp(smooth[:count]) > _REST * np.ptp(smooth):
                 raise RecordError(
                     f"the {quantity} does not rest in the first {count} samples, so that their "
-                    "moving average cannot be undone: give the record from its very beginning"
+                    "moving average cannot be undone exactly: give the record from its very "
+                    "beginning, or say that it begins in motion (--begins-in-motion)"
                 )
             values[quantity] = undo_average(smooth, count)
         note = f"a moving average over {count} samples was undone"

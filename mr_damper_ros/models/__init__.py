@@ -10,6 +10,7 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.hyperbolic_tangent import HyperbolicTangent
 from mr_damper_ros.models.modified_bouc_wen import ModifiedBoucWen
 from mr_damper_ros.models.quantities import Parameter
+from mr_damper_ros.models.series_springs import SeriesSprings
 from mr_damper_ros.models.sigmoid.sigmoid_model import ExtendedSigmoidModel, SigmoidModel
 
 __all__ = ["MODELS", "Model", "Parameter"]
@@ -22,6 +23,7 @@ MODELS: dict[str, Model] = {
         NonlinearBiviscous(),
         BoucWen(),
         ModifiedBoucWen(),
+        SeriesSprings(),
         SigmoidModel(),
         ExtendedSigmoidModel(),
     )

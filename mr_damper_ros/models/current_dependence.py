@@ -3,8 +3,9 @@
 A coefficient that cannot be negative grows in proportion, c (1 + c_1 i + c_2 i²), so that a damper
 which loses its strength loses the same part of it at every current; one of either sign is shifted,
 c + c_1 i + c_2 i². Linear or quadratic is what the literature uses (Spencer, Dyke, Sain and
-Carlson, 1997; Kwok, Ha, Nguyen, Li and Samali, 2006). A parameter file with the coefficients of one
-current alone means that they depend on no current.
+Carlson, 1997; Kwok, Ha, Nguyen, Li and Samali, 2006); where more currents tell how a force
+saturates, a third power follows. A parameter file with the coefficients of one current alone means
+that they depend on no current.
 
 The current that counts is that of the coil, see :mod:`coil`.
 """
@@ -42,7 +43,7 @@ _GROWTH = 100.0
 _FAINTEST = 0.01
 """A coefficient that grows is at no current at least this part of what it is on average."""
 
-_ORDER = (("", ""), ("_1", "/A"), ("_2", "/A²"))
+_ORDER = (("", ""), ("_1", "/A"), ("_2", "/A²"), ("_3", "/A³"))
 
 
 @dataclass(frozen=True)
@@ -181,6 +182,17 @@ class CurrentDependentModel(Model):
         """Where the law remembers, or the coil may: the current changes."""
         return self.remembers or not window.has_constant_current
 
+    def numbers_at(self, values: Sequence[float], current: float) -> list[float]:
+        """The coefficients of one set (p,) at one current [A], in plain numbers."""
+        result = []
+        for value, coefficient, orders in zip(
+            values, self.at_one_current, self._orders, strict=False
+        ):
+            change = sum(values[place] * current**k for k, place in enumerate(orders, start=1))
+            value = value * (1.0 + change) if coefficient.grows else value + change
+            result.append(min(max(value, coefficient.low), coefficient.high))
+        return result
+
     def _all_at(self, parameters: Array, current: Array) -> list[Array]:
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
         if np.all(current == current[..., :1]):
@@ -196,6 +208,27 @@ class CurrentDependentModel(Model):
         value = parameters[..., place, np.newaxis]
         value = value * (1.0 + change) if coefficient.grows else value + change
         return np.clip(value, coefficient.low, coefficient.high)
+
+    def dependences(self, parameters: Array, current: Array, by_coil: Array) -> Array:
+        """Derivatives (c, n, p) of the coefficients at currents (n,) [A] by the parameters (p,).
+
+        ``by_coil`` (n,): those of the current by the coil's time constant [A/s]. A coefficient that
+        its bounds hold does not change.
+        """
+        result = np.zeros((len(self.at_one_current), current.size, parameters.size))
+        for place, coefficient in enumerate(self.at_one_current):
+            value = float(parameters[place])
+            size = value if coefficient.grows else 1.0
+            growth, slope = np.ones(current.size), np.zeros(current.size)
+            for order, column in enumerate(self._orders[place], start=1):
+                result[place, :, column] = size * current**order
+                growth = growth + parameters[column] * current**order
+                slope += size * parameters[column] * order * current ** (order - 1)
+            result[place, :, place] = growth if coefficient.grows else 1.0
+            result[place, :, -1] = slope * by_coil
+            at = value * growth if coefficient.grows else value + growth - 1.0
+            result[place, (at < coefficient.low) | (at > coefficient.high)] = 0.0
+        return result
 
     def coefficients_at(
         self, parameters: Array, peak_velocity: ArrayLike, current: ArrayLike
@@ -267,7 +300,7 @@ class CurrentDependentModel(Model):
                 continue
             growth = float(np.exp(rng.uniform(0.0, 2.5))) - 1.0
             for order, parameter in enumerate(coefficient.dependence, start=1):
-                bend = 1.0 if order == 1 else -rng.uniform(0.0, 0.5)
+                bend = 1.0 if order == 1 else -rng.uniform(0.0, 0.5) if order == 2 else 0.0
                 drawn[parameter.name] = growth * bend / max(top_current, 1e-12) ** order
         return drawn
 

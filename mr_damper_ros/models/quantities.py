@@ -65,7 +65,7 @@ class LoopReading(NamedTuple):
 
     def size(self, unit: str) -> float:
         """Typical size of a quantity of this unit."""
-        per_ampere = unit.removesuffix("/A²").removesuffix("/A")
+        per_ampere = unit.rstrip("²³").removesuffix("/A")
         sizes = {
             "N": self.force,
             "N s/m": self.force / self.speed,

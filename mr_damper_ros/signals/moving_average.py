@@ -21,6 +21,9 @@ _DEPTH = 1e-2
 _SLOPE = 0.1
 """The same half way up to between them, where an average leaves a half."""
 
+_FEWEST_ROWS = 20
+"""A record that begins in motion is so many times as long as its average."""
+
 _FEWEST_HOLES = 5
 _PERIODS = 40
 """A record is so many times as long as the average, for its holes to be resolved."""
@@ -41,6 +44,30 @@ def undo_average(values: Array, count: int) -> Array:
     padded[: steps.size] = steps
     sums = np.cumsum(padded.reshape(rows, count), axis=0)
     return np.asarray(values[0] + sums.reshape(-1)[: steps.size])
+
+
+def undo_average_in_motion(values: Array, count: int) -> Array:
+    """What was averaged over ``count`` samples in a record (n,) that begins in motion.
+
+    The samples before the record are unknown: ``count`` numbers, which go on through all of what is
+    undone. They are what the average has lost, the signal at the frequencies k / count: of that
+    there is taken to be none, but for the mean. Weighted over the record by a raised cosine, so
+    that what is next to those frequencies stays. Raises ValueError for a record too short for that.
+    """
+    rows = values.size // count
+    if rows < _FEWEST_ROWS:
+        raise ValueError(
+            f"an average over {count} samples that began before the record cannot be undone in "
+            f"{values.size} samples: {_FEWEST_ROWS * count} are needed"
+        )
+    undone = undo_average(values, count)
+    weights = np.hanning(undone.size + 2)[1:-1]
+    shape, most = (rows, count), rows * count
+    sums = [part[:most].reshape(shape).sum(axis=0) for part in (weights * undone, weights)]
+    pattern = sums[0] / sums[1]
+    level = float(np.mean(values[count:])) - float(np.mean(undone[count:]))
+    without = undone - np.resize(pattern - pattern.mean(), undone.size)
+    return np.asarray(without + level)
 
 
 def find_average(values: Array) -> int:

@@ -268,10 +268,8 @@ def _loops_figure(shown: dict[str, Any]) -> Picture:
         a.plot(v, shown["force"], ".", ms=2, color=GREY)
         a.plot([*v, v[0]], [*force, force[0]], color=INK[0])
         a.set_title(MODELS[name].title, fontsize=7.5)
-    axes[1, 3].set_axis_off()
-    for a in (*axes[1, :3], axes[0, 3]):
+    for a in axes[1]:
         a.set_xlabel("Velocity [m/s]")
-    axes[0, 3].tick_params(labelbottom=True)
     for a in axes[:, 0]:
         a.set_ylabel("Force [N]")
     return Picture(

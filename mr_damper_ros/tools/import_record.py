@@ -97,6 +97,12 @@ def _parser() -> argparse.ArgumentParser:
         "where the record begins at rest",
     )
     parser.add_argument(
+        "--begins-in-motion",
+        action="store_true",
+        help="with --undo-moving-average: the record was cut out of a longer one, so that what the "
+        "average has lost cannot be told from what was before; it is left out",
+    )
+    parser.add_argument(
         "--variable",
         metavar="NAME",
         help="matrix in a MAT file, sheet of a spreadsheet, or group of a TDMS file, if several",
@@ -113,6 +119,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _import(options: argparse.Namespace) -> int:
+    if options.begins_in_motion and options.undo_moving_average is None:
+        raise RecordError("--begins-in-motion says how to undo an average: give its length too")
     if options.split:
         return _import_runs(options)
     if options.currents is not None:
@@ -126,6 +134,7 @@ def _import(options: argparse.Namespace) -> int:
         stop=options.stop,
         variable=options.variable,
         moving_average=options.undo_moving_average,
+        begins_in_motion=options.begins_in_motion,
         maximum_samples=options.maximum_samples,
     )
     _write(options.output, recording, options.overwrite)

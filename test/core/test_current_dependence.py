@@ -78,7 +78,7 @@ def truth(name: str) -> Array:
     """A damper whose coefficients follow the current as far as they may."""
     model = MODELS[name]
     values = known.EXAMPLES[name].copy() if name in known.EXAMPLES else np.zeros(7)
-    growth = {"1/A": 0.8, "1/A²": -0.1}
+    growth = {"1/A": 0.8, "1/A²": -0.1, "1/A³": -0.02}
     for place, parameter in enumerate(model.parameters):
         if parameter.name in model.shape_names and parameter.name != COIL:
             base = abs(values[model.parameter_names.index(parameter.name.rsplit("_", 1)[0])])

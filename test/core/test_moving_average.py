@@ -15,7 +15,12 @@ from mr_damper_ros.interface.measured_runs import measured_runs
 from mr_damper_ros.interface.run_doubts import remarks_on
 from mr_damper_ros.io.raw_table import RecordError
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.moving_average import averaged, find_average, undo_average
+from mr_damper_ros.signals.moving_average import (
+    averaged,
+    find_average,
+    undo_average,
+    undo_average_in_motion,
+)
 from mr_damper_ros.tools import import_record
 
 ROUNDING = 1e-9
@@ -23,6 +28,9 @@ ROUNDING = 1e-9
 
 WRITTEN = 1e-4
 """[mm], [N]: twelve digits of numbers up to 1e4 are written, and thousands of roundings add up."""
+
+LOST = 0.02
+"""Relative: what a steady motion has at the frequencies that the average has lost."""
 
 SAMPLES = 6000
 COUNT = 50
@@ -41,6 +49,20 @@ def test_undone_is_what_was_averaged(count: int, seed: int) -> None:
     values = motion(seed, 1000)
     size = np.abs(values).max()
     assert np.allclose(undo_average(averaged(values, count), count), values, atol=ROUNDING * size)
+
+
+@pytest.mark.parametrize("part", [slice(777, 5777), slice(1500, 5000)])
+def test_a_record_cut_out_of_the_middle_comes_back_but_for_what_is_lost(part: slice) -> None:
+    displacement = np.sin(np.arange(SAMPLES) * 2.0 * np.pi / 480.0 + 0.4)
+    for values in (displacement, np.tanh(5.0 * displacement)):
+        found = undo_average_in_motion(averaged(values, COUNT)[part], COUNT)
+        assert np.std(found - values[part]) < LOST * np.std(values)
+        assert np.mean(found) == pytest.approx(np.mean(values[part]), abs=LOST)
+
+
+def test_a_cut_record_too_short_for_its_average_is_refused() -> None:
+    with pytest.raises(ValueError, match="1000 are needed"):
+        undo_average_in_motion(motion()[:900], COUNT)
 
 
 @pytest.mark.parametrize("count", [10, 33, 100])
@@ -82,6 +104,21 @@ def test_a_record_is_imported_as_it_was_before_the_average(tmp_path: Path) -> No
     assert found.details["smoothing"] == "a moving average over 50 samples was undone"
     assert np.allclose(1e3 * found.displacement, displacement, atol=WRITTEN)
     assert np.allclose(found.force, force, atol=WRITTEN)
+
+
+def test_a_record_that_begins_in_motion_is_undone_where_that_is_said(tmp_path: Path) -> None:
+    displacement, force = np.sin(np.arange(SAMPLES) * 0.013), np.sin(np.arange(SAMPLES) * 0.013 + 1)
+    late = slice(1000, None)
+    path = written(tmp_path, averaged(displacement, COUNT)[late], averaged(force, COUNT)[late])
+    found = mr.read_record(
+        path,
+        "displacement:mm,force:N",
+        current=1.0,
+        period=1e-3,
+        moving_average=COUNT,
+        begins_in_motion=True,
+    )
+    assert np.std(found.force - force[late]) < LOST * np.std(force)
 
 
 def test_a_record_that_begins_in_motion_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,376 @@
+"""Yield and viscous flow in series with a spring, and beside it a softer path that yields too.
+
+The fluid flows at the velocity w, which is not that of the rod: the spring between them is what
+``compliance`` of the extended law stands for, here solved as it is, sample by sample:
+
+    f tanh(w / w_y) + c w = F,    dF/dt = (v - w) / s
+
+This needs no peak velocity. What rounds a small motion more than a large one is the way since the
+reversal, not the speed: a part of the yield force is carried by a softer spring (two elements of
+the kind that Iwan, J. Applied Mechanics 33, 1966, puts side by side), each with a yield of its own.
+
+A step is the two-stage method of order two with gamma = 1 - 1/sqrt(2) (Alexander, SIAM J. Numerical
+Analysis 14, 1977), L-stable: stable at any period, and a spring far too stiff for the period is
+rigid, not ringing. Either stage is one rising equation for w. The derivatives by the parameters
+follow the same steps, linearised: a recursion along the samples, solved for all of them at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.coil import coil_current, coil_unsettled
+from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
+from mr_damper_ros.models.first_order_lag import one_sample_later
+from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.hysteresis import each_sample, integrated
+from mr_damper_ros.models.known_derivatives import KnownDerivatives, PooledDerivatives
+from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.signals.arrays import Array
+
+_GAMMA = 1.0 - math.sqrt(0.5)
+_REST = 1.0 - _GAMMA
+_CLOSE = 1e-5
+"""A flow is found once a step changes it by less than this part of the width of the yield: the next
+would change it by a part of the order of this one's square."""
+
+_MOST_STEPS = 60
+_STEP_OF_COIL = 1e-6
+"""[s], of a difference by the coil's time constant."""
+
+_FORGOTTEN = 0.01
+"""A past is forgotten where it changes the force by less than this part of its span."""
+
+_LONGEST_MEMORY = 0.25
+"""No more than this part of a window is left out because its past is not known."""
+
+_SETTLED = 7.0
+"""So many times the way that the softer spring gives, and the reversal before is forgotten."""
+
+
+class SeriesSprings(CurrentDependentModel):
+    """Two springs, each in series with a yield, one of these with a damper; the gas beside them."""
+
+    name = "series_springs"
+    title = "springs in series, solved"
+    source = (
+        "this package; Maxwell's element with a yield, as in Iwan, J. Applied Mechanics 33, 1966"
+    )
+    equation = (
+        r"F = F_1 + F_2 + k_0 u + f_0,\quad"
+        r" F_1 = (1 - \varphi) f_y \tanh\frac{w_1}{w_y} + c\,w_1,\quad"
+        r" F_2 = \varphi f_y \tanh\frac{w_2}{w_y},\quad"
+        r" \dot F_j = (v - w_j) / s_j"
+    )
+    at_one_current = (
+        Coefficient("f_y", "N", 0.0, degree=3, meaning="yield force"),
+        Coefficient("w_y", "m/s", 1e-6, degree=1, meaning="width of the yield"),
+        Coefficient("c", "N s/m", 0.0, degree=1, meaning="viscous damping"),
+        Coefficient("compliance", "m/N", 1e-10, meaning="compliance in series with the damper"),
+        Coefficient("share", "1", 0.0, 1.0, meaning="share of the yield on the softer spring"),
+        Coefficient("softness", "m/N", 1e-10, meaning="compliance of the softer spring"),
+        Coefficient("k0", "N/m", meaning="stiffness of the gas"),
+        Coefficient("f0", "N", meaning="constant force"),
+    )
+    remembers = True
+    memory = 5
+
+    def force_at(
+        self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N]; remembered are force and flow of either path, and the last velocity."""
+        *paths, stiffness, offset = coefficients
+        force, kept = integrated(_both_paths, paths, motion, period, state, self.memory)
+        return np.asarray(force + stiffness * motion.displacement + offset), kept
+
+    def follow(
+        self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N]; of one set in plain numbers, since blocks of few samples come often."""
+        if parameters.ndim > 1:
+            return super().follow(parameters, motion, current, period, state)
+        amperes, supply = self._one_in_coil(parameters, current, period, state)
+        paths, (stiffness, offset) = self._numbers_at(parameters, amperes)
+        velocity = motion.velocity.tolist()
+        memory = [math.nan] * self.memory if state is None else [float(s) for s in state[:5]]
+        first, second = (
+            _followed(velocity, path, period, memory[place], memory[place + 1], memory[4])
+            for place, path in zip((0, 2), paths, strict=True)
+        )
+        force = np.array(first[2]) + np.array(second[2]) + stiffness * motion.displacement + offset
+        kept = (*first[:2], *second[:2], velocity[-1], *supply)
+        return force, tuple(np.array(value) for value in kept)
+
+    def _one_in_coil(
+        self, parameters: Array, current: Array, period: float, state: State | None
+    ) -> tuple[list[float], tuple[float, ...]]:
+        """Current of the coil at the samples [A], one where it is constant, and what is remembered.
+
+        That is the supply's and the coil's after them, nothing where the coil does not lag.
+        """
+        tau, supplied = float(parameters[-1]), current.tolist()
+        if not tau > 0.0:
+            constant = supplied.count(supplied[0]) == len(supplied)
+            return supplied[:1] if constant else supplied, ()
+        before = late = supplied[0]
+        if state is not None and len(state) > self.memory:
+            before, late = float(state[self.memory]), float(state[self.memory + 1])
+        in_coil = []
+        for value in supplied:
+            late = one_sample_later(value, tau, period, before, late, tau)
+            before = value
+            in_coil.append(late)
+        constant = in_coil.count(late) == len(in_coil)
+        return in_coil[-1:] if constant else in_coil, (before, late)
+
+    def _numbers_at(
+        self, parameters: Array, amperes: list[float]
+    ) -> tuple[tuple[_Numbers, _Numbers], tuple[float, float]]:
+        """The two paths at currents [A], one or those of the samples, and k0 and f0."""
+        values = parameters.tolist()
+        each = [self.numbers_at(values, current) for current in amperes]
+        first, second = (
+            [((1.0 - c[4]) * c[0], c[1], c[2], c[3]) for c in each],
+            [(c[4] * c[0], c[1], 0.0, c[5]) for c in each],
+        )
+        return (first, second), (each[0][6], each[0][7])
+
+    def memory_length(self, parameters: Array, current: float) -> float:
+        """Some times the way that the softer spring gives under its yield force."""
+        f_y, *_, share, softness, _, _ = self.coefficients_at(parameters, 0.0, current)[:, 0]
+        return float(_SETTLED * share * f_y * softness)
+
+    def starts_at_one_current(self, reading: LoopReading) -> Array:
+        """A narrow or a wide yield, the softer path apart from the other or hardly there."""
+        force, middle, speed, amplitude = reading
+        give = amplitude / force
+        return np.array(
+            [
+                [0.8 * force, width * speed, 0.2 * force / speed, 0.01 * give, share, 0.3 * give]
+                + [0.0, middle]
+                for width in (0.05, 0.3)
+                for share in (0.05, 0.3)
+            ]
+        )
+
+    def settled(self, window: Window, parameters: Array) -> np.ndarray:
+        """Mask (n,) of samples at which the two springs and the coil have forgotten the past.
+
+        Whatever it was, the force lies between those from springs under all of the yield force and
+        under all of its reverse: the steps keep their order.
+        """
+        if window.history.periodic:
+            return np.ones(window.sample_count, dtype=bool)
+        history = window.history.coarse
+        motion, before = history.motion, float(history.motion.velocity[0])
+        c = self.coefficients_at(parameters, 0.0, float(np.max(history.current)))[:, 0]
+        most = (1.0 - c[4]) * c[0] + c[2] * abs(before), c[4] * c[0]
+        forces = []
+        for sign in (1.0, -1.0):
+            state = [np.array(part) for part in (sign * most[0], 0.0, sign * most[1], 0.0, before)]
+            force, _ = self.follow(
+                parameters, motion, history.current, history.period, tuple(state)
+            )
+            forces.append(force)
+        apart = np.abs(forces[0] - forces[1]) > _FORGOTTEN * float(np.ptp(forces[0]))
+        count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)
+        known = history.places >= min(count, _LONGEST_MEMORY * apart.size)
+        return known & ~coil_unsettled(window, float(parameters[-1]))
+
+    def window_problem(self, window: Window, parameters: Array) -> KnownDerivatives:
+        """What one current determines, with its derivatives."""
+        return KnownDerivatives(self, window, parameters, self)
+
+    def pooled_problem(
+        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
+    ) -> PooledDerivatives:
+        """All windows, with their derivatives."""
+        return PooledDerivatives(self, windows, noise, known, self)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def window_derivatives(self, window: Window, parameters: Array) -> Array:
+        """Derivatives (n, p) of :meth:`window_force` by all parameters (p,)."""
+        history = window.history.coarse
+        motion, current, count = history.motion, history.current, history.current.size
+        if history.periodic:
+            # A cycle that has always gone on before: the second of two.
+            twice = np.concatenate((np.arange(count), np.arange(count)))
+            motion, current = motion.part(twice), current[twice]
+        tau, late = float(parameters[-1]), current
+        by_coil = np.zeros(current.size)
+        if float(np.ptp(current)) > 0.0:
+            constants = np.array([tau, tau + _STEP_OF_COIL])
+            late, later = coil_current(current, constants, history.period, None)
+            by_coil = (later - late) / _STEP_OF_COIL
+        values = [np.broadcast_to(c, current.shape) for c in self._all_at(parameters, late)]
+        along = self._derivatives_along(values, motion, history.period)
+        chain = self.dependences(parameters, late, by_coil)
+        result = np.zeros((current.size, parameters.size))
+        for path, recursion in along:
+            driven = np.zeros(result.shape)
+            for place, by_coefficient in path.items():
+                driven += by_coefficient[:, np.newaxis] * chain[place]
+            result += _accumulated(recursion, driven)
+        result += motion.displacement[:, np.newaxis] * chain[6] + chain[7]
+        return history.at_samples(result[-count:])
+
+    def _derivatives_along(
+        self, values: Sequence[Array], motion: Motion, period: float
+    ) -> list[tuple[dict[int, Array], Array]]:
+        """Of either path: what a step adds to its force by coefficient, and what it keeps."""
+        f_y, w_y, c, compliance, share, softness = values[:6]
+        nothing = np.zeros(f_y.size)
+        first = _Path((1.0 - share) * f_y, w_y, c, compliance)
+        second = _Path(share * f_y, w_y, nothing, softness)
+        ways = []
+        for path, part, sign, others in (
+            (first, 1.0 - share, -1.0, {2: "damping", 3: "compliance"}),
+            (second, share, 1.0, {5: "compliance"}),
+        ):
+            by, kept = path.derivatives(motion.velocity, period)
+            places = {0: part * by["strength"], 1: by["width"], 4: sign * f_y * by["strength"]}
+            places.update({place: by[name] for place, name in others.items()})
+            ways.append((places, kept))
+        return ways
+
+
+def _both_paths(
+    coefficients: list[Array], motion: Motion, period: float, memory: list[float]
+) -> Array:
+    """Force [N] of both paths, shape (n,); the memory holds F and w of either, and the velocity."""
+    f_y, w_y, c, compliance, share, softness = coefficients
+    velocity = motion.velocity.tolist()
+    last, force = memory[4], np.zeros(len(velocity))
+    paths = (
+        _Path((1.0 - share) * f_y, w_y, c, compliance),
+        _Path(share * f_y, w_y, np.zeros(1), softness),
+    )
+    for place, path in zip((0, 2), paths, strict=True):
+        numbers = path.numbers(len(velocity))
+        after = _followed(velocity, numbers, period, memory[place], memory[place + 1], last)
+        memory[place], memory[place + 1], forces = after
+        force += forces
+    memory[4] = velocity[-1]
+    return force
+
+
+_Numbers = list[tuple[float, float, float, float]]
+"""Strength [N], width [m/s], damping [N s/m] and compliance [m/N], of all samples or of each."""
+
+
+def _followed(
+    velocity: list[float],
+    path: _Numbers,
+    period: float,
+    force: float,
+    flow: float,
+    last: float,
+    stages: list[tuple[float, float]] | None = None,
+) -> tuple[float, float, list[float]]:
+    """Force and flow of a path after the samples, and the force at each; NaN: a start, settled.
+
+    ``stages`` takes the flows of both stages of each step.
+    """
+    forces = []
+    each = path if len(path) > 1 else path * len(velocity)
+    for v, (strength, width, damping, compliance) in zip(velocity, each, strict=True):
+        if force != force:  # NaN; three times as fast as math.isnan
+            flow = early = v
+            force = strength * math.tanh(v / width) + damping * v
+        else:
+            near = _GAMMA * period / compliance
+            held = damping + near
+            between = last + _GAMMA * (v - last)
+            early = _flow(strength, width, held, force + near * between, flow)
+            force += _REST / _GAMMA * near * (between - early)
+            load = force + near * v
+            flow = _flow(strength, width, held, load, early)
+            force = load - near * flow
+        last = v
+        forces.append(force)
+        if stages is not None:
+            stages.append((early, flow))
+    return force, flow, forces
+
+
+class _Path(NamedTuple):
+    """A spring in series with a yield and a damper; each (n,) or (1,), at the samples."""
+
+    strength: Array
+    width: Array
+    damping: Array
+    compliance: Array
+
+    def numbers(self, count: int) -> _Numbers:
+        """The same in plain numbers, for so many samples."""
+        if all(values.size == 1 for values in self):
+            count = 1
+        return list(zip(*(each_sample(values, count) for values in self), strict=True))
+
+    def derivatives(self, velocity: Array, period: float) -> tuple[dict[str, Array], Array]:
+        """What each step adds (n,) by each of the four, and the part (n,) of the force it keeps."""
+        stages: list[tuple[float, float]] = []
+        numbers = self.numbers(velocity.size)
+        _followed(velocity.tolist(), numbers, period, math.nan, math.nan, math.nan, stages)
+        early, flow = np.array(stages).T
+        strength, width, damping, compliance = (np.broadcast_to(c, flow.shape) for c in self)
+        before = np.concatenate((velocity[:1], velocity[:-1]))
+        between = before + _GAMMA * (velocity - before)
+        near, far = (part * period / compliance for part in (_GAMMA, _REST))
+        slopes, by_both = [], []
+        for w in (early, flow):
+            tanh = np.tanh(w / width)
+            steep = strength / width * (1.0 - tanh**2)
+            slopes.append(steep + damping)
+            by_both.append({"strength": tanh, "width": -steep * w / width, "damping": w})
+        first, second = (1.0 / (slope + near) for slope in slopes)
+        kept = slopes[1] * second * (1.0 - far * first)
+        kept[0] = 0.0
+        added = {}
+        for name in ("strength", "width", "damping"):
+            # Of the first stage: the flow, and through it the force that the second begins with.
+            begin = far * first * by_both[0][name]
+            added[name] = slopes[1] * second * begin + near * second * by_both[1][name]
+            added[name][0] = by_both[1][name][0]
+        of_near, of_far = -near / compliance, -far / compliance
+        begin = of_far * (between - early) - far * first * of_near * (between - early)
+        added["compliance"] = slopes[1] * second * (begin + of_near * (velocity - flow))
+        added["compliance"][0] = 0.0
+        return added, kept
+
+
+def _flow(strength: float, width: float, held: float, load: float, guess: float) -> float:
+    """Flow w [m/s] with strength tanh(w / width) + held w = load."""
+    if load < 0.0:
+        return -_flow(strength, width, held, -load, -guess)
+    # The left side bends down where w > 0: from below Newton's steps rise to the solution.
+    steepest = strength / width
+    least = load / (steepest + held)
+    beyond = (load - strength) / held
+    if beyond > least:
+        least = beyond
+    flow = guess if guess > least else least
+    for _ in range(_MOST_STEPS):
+        tanh = math.tanh(flow / width)
+        step = (load - strength * tanh - held * flow) / (steepest * (1.0 - tanh * tanh) + held)
+        flow += step
+        if flow < least:
+            flow = least
+        elif -_CLOSE * width < step < _CLOSE * width:
+            break
+    return flow
+
+
+def _accumulated(kept: Array, driven: Array) -> Array:
+    """Solve y[k] = kept[k] y[k-1] + driven[k] for columns (n, p)."""
+    from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
+
+    bands = np.ones((2, kept.size))
+    bands[1, :-1] = -kept[1:]
+    return np.asarray(dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape))

@@ -1,0 +1,162 @@
+"""Springs in series with yield and damper: theory, any period, any cut, derivatives, memory."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from random_motion import BandLimitedRandom
+from test_current_dependence import truth
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.signals.arrays import Array
+
+LAW = MODELS["series_springs"]
+PLACE = {name: place for place, name in enumerate(LAW.parameter_names)}
+EXAMPLE = known.EXAMPLES["series_springs"]
+
+MAXWELL = 0.002
+"""Relative: a step of 1 ms of a time constant of 20 ms, of second order."""
+
+STEADY = 1e-6
+"""Relative: once the springs are as long as they get, to how far the search for a flow goes."""
+
+COARSER = 0.01
+"""Relative: a period of 8 ms for one of 1 ms, in a motion up to 3 Hz."""
+
+SAME = 1e-9
+"""Relative: rounding, and how far the search for a flow goes."""
+
+DERIVATIVES = 1e-4
+"""Relative to the largest: differences in steps of 1e-5 of a law that bends."""
+
+INITIAL = 0.02
+"""Relative to the span of the force: a start is forgotten to a hundredth, at both of its ends."""
+
+
+def moved(samples: int = 1500, period: float = 1e-3, seed: int = 3) -> Motion:
+    time = np.arange(samples) * period
+    displacement = BandLimitedRandom(5e-3, 0.5, 3.0, seed=seed).at(time).displacement
+    return Window.from_samples(displacement, np.ones(samples), 1.0, period).motion
+
+
+def relative(found: Array, expected: Array) -> float:
+    return float(np.sqrt(np.mean((found - expected) ** 2)) / np.std(expected))
+
+
+def test_a_spring_and_a_dashpot_are_maxwells() -> None:
+    # dF/dt = (v - F / c) / s: theory of its force in a sine, once it is steady.
+    dashpot, compliance, omega = 4e4, 5e-7, 2.0 * np.pi
+    time = np.arange(3000) * 1e-3
+    values = np.zeros(len(LAW.parameters))
+    for name, value in (("w_y", 1e-3), ("c", dashpot), ("compliance", compliance)):
+        values[PLACE[name]] = value
+    values[PLACE["softness"]] = 1e-6
+    velocity = np.cos(omega * time)
+    motion = Motion(
+        np.sin(omega * time) / omega, velocity, -omega * np.sin(omega * time), velocity, None
+    )
+    tau = dashpot * compliance
+    theory = dashpot * (velocity + omega * tau * np.sin(omega * time)) / (1.0 + (omega * tau) ** 2)
+    force = LAW.force(values, motion, 0.0, 1e-3)
+    assert relative(force[1000:], theory[1000:]) < MAXWELL
+
+
+@pytest.mark.parametrize("velocity", [-0.08, 1e-3, 0.3])
+def test_at_a_constant_velocity_only_the_flow_is_left(velocity: float) -> None:
+    count = 20_000
+    flat = np.full(count, velocity)
+    motion = Motion(np.zeros(count), flat, np.zeros(count), np.abs(flat), None)
+    f_y, w_y, c, *_ = EXAMPLE
+    wrong = LAW.stream(1e-3)
+    wrong.follow(EXAMPLE, moved(), 1.0)  # whatever was before
+    force = wrong.follow(EXAMPLE, motion, 1.0)[-1] - EXAMPLE[PLACE["f0"]]
+    assert force == pytest.approx(f_y * np.tanh(velocity / w_y) + c * velocity, rel=STEADY)
+
+
+@known.fixed(40)
+@given(
+    period=st.floats(1e-5, 1.0),
+    compliance=st.floats(-10.0, -4.0),
+    width=st.floats(-5.0, -1.0),
+    seed=st.integers(0, 100),
+)
+def test_no_period_makes_it_ring(period: float, compliance: float, width: float, seed: int) -> None:
+    values = EXAMPLE.copy()
+    values[PLACE["compliance"]], values[PLACE["w_y"]] = 10.0**compliance, 10.0**width
+    velocity = np.random.default_rng(seed).uniform(-0.2, 0.2, 200)
+    motion = Motion(np.zeros(200), velocity, np.zeros(200), np.abs(velocity), None)
+    force = LAW.force(values, motion, 0.0, period) - values[PLACE["f0"]]
+    # No more than the flow at the largest velocity gives, and the overshoot of the second order.
+    most = values[PLACE["f_y"]] + values[PLACE["c"]] * 0.2
+    assert np.all(np.abs(force) < 1.5 * most)
+
+
+def test_a_coarser_period_gives_the_same_force() -> None:
+    fine = moved(4000)
+    coarse = fine.part(slice(None, None, 8))
+    forces = [LAW.force(EXAMPLE, m, 1.0, p) for m, p in ((fine, 1e-3), (coarse, 8e-3))]
+    assert relative(forces[1], forces[0][::8]) < COARSER
+
+
+@pytest.mark.parametrize("coil", [0.0, 0.02])
+def test_cut_into_blocks_and_in_many_sets_it_is_the_same(coil: float) -> None:
+    values = truth("series_springs")
+    values[-1] = coil
+    motion = moved()
+    current = np.where(np.arange(1500) // 300 % 2, 1.2, 0.2)
+    whole = LAW.force(values, motion, current, 1e-3)
+    sets = LAW.force(np.stack([values, EXAMPLE]), motion, current, 1e-3)
+    stream = LAW.stream(1e-3)
+    edges = [0, 1, 2, 10, 333, 334, 1500]
+    blocks = [
+        stream.follow(values, motion.part(slice(a, b)), current[a:b]) for a, b in pairwise(edges)
+    ]
+    assert relative(np.concatenate(blocks), whole) < SAME
+    assert relative(sets[0], whole) < SAME
+
+
+@pytest.mark.parametrize("current", ["constant", "switched"])
+@pytest.mark.parametrize("coil", [0.0, 0.02])
+def test_the_derivatives_are_those_of_differences(current: str, coil: float) -> None:
+    time = np.arange(1500) * 1e-3
+    amperes = np.where(time // 0.3 % 2, 1.2, 0.2) if current == "switched" else np.ones(1500)
+    displacement = BandLimitedRandom(5e-3, 0.5, 3.0, seed=3).at(time).displacement
+    window = Window.from_samples(displacement, np.ones(1500), amperes, 1e-3)
+    values = truth("series_springs")
+    values[-1] = coil
+    pooled = LAW.pooled_problem([window], [1.0])
+    every = pooled.jacobian(values)
+    problem = LAW.window_problem(window, values)
+    settled = problem.settled
+    own = problem.jacobian(problem.start)[settled]
+    np.testing.assert_allclose(own, every[settled][:, LAW.free_indices])
+    for place, parameter in enumerate(LAW.parameters):
+        if parameter.name == LAW.parameter_names[-1] and coil == 0.0:
+            continue  # a lag cannot be less than none
+        size = max(abs(float(values[place])), 1e-3 if "A" in parameter.unit else 1e-12)
+        step = 1e-5 * size * np.eye(values.size)[place]
+        expected = (pooled.residual(values + step) - pooled.residual(values - step)) / (
+            2.0 * step[place]
+        )
+        np.testing.assert_allclose(
+            every[:, place], expected, atol=DERIVATIVES * max(float(np.abs(expected).max()), 1e-9)
+        )
+
+
+def test_only_samples_that_have_forgotten_the_past_count() -> None:
+    time = np.arange(3000) * 1e-3
+    displacement = BandLimitedRandom(5e-3, 0.5, 3.0, seed=5).at(time).displacement
+    whole = Window.from_samples(displacement, np.ones(3000), 1.0, 1e-3)
+    force = LAW.window_force(whole, EXAMPLE)
+    late = Window.from_samples(displacement[1000:], force[1000:], 1.0, 1e-3)
+    settled = LAW.settled(late, EXAMPLE)
+    error = LAW.window_force(late, EXAMPLE) - late.force
+    assert not settled.all()
+    assert np.max(np.abs(error[settled])) < INITIAL * np.ptp(late.force)
