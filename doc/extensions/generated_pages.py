@@ -49,8 +49,7 @@ _YIELD = "$u_y$ is `yield_length`, $s$ is `share`; $z$ lies within −1 and 1."
 SYMBOLS = {
     "bouc_wen": _YIELD,
     "modified_bouc_wen": _YIELD,
-    "series_springs": "$\\varphi$ is `share`, $s_1$ `compliance`, $s_2$ `softness`; see "
-    "[springs in series](../series_springs.md).",
+    "series_springs": "$\\varphi$ is `share`; see [springs in series](../series_springs.md).",
     "sigmoid": "How the coefficients follow from the parameters: [the sigmoid law]"
     "(../force_law.md).",
     "sigmoid_lag": "$x = v + v_h \\operatorname{sgn}(a) + v_d$; see "

@@ -3,7 +3,7 @@
 The fluid flows at the velocity w, which is not that of the rod: the spring between them is what
 ``compliance`` of the extended law stands for, here solved as it is, sample by sample:
 
-    f tanh(w / w_y) + c w = F,    dF/dt = (v - w) / s
+    f tanh(w / w_y) + c w = F,    dF/dt = k (v - w)
 
 This needs no peak velocity. What rounds a small motion more than a large one is the way since the
 reversal, not the speed: a part of the yield force is carried by a softer spring (two elements of
@@ -66,15 +66,15 @@ class SeriesSprings(CurrentDependentModel):
         r"F = F_1 + F_2 + k_0 u + f_0,\quad"
         r" F_1 = (1 - \varphi) f_y \tanh\frac{w_1}{w_y} + c\,w_1,\quad"
         r" F_2 = \varphi f_y \tanh\frac{w_2}{w_y},\quad"
-        r" \dot F_j = (v - w_j) / s_j"
+        r" \dot F_j = k_j (v - w_j)"
     )
     at_one_current = (
         Coefficient("f_y", "N", 0.0, degree=3, meaning="yield force"),
         Coefficient("w_y", "m/s", 1e-6, degree=1, meaning="width of the yield"),
         Coefficient("c", "N s/m", 0.0, degree=1, meaning="viscous damping"),
-        Coefficient("compliance", "m/N", 1e-10, meaning="compliance in series with the damper"),
+        Coefficient("k1", "N/m", 1.0, 1e12, meaning="stiffness in series with the damper"),
         Coefficient("share", "1", 0.0, 1.0, meaning="share of the yield on the softer spring"),
-        Coefficient("softness", "m/N", 1e-10, meaning="compliance of the softer spring"),
+        Coefficient("k2", "N/m", 1.0, 1e12, meaning="stiffness of the softer spring"),
         Coefficient("k0", "N/m", meaning="stiffness of the gas"),
         Coefficient("f0", "N", meaning="constant force"),
     )
@@ -143,16 +143,16 @@ class SeriesSprings(CurrentDependentModel):
 
     def memory_length(self, parameters: Array, current: float) -> float:
         """Some times the way that the softer spring gives under its yield force."""
-        f_y, *_, share, softness, _, _ = self.coefficients_at(parameters, 0.0, current)[:, 0]
-        return float(_SETTLED * share * f_y * softness)
+        f_y, *_, share, softer, _, _ = self.coefficients_at(parameters, 0.0, current)[:, 0]
+        return float(_SETTLED * share * f_y / softer)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """A narrow or a wide yield, the softer path apart from the other or hardly there."""
         force, middle, speed, amplitude = reading
-        give = amplitude / force
+        soft = 3.0 * force / amplitude
         return np.array(
             [
-                [0.8 * force, width * speed, 0.2 * force / speed, 0.01 * give, share, 0.3 * give]
+                [0.8 * force, width * speed, 0.2 * force / speed, 30.0 * soft, share, soft]
                 + [0.0, middle]
                 for width in (0.05, 0.3)
                 for share in (0.05, 0.3)
@@ -224,14 +224,14 @@ class SeriesSprings(CurrentDependentModel):
         self, values: Sequence[Array], motion: Motion, period: float
     ) -> list[tuple[dict[int, Array], Array]]:
         """Of either path: what a step adds to its force by coefficient, and what it keeps."""
-        f_y, w_y, c, compliance, share, softness = values[:6]
+        f_y, w_y, c, stiffness, share, softer = values[:6]
         nothing = np.zeros(f_y.size)
-        first = _Path((1.0 - share) * f_y, w_y, c, compliance)
-        second = _Path(share * f_y, w_y, nothing, softness)
+        first = _Path((1.0 - share) * f_y, w_y, c, stiffness)
+        second = _Path(share * f_y, w_y, nothing, softer)
         ways = []
         for path, part, sign, others in (
-            (first, 1.0 - share, -1.0, {2: "damping", 3: "compliance"}),
-            (second, share, 1.0, {5: "compliance"}),
+            (first, 1.0 - share, -1.0, {2: "damping", 3: "stiffness"}),
+            (second, share, 1.0, {5: "stiffness"}),
         ):
             by, kept = path.derivatives(motion.velocity, period)
             places = {0: part * by["strength"], 1: by["width"], 4: sign * f_y * by["strength"]}
@@ -244,12 +244,12 @@ def _both_paths(
     coefficients: list[Array], motion: Motion, period: float, memory: list[float]
 ) -> Array:
     """Force [N] of both paths, shape (n,); the memory holds F and w of either, and the velocity."""
-    f_y, w_y, c, compliance, share, softness = coefficients
+    f_y, w_y, c, stiffness, share, softer = coefficients
     velocity = motion.velocity.tolist()
     last, force = memory[4], np.zeros(len(velocity))
     paths = (
-        _Path((1.0 - share) * f_y, w_y, c, compliance),
-        _Path(share * f_y, w_y, np.zeros(1), softness),
+        _Path((1.0 - share) * f_y, w_y, c, stiffness),
+        _Path(share * f_y, w_y, np.zeros(1), softer),
     )
     for place, path in zip((0, 2), paths, strict=True):
         numbers = path.numbers(len(velocity))
@@ -261,7 +261,7 @@ def _both_paths(
 
 
 _Numbers = list[tuple[float, float, float, float]]
-"""Strength [N], width [m/s], damping [N s/m] and compliance [m/N], of all samples or of each."""
+"""Strength [N], width [m/s], damping [N s/m] and stiffness [N/m], of all samples or of each."""
 
 
 def _followed(
@@ -279,12 +279,12 @@ def _followed(
     """
     forces = []
     each = path if len(path) > 1 else path * len(velocity)
-    for v, (strength, width, damping, compliance) in zip(velocity, each, strict=True):
+    for v, (strength, width, damping, stiffness) in zip(velocity, each, strict=True):
         if force != force:  # NaN; three times as fast as math.isnan
             flow = early = v
             force = strength * math.tanh(v / width) + damping * v
         else:
-            near = _GAMMA * period / compliance
+            near = _GAMMA * period * stiffness
             held = damping + near
             between = last + _GAMMA * (v - last)
             early = _flow(strength, width, held, force + near * between, flow)
@@ -305,7 +305,7 @@ class _Path(NamedTuple):
     strength: Array
     width: Array
     damping: Array
-    compliance: Array
+    stiffness: Array
 
     def numbers(self, count: int) -> _Numbers:
         """The same in plain numbers, for so many samples."""
@@ -319,10 +319,10 @@ class _Path(NamedTuple):
         numbers = self.numbers(velocity.size)
         _followed(velocity.tolist(), numbers, period, math.nan, math.nan, math.nan, stages)
         early, flow = np.array(stages).T
-        strength, width, damping, compliance = (np.broadcast_to(c, flow.shape) for c in self)
+        strength, width, damping, stiffness = (np.broadcast_to(c, flow.shape) for c in self)
         before = np.concatenate((velocity[:1], velocity[:-1]))
         between = before + _GAMMA * (velocity - before)
-        near, far = (part * period / compliance for part in (_GAMMA, _REST))
+        near, far = (part * period * stiffness for part in (_GAMMA, _REST))
         slopes, by_both = [], []
         for w in (early, flow):
             tanh = np.tanh(w / width)
@@ -338,10 +338,10 @@ class _Path(NamedTuple):
             begin = far * first * by_both[0][name]
             added[name] = slopes[1] * second * begin + near * second * by_both[1][name]
             added[name][0] = by_both[1][name][0]
-        of_near, of_far = -near / compliance, -far / compliance
+        of_near, of_far = near / stiffness, far / stiffness
         begin = of_far * (between - early) - far * first * of_near * (between - early)
-        added["compliance"] = slopes[1] * second * (begin + of_near * (velocity - flow))
-        added["compliance"][0] = 0.0
+        added["stiffness"] = slopes[1] * second * (begin + of_near * (velocity - flow))
+        added["stiffness"][0] = 0.0
         return added, kept
 
 

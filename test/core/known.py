@@ -58,7 +58,7 @@ _AT_ANY_CURRENT = {
     "nonlinear_biviscous": np.array([4000.0, 60000.0, 500.0, 0.006, -20.0]),
     "bouc_wen": np.array([4000.0, 3000.0, -20.0, 500.0, 3e-4, 0.4, 1.5]),
     "modified_bouc_wen": np.array([3000.0, 500.0, 60000.0, 1500.0, -20.0, 600.0, 2e-4, 0.5, 1.5]),
-    "series_springs": np.array([600.0, 4e-3, 2500.0, 1e-7, 0.3, 1e-6, 1500.0, -20.0]),
+    "series_springs": np.array([600.0, 4e-3, 2500.0, 1e7, 0.3, 1e6, 1500.0, -20.0]),
     "sigmoid": PLAUSIBLE,
     "sigmoid_lag": np.array([*PLAUSIBLE, 3e-8, 2000.0, -40.0]),
 }
