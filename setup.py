@@ -10,7 +10,7 @@ from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
-NODES = ("bridge", "controller", "identifier", "live", "model", "replay", "supply")
+NODES = ("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
     *(
         "check_rig",
@@ -20,6 +20,7 @@ TOOLS = (
         "identify_many",
         "import_record",
         "live_rig",
+        "plan_campaign",
         "plan_run",
         "reproduce",
         "thesis_bags",

@@ -18,8 +18,11 @@ import sys
 from importlib import import_module
 from types import FrameType
 
-_WORK = "mr_damper_ros.tracking.worker_preload"
-"""What the identifier's worker must load for its tasks."""
+_WORK = {
+    "identifier": "mr_damper_ros.tracking.worker_preload",
+    "campaign": "mr_damper_ros.interface.campaign_preload",
+}
+"""What the worker of a node must load for its tasks."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -42,16 +45,14 @@ def bridge() -> int:
     return _run("bridge")
 
 
+def campaign() -> int:
+    """Run the node campaign."""
+    return _run_with_worker("campaign")
+
+
 def identifier() -> int:
     """Run the node identifier."""
-    _hear_signals()
-    from mr_damper_ros.processes.worker import Worker
-
-    worker = Worker(_WORK)
-    try:
-        return _run("identifier", worker)
-    finally:
-        worker.close()
+    return _run_with_worker("identifier")
 
 
 def live() -> int:
@@ -98,6 +99,17 @@ def tool(name: str) -> int:
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     return code
+
+
+def _run_with_worker(name: str) -> int:
+    _hear_signals()
+    from mr_damper_ros.processes.worker import Worker
+
+    worker = Worker(_WORK[name])
+    try:
+        return _run(name, worker)
+    finally:
+        worker.close()
 
 
 def _run(name: str, *arguments: object) -> int:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = ("bridge", "controller", "identifier", "live", "model", "replay", "supply")
+NODES = ("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply")
 TOOLS = (
     *(
         "check_rig",
@@ -21,6 +21,7 @@ TOOLS = (
         "identify_many",
         "import_record",
         "live_rig",
+        "plan_campaign",
         "plan_run",
         "reproduce",
         "thesis_bags",

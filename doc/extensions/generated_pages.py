@@ -35,6 +35,8 @@ ROS = [
 NODES = {
     "bridge": "An emulated rig, a bag, a record file or topics of other nodes become samples. "
     "A lifecycle node that starts by itself.",
+    "campaign": "Chooses the runs of a test machine and has them made until the force is known "
+    "([more](../planned_runs.md)).",
     "controller": "The current for a desired force, by the newest parameters.",
     "identifier": "A fit for every window, and now and then all parameters at once.",
     "live": "A page that shows the running system ([more](../live.md)).",
@@ -64,6 +66,7 @@ PROGRAMS = (
     "export",
     "identify_many",
     "plan_run",
+    "plan_campaign",
     "validate",
     "watch",
     "live_rig",
@@ -73,6 +76,7 @@ PROGRAMS = (
 
 TYPES = {
     "mts/samples": "MtsSamples",
+    "rig/excitation_command": "ExcitationCommand",
     "supply/current": "SupplyCurrent",
     "supply/current_command": "CurrentCommand",
     "temperature": "sensor_msgs/Temperature",
@@ -159,8 +163,8 @@ def nodes_page() -> str:
 
 def messages_page() -> str:
     """Every message, service and action with its fields, units and comments."""
-    parts = ["# Messages, services, action", "", "All are in the package `mr_damper_msgs`.", ""]
-    kinds = {"msg": "Messages", "srv": "Services", "action": "Action"}
+    parts = ["# Messages, services, actions", "", "All are in the package `mr_damper_msgs`.", ""]
+    kinds = {"msg": "Messages", "srv": "Services", "action": "Actions"}
     for folder, title in kinds.items():
         parts += [f"## {title}", ""]
         for path in sorted((MESSAGES / folder).glob(f"*.{folder}")):

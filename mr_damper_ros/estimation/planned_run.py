@@ -39,7 +39,8 @@ class MachineLimits:
 
     ``amplitude`` [m] about the centre, ``peak_velocity`` [m/s], ``force`` [N], ``current`` [A],
     ``duration`` [s], ``heat`` [J] that the damper may take up, frequencies (low, high) [Hz],
-    ``sample_rate`` [Hz].
+    ``sample_rate`` [Hz]. ``steps``: whether the current can change within a run, which nobody does
+    by hand.
 
     Raises ValueError for values that no machine has.
     """
@@ -52,6 +53,7 @@ class MachineLimits:
     heat: float = math.inf
     frequency: tuple[float, float] = (0.1, 20.0)
     sample_rate: float = 1000.0
+    steps: bool = True
 
     def __post_init__(self) -> None:
         for name in ("amplitude", "peak_velocity", "force", "duration", "heat", "sample_rate"):
@@ -106,23 +108,26 @@ class PlannedRun:
         step = np.floor(time / self.stretch + 1e-9).astype(int)
         return np.asarray(self.currents)[np.clip(step, 0, len(self.currents) - 1)]
 
-    def windows(self, recording: Recording) -> list[Window]:
-        """A window of each stretch of a recording of the run, at the current measured there."""
-        period = recording.period
+    def parts(self, period: float) -> list[slice]:
+        """The samples of each stretch in a recording of this period [s], once all is settled."""
         count = round(self.stretch / period)
         settling = round(SETTLING / period)
-        found = []
-        for place in range(len(self.currents)):
-            chosen = slice(place * count + settling * (place > 0), (place + 1) * count)
-            found.append(
-                Window.from_samples(
-                    recording.displacement[chosen],
-                    recording.force[chosen],
-                    float(np.median(recording.current[chosen])),
-                    period,
-                )
+        return [
+            slice(place * count + settling * (place > 0), (place + 1) * count)
+            for place in range(len(self.currents))
+        ]
+
+    def windows(self, recording: Recording) -> list[Window]:
+        """A window of each stretch of a recording of the run, at the current measured there."""
+        return [
+            Window.from_samples(
+                recording.displacement[chosen],
+                recording.force[chosen],
+                float(np.median(recording.current[chosen])),
+                recording.period,
             )
-        return found
+            for chosen in self.parts(recording.period)
+        ]
 
 
 def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
@@ -132,7 +137,7 @@ def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
     """
     low, high = goal.current
     half = 0.5 * (low + min(high, limits.current))
-    currents = (low,) if half == low else (low, half)
+    currents = (low, half) if limits.steps and half > low else (low,)
     runs = [
         run
         for part in _AMPLITUDES
@@ -153,7 +158,7 @@ def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
     bottom, top = goal.current[0], min(goal.current[1], limits.current)
     currents = np.unique(np.linspace(bottom, top, _CURRENTS)).tolist()
     stairs: list[tuple[float, ...]] = [(current,) for current in currents]
-    for count in _STAIRS:
+    for count in _STAIRS if limits.steps else ():
         for start in range(len(currents)):
             for stride in range(1, len(currents)):
                 chosen = tuple(currents[start::stride][:count])

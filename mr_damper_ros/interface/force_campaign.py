@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
-from mr_damper_ros.estimation.run_planner import Plan, PlanState, RunPlanner
-from mr_damper_ros.interface.measured_runs import measured_run
-from mr_damper_ros.interface.run_advice import planned
-from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.run_planner import RunPlanner
+from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome, planner_of
+from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignStep, CampaignTask
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.signals.recording import Recording
 
 Perform = Callable[[PlannedRun], Recording]
 """Makes a run on a machine; the recording begins when the motion is steady, with the first current.
 """
-
-_TRIES = 2
-"""A run that cannot be used is made once more."""
-
-
-@dataclass(frozen=True, eq=False)
-class CampaignStep:
-    """A run that was made, the set identified from it and all before, and what follows."""
-
-    run: PlannedRun
-    parameter_set: ParameterSet
-    plan: Plan
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,41 +47,32 @@ def run_campaign(
     most_runs: int = 20,
     evolution: EvolutionSettings | None = None,
     report: Callable[[CampaignStep], bool] | None = None,
+    folder: str | os.PathLike[str] | None = None,
 ) -> ForceCampaign:
     """Choose, make and identify runs until the force is known to the goal, or cannot be.
 
     ``perform`` makes a run; ``report`` hears of each step, and ends the campaign with False. A run
-    whose samples make no sense is made once more. Raises ValueError where they still do not, where
-    the goal cannot be meant, or the machine cannot make the first run.
+    whose samples make no sense is made once more. In a ``folder`` every run is kept as a bag, and
+    what was found from it; called again with the same goal, it goes on where it was, however it
+    ended. Raises ValueError where a run still makes no sense, the goal cannot be meant, the machine
+    cannot make the first run, or the folder holds another campaign.
     """
-    planner = RunPlanner(known_model(model), goal, limits)
-    windows: list[Window] = []
-    steps: list[CampaignStep] = []
-    found: ParameterSet | None = None
-    run: PlannedRun | None = first_run(goal, limits)
-    reason = f"{most_runs} runs were made, and more were not allowed"
-    while run is not None and len(steps) < most_runs:
-        windows += _checked(run, perform)
-        before = None if found is None else found.values
-        found, plan = planned(planner, windows, before, evolution)
-        steps.append(CampaignStep(run, found, plan))
-        if report is not None and not report(steps[-1]):
-            reason = "it was ended"
-            break
-        run = plan.run if plan.state is PlanState.RUN else None
-        reason = plan.reason or reason
-    reached = steps[-1].plan.state is PlanState.MET
-    return ForceCampaign(tuple(steps), reached, reason)
-
-
-def _checked(run: PlannedRun, perform: Perform) -> list[Window]:
-    for attempt in range(_TRIES):
-        recording = perform(run)
-        try:
-            measured_run(recording)
-        except ValueError:
-            if attempt == _TRIES - 1:
-                raise
-        else:
-            break
-    return run.windows(recording)
+    task = CampaignTask(goal, limits, model)
+    planner: RunPlanner | None = None
+    kept = None if folder is None else CampaignFolder(Path(folder), task)
+    try:
+        course = CampaignCourse(task, folder=kept, most_runs=most_runs, evolution=evolution)
+        while course.outcome is None:
+            if course.work is not None:
+                planner = planner or planner_of(task)
+                course.conclude(course.work.carry_out(planner))
+                if report is not None and not report(course.steps[-1]):
+                    course.end("it was ended")
+            elif course.next_run is not None:
+                course.take(perform(course.next_run))
+    finally:
+        if kept is not None:
+            kept.close()
+    if course.outcome is CampaignOutcome.FAILED:
+        raise ValueError(course.reason)
+    return ForceCampaign(tuple(course.steps), course.outcome is CampaignOutcome.MET, course.reason)

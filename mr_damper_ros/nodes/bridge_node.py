@@ -14,6 +14,7 @@ from mr_damper_ros.nodes.bridge_sources import ALL_SOURCES, source_of
 from mr_damper_ros.nodes.bridge_stream import BridgeStream, SubscriberWait
 from mr_damper_ros.nodes.current_commands import CurrentCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.motion_commands import MotionCommands
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.pacing import Pacer, SendingThread
 from mr_damper_ros.nodes.spinning import run
@@ -136,11 +137,19 @@ class BridgeNode(LifecycleNode):
         )
         self._stream: BridgeStream | None = None
         self._commands: CurrentCommands | None = None
+        self._motion_commands: MotionCommands | None = None
         self._pacer = Pacer(self.parameters.values.rate)
         self._sending: SendingThread | None = None
         self._problem = ""
         self._starting = self.parameters.values.autostart
-        self._diagnostics = Diagnostics(self, {"source": self._find, "current": self._find_current})
+        self._diagnostics = Diagnostics(
+            self,
+            {
+                "source": self._find,
+                "current": self._find_current,
+                "motion": self._find_motion,
+            },
+        )
         if self._starting:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != TransitionCallbackReturn.SUCCESS:
@@ -172,6 +181,8 @@ class BridgeNode(LifecycleNode):
             found = self._source.open()
             if self._source.commander is not None:
                 self._commands = CurrentCommands(self, self._source.commander)
+            if self._source.mover is not None:
+                self._motion_commands = MotionCommands(self, self._source.mover)
             self._stream = BridgeStream(
                 self,
                 self._pacer,
@@ -231,6 +242,9 @@ class BridgeNode(LifecycleNode):
         if self._commands is not None:
             self._commands.close()
             self._commands = None
+        if self._motion_commands is not None:
+            self._motion_commands.close()
+            self._motion_commands = None
         if self._source is not None:
             self._source.close()
             self._source = None
@@ -263,6 +277,11 @@ class BridgeNode(LifecycleNode):
         if self._commands is None:
             return Finding(OK, "the source takes no commands of the current")
         return self._commands.finding()
+
+    def _find_motion(self) -> Finding:
+        if self._motion_commands is None:
+            return Finding(OK, "the source takes no commands of the motion")
+        return self._motion_commands.finding()
 
 
 def _in_words(error: Exception) -> str:

@@ -23,6 +23,7 @@ from mr_damper_ros.models.sigmoid.law import (
     force_from_coefficients,
     operating_point_coefficients,
 )
+from mr_damper_ros.rig.commanded_motion import CommandedMotion
 from mr_damper_ros.rig.excitation import Excitation, SineMotion
 from mr_damper_ros.rig.faults.fault import Fault
 from mr_damper_ros.rig.rig_block import RigBlock
@@ -36,7 +37,7 @@ THESIS_FORCE_NOISE = 5.53
 _COLD, _HOT = 28.0, 71.0
 """Temperatures [°C] at which the thesis identified its damper."""
 
-_CHUNK = 100
+CHUNK = 100
 """Samples of one temperature and one draw of noise; fixed, so that blocks do not matter."""
 
 
@@ -76,7 +77,6 @@ class TemperatureDependentDamper:
     ``cold`` and ``hot`` have shape (16,). Parameters of the two may lie in different basins, so
     they are never interpolated themselves. Outside the two temperatures the nearer one holds. For
     a uniform loss of force give ``hot=scaled(cold, 0.74)``.
-
     Raises EmulatorError where the hot temperature is not above the cold one.
     """
 
@@ -132,7 +132,6 @@ class ThermalModel:
     ``conductance`` [W/K] is that of the convection, ``ambient`` and ``initial`` are in °C. The
     defaults are an assumption: about a kilogram of steel that settles some 50 K above the ambient
     air at 25 W, with a time constant of 14 minutes.
-
     Raises EmulatorError where a value is out of range.
     """
 
@@ -197,7 +196,6 @@ class RigSettings:
     """How the emulated rig measures: ``sample_rate`` [Hz], noise [N] and [m], seed, start.
 
     The noises are standard deviations of white Gaussian noise. ``seed`` is a number or several.
-
     Raises EmulatorError where a value is out of range.
     """
 
@@ -225,7 +223,8 @@ class RigSettings:
 
 def _is_sine(excitation: Excitation) -> bool:
     """Whether the peak velocity is known at every sample, and need not be waited for."""
-    return isinstance(excitation, SineMotion) and excitation.triangularity == 0.0
+    plain = isinstance(excitation, SineMotion) and excitation.triangularity == 0.0
+    return plain or isinstance(excitation, CommandedMotion)
 
 
 class EmulatedRig:
@@ -235,7 +234,6 @@ class EmulatedRig:
     at 28 °C, that of the thesis' cold damper. The current in the coil follows that of the supply,
     which is measured, with ``coil_time_constant`` [s]. Of the ``faults`` it has those of machine
     and damper; what instruments make of its samples is for :class:`Instruments`.
-
     Raises EmulatorError where the time constant is negative.
     """
 
@@ -274,10 +272,9 @@ class EmulatedRig:
         self._taken = 0
         self._ready = np.empty((4, 0))
         self.live = False
-        """Whether no sample is made before it is asked for: the current then changes with the next
-        block, not up to a hundred samples later, which costs more where blocks are small."""
-        self._noise = np.empty((2, _CHUNK))
-        self._power = np.empty(_CHUNK)
+        """Whether no sample is made before it is asked for: commands hold at once, at some cost."""
+        self._noise = np.empty((2, CHUNK))
+        self._power = np.empty(CHUNK)
         self.break_with(faults)
 
     @property
@@ -288,12 +285,22 @@ class EmulatedRig:
     def break_with(self, faults: Sequence[Fault]) -> None:
         """Have these faults besides those that it has; they must not have begun."""
         own = deepcopy(list(faults))
-        before = self._excitation
-        for fault in own:
-            self._excitation = fault.moved(self._excitation)
-        if self._peak is None and not _is_sine(self._excitation):
-            self._peak = self._peak_so_far(before)
+        self._go_on(self._excitation, own)
         self._faults += own
+
+    def move(self, excitation: Excitation) -> None:
+        """Move so from the next samples on; it must go on from where the motion is."""
+        self._go_on(excitation, self._faults)
+
+    def _go_on(self, excitation: Excitation, faults: Sequence[Fault]) -> None:
+        before = self._excitation
+        for fault in faults:
+            excitation = fault.moved(excitation)
+        if _is_sine(excitation):
+            self._peak = None
+        elif self._peak is None:
+            self._peak = self._peak_so_far(before)
+        self._excitation = excitation
 
     def supply(self, current: CurrentSchedule) -> None:
         """Follow this schedule from the next samples on, which is as before up to now."""
@@ -310,7 +317,7 @@ class EmulatedRig:
             raise EmulatorError(f"{count} samples were asked for: ask for at least one")
         parts = [self._ready]
         while self._made < self._taken + count:
-            left = _CHUNK - self._made % _CHUNK
+            left = CHUNK - self._made % CHUNK
             parts.append(
                 self._next_samples(
                     min(left, self._taken + count - self._made) if self.live else left
@@ -344,10 +351,10 @@ class EmulatedRig:
     def _next_samples(self, count: int) -> Array:
         """Rows of a :class:`RigBlock`, shape (4, count), within one chunk."""
         period = self._settings.period
-        begin = self._made % _CHUNK
+        begin = self._made % CHUNK
         part = slice(begin, begin + count)
         if begin == 0:
-            self._noise = self._rng.standard_normal((2, _CHUNK))
+            self._noise = self._rng.standard_normal((2, CHUNK))
         time = np.arange(self._made, self._made + count, dtype=np.float64) * period
         moved = self._excitation.at(time)
         displacement, velocity, acceleration = moved
@@ -370,9 +377,9 @@ class EmulatedRig:
         celsius = np.full(count, self._celsius)
         self._power[part] = true_force * velocity
         self._made += count
-        if self._thermal is not None and self._made % _CHUNK == 0:
+        if self._thermal is not None and self._made % CHUNK == 0:
             power = float(np.mean(self._power))
-            self._celsius = self._thermal.after(self._celsius, power, _CHUNK * period)
+            self._celsius = self._thermal.after(self._celsius, power, CHUNK * period)
         force_noise, displacement_noise = self._noise[:, part]
         return np.stack(
             [

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import MachineLimits, first_run
+from mr_damper_ros.estimation.planned_run import first_run
 from mr_damper_ros.estimation.run_planner import Plan, PlanState
 from mr_damper_ros.interface.run_advice import advise_run
 from mr_damper_ros.interface.signal_file import write_signal
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.tools.campaign_options import (
+    OUT_OF_REACH,
+    add_campaign_options,
+    goal_of,
+    limits_of,
+)
 from mr_damper_ros.tools.console import FAILED, run_tool
-
-OUT_OF_REACH = 3
-"""Exit code where the goal cannot be met within the limits of the machine."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,47 +38,7 @@ def _parser() -> argparse.ArgumentParser:
         f"within the limits; {FAILED} where a bag or an option cannot be used.",
     )
     parser.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="runs made so far")
-    goal = parser.add_argument_group("goal")
-    goal.add_argument(
-        "--error",
-        type=float,
-        default=0.01,
-        help="worst error, relative to the largest force of a cycle (default %(default)s)",
-    )
-    for name, text in (("velocity", "peak velocities [m/s]"), ("current", "currents [A]")):
-        goal.add_argument(
-            f"--{name}", nargs=2, type=float, required=True, metavar=("LOW", "HIGH"), help=text
-        )
-    machine = parser.add_argument_group("machine")
-    for name, unit, text in (
-        ("amplitude", "M", "largest amplitude [m] about the centre"),
-        ("force", "N", "largest force [N]"),
-    ):
-        machine.add_argument(f"--{name}", type=float, required=True, metavar=unit, help=text)
-    machine.add_argument(
-        "--top-velocity", type=float, metavar="M/S", help="largest (default: that of the goal)"
-    )
-    machine.add_argument(
-        "--top-current", type=float, metavar="A", help="largest (default: that of the goal)"
-    )
-    machine.add_argument(
-        "--duration", type=float, default=4.0, metavar="S", help="of a run (default %(default)s)"
-    )
-    machine.add_argument(
-        "--heat", type=float, default=math.inf, metavar="J", help="that a run may bring in"
-    )
-    machine.add_argument(
-        "--frequency",
-        nargs=2,
-        type=float,
-        default=(0.1, 20.0),
-        metavar=("LOW", "HIGH"),
-        help="[Hz] (default 0.1 20)",
-    )
-    machine.add_argument(
-        "--rate", type=float, default=1000.0, metavar="HZ", help="samples (default %(default)s)"
-    )
-    parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL)
+    add_campaign_options(parser, required=True)
     parser.add_argument(
         "--signal", type=Path, metavar="FILE", help="write the run as CSV, to be played"
     )
@@ -87,17 +47,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _plan_run(options: argparse.Namespace) -> int:
-    goal = ForceGoal(options.error, tuple(options.velocity), tuple(options.current))
-    limits = MachineLimits(
-        amplitude=options.amplitude,
-        peak_velocity=options.top_velocity or goal.peak_velocity[1],
-        force=options.force,
-        current=goal.current[1] if options.top_current is None else options.top_current,
-        duration=options.duration,
-        heat=options.heat,
-        frequency=tuple(options.frequency),
-        sample_rate=options.rate,
-    )
+    goal, limits = goal_of(options), limits_of(options)
     plan = advise_run(options.bags, goal, limits, options.model) if options.bags else None
     run = first_run(goal, limits) if plan is None else plan.run
     document: dict[str, object] = {"state": "run" if plan is None else plan.state.value}

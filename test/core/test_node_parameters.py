@@ -24,7 +24,7 @@ from mr_damper_ros.settings.option_table import (
 )
 
 CONFIG = Path(__file__).parents[2] / "config"
-NODES = ("bridge", "controller", "identifier", "live", "model", "replay", "supply")
+NODES = ("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply")
 
 
 @dataclass(frozen=True)

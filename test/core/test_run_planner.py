@@ -24,7 +24,8 @@ from mr_damper_ros.estimation.force_knowledge import (
 )
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
 from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
-from mr_damper_ros.interface.force_campaign import CampaignStep, ForceCampaign, run_campaign
+from mr_damper_ros.interface.campaign_folder import CampaignStep
+from mr_damper_ros.interface.force_campaign import ForceCampaign, run_campaign
 from mr_damper_ros.interface.signal_file import signal, write_signal
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window

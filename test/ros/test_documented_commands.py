@@ -17,6 +17,7 @@ from mr_damper_msgs.msg import PredictedForce
 from support import Listener, installed_programs
 
 from mr_damper_ros.nodes.bridge_node import BridgeParameters
+from mr_damper_ros.nodes.campaign_parameters import CampaignParameters
 from mr_damper_ros.nodes.controller_node import ControllerParameters
 from mr_damper_ros.nodes.identifier_parameters import IdentifierParameters
 from mr_damper_ros.nodes.live_node import LiveParameters
@@ -33,6 +34,7 @@ SHARE = "$(ros2 pkg prefix --share mr_damper_ros)/"
 
 TABLES: dict[str, type] = {
     "bridge": BridgeParameters,
+    "campaign": CampaignParameters,
     "controller": ControllerParameters,
     "identifier": IdentifierParameters,
     "live": LiveParameters,

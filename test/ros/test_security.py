@@ -13,7 +13,7 @@ from support import Listener
 
 POLICY = Path(__file__).parents[2] / "config" / "security" / "policy.xml"
 ROOT = Path(__file__).parents[2]
-NODES = ("bridge", "controller", "identifier", "model", "supply")
+NODES = ("bridge", "campaign", "controller", "identifier", "model", "supply")
 
 ACTION_TOPICS = ("feedback", "status")
 ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")

@@ -11,7 +11,9 @@ from pathlib import Path
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, chirp, stepped
+from mr_damper_ros.rig.commanded_motion import CommandedMotion
 from mr_damper_ros.rig.emulator import (
+    CHUNK,
     CurrentSchedule,
     Damper,
     EmulatedRig,
@@ -24,6 +26,7 @@ from mr_damper_ros.rig.emulator import (
 from mr_damper_ros.rig.excitation import Excitation, SampledMotion, SineMotion
 from mr_damper_ros.rig.faults.fault import FaultError, Instruments
 from mr_damper_ros.rig.faults.fault_text import faults_of
+from mr_damper_ros.rig.motion_commander import MotionCommander, MotionLimits
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.rig.supplies.current_commander import (
@@ -59,10 +62,10 @@ class EmulatedOptions(ParameterTable):
     )
     excitation: str = option(
         "sine",
-        "How the machine moves: sine; chirp (a sine whose frequency goes up to the highest and "
-        "back within sweep_time) or steps (four frequencies within sweep_time); random (from the "
-        "frequency to the highest one); recorded (the displacement of motion_file, once, after "
-        "which it stands still).",
+        "How the machine moves until commands come: sine; chirp (a sine whose frequency goes up to "
+        "the highest and back within sweep_time) or steps (four frequencies within sweep_time); "
+        "random (from the frequency to the highest one); recorded (the displacement of "
+        "motion_file, once, after which it stands still).",
         choices=("sine", "chirp", "steps", "random", "recorded"),
         read_only=True,
     )
@@ -109,9 +112,24 @@ class EmulatedOptions(ParameterTable):
         minimum=-_MOST_CURRENT,
         maximum=_MOST_CURRENT,
     )
+    largest_amplitude: float = option(
+        0.05,
+        "Largest amplitude [m] of a commanded motion; commands beyond are refused.",
+        minimum=1e-6,
+        maximum=0.5,
+        read_only=True,
+    )
+    largest_velocity: float = option(
+        1.0,
+        "Largest peak velocity [m/s] of a commanded motion; commands beyond are refused.",
+        minimum=1e-6,
+        maximum=10.0,
+        read_only=True,
+    )
     command_timeout: float = option(
         0.5,
-        "Time [s] that a command of the current holds; after that the current is zero.",
+        "Time [s] that a command of the current or of the motion holds; after that the current is "
+        "zero, and the machine comes to rest.",
         minimum=0.01,
         maximum=3600.0,
         read_only=True,
@@ -204,7 +222,7 @@ class EmulatedOptions(ParameterTable):
 
 
 class EmulatedSource(Source):
-    """An emulated rig, for ever; its supply has a knob, and takes commands."""
+    """An emulated rig, for ever; its supply has a knob, and both take commands."""
 
     options = EmulatedOptions
     prefix = "emulated."
@@ -225,13 +243,17 @@ class EmulatedSource(Source):
             command_timeout=given.command_timeout,
         )
         self.commander = CurrentCommander(limits, given.current)
+        self.mover = MotionCommander(
+            MotionLimits(given.largest_amplitude, given.largest_velocity, given.command_timeout)
+        )
         return []
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """The samples of a rig that starts now."""
         assert self._damper is not None
         assert self.commander is not None
-        given, commander = self.settings, self.commander
+        assert self.mover is not None
+        given, commander, mover = self.settings, self.commander, self.mover
         settings = RigSettings(
             sample_rate=given.sample_rate,
             force_noise=given.force_noise,
@@ -257,6 +279,7 @@ class EmulatedSource(Source):
             ),
             coil_time_constant=given.coil_time_constant,
         )
+        motion: CommandedMotion | None = None
         taken, by_hand = 0, given.current
         while True:
             now = time.monotonic()
@@ -264,7 +287,14 @@ class EmulatedSource(Source):
                 by_hand = self.settings.current
                 commander.set_by_hand(by_hand)
             rig.surround(self.settings.ambient_temperature)
-            rig.live = commander.origin(now) is not Origin.HAND
+            rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
+            if mover.commanded:
+                # Up to a chunk of samples may have been made before they were asked for.
+                begin = (taken + CHUNK) * settings.period
+                if motion is None:
+                    motion = CommandedMotion(self._excitation, begin)
+                    rig.move(motion)
+                motion.command(*mover.wanted(now), begin)
             current = commander.step(now)
             if current != currents[-1]:
                 # Of what is past only the latest matters.
@@ -280,7 +310,7 @@ class EmulatedSource(Source):
 
     def close(self) -> None:
         """Take the damper out."""
-        self._damper = self.commander = None
+        self._damper = self.commander = self.mover = None
 
 
 def _excitation(rig: EmulatedOptions) -> Excitation:

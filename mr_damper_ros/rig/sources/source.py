@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
+from mr_damper_ros.rig.motion_commander import MotionCommander
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.supplies.current_commander import CurrentCommander
 from mr_damper_ros.settings.option_table import ParameterTable
@@ -48,6 +49,9 @@ class Source(ABC):
 
     commander: CurrentCommander | None = None
     """Takes commands of the current, in a source that has a supply of its own, while it is open."""
+
+    mover: MotionCommander | None = None
+    """Takes commands of the motion, in a source that moves as it is told, while it is open."""
 
     def __init__(self, settings: Any, stream: StreamSettings) -> None:
         self.settings = settings

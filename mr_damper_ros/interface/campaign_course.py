@@ -1,0 +1,204 @@
+"""How a campaign goes: which run is to be made, what was made of it, and when it is over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.planned_run import PlannedRun, first_run
+from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
+from mr_damper_ros.interface.campaign_folder import (
+    CampaignFolder,
+    CampaignStep,
+    CampaignTask,
+    read_campaign_runs,
+    read_steps,
+)
+from mr_damper_ros.interface.measured_runs import measured_run
+from mr_damper_ros.interface.run_advice import planned
+from mr_damper_ros.models.parameter_set import known_model
+from mr_damper_ros.signals.recording import Recording
+
+_TRIES = 2
+"""A run that cannot be used is made once more."""
+
+_CURRENT_TOLERANCE = 0.05
+"""The median current of a stretch may differ so much [A] from the one wanted, or"""
+
+_CURRENT_SHARE = 0.05
+"""by this part of it where that is more."""
+
+_AMPLITUDE_SHARE = 0.3
+"""The amplitude of a run may differ by this part of the one wanted."""
+
+
+class CampaignOutcome(IntEnum):
+    """How a campaign ended; the numbers are those of RunCampaign.action."""
+
+    MET = 0
+    OUT_OF_REACH = 1
+    ENDED = 2
+    FAILED = 3
+
+
+def planner_of(task: CampaignTask) -> RunPlanner:
+    """What plans the runs of a campaign."""
+    return RunPlanner(known_model(task.model), task.goal, task.limits)
+
+
+@dataclass(frozen=True, eq=False)
+class StepWork:
+    """What is to be found from the runs so far; it can go to another process.
+
+    ``before``: the set found from all but the last run.
+    """
+
+    task: CampaignTask
+    runs: tuple[tuple[PlannedRun, Recording], ...]
+    before: np.ndarray | None
+    evolution: EvolutionSettings
+
+    def carry_out(self, planner: RunPlanner | None = None) -> CampaignStep:
+        """Identify from all runs, and plan the next; ``planner`` is that of the same task."""
+        planner = planner or planner_of(self.task)
+        windows = [window for run, recording in self.runs for window in run.windows(recording)]
+        found, plan = planned(planner, windows, self.before, self.evolution)
+        return CampaignStep(self.runs[-1][0], found, plan)
+
+
+class CampaignCourse:
+    """A campaign from its beginning, or from where what is kept in ``folder`` leaves off.
+
+    ``next_run`` is the run to be made now, None where ``work`` is to be done first or the campaign
+    is over, which ``outcome`` tells. ``most_runs`` may be made in all.
+
+    Raises ValueError where the machine cannot make the first run, or what is kept is damaged.
+    """
+
+    def __init__(
+        self,
+        task: CampaignTask,
+        *,
+        folder: CampaignFolder | None = None,
+        most_runs: int = 20,
+        evolution: EvolutionSettings | None = None,
+    ) -> None:
+        self.task = task
+        self.runs: list[tuple[PlannedRun, Recording]] = []
+        self.steps: list[CampaignStep] = []
+        self.refusals: list[str] = []
+        self.reason = ""
+        self._folder = folder
+        self._most_runs = most_runs
+        self._evolution = evolution or EvolutionSettings()
+        self._first = first_run(task.goal, task.limits)
+        self._ended: CampaignOutcome | None = None
+        if folder is not None:
+            self.runs = read_campaign_runs(folder.path)
+            self.steps = read_steps(folder.path)[: len(self.runs)]
+
+    @property
+    def number(self) -> int:
+        """Number of the run that is made, or was made last, from 1."""
+        return len(self.runs) + (self.next_run is not None)
+
+    @property
+    def outcome(self) -> CampaignOutcome | None:
+        """How it ended; None while it goes on. ``reason`` says why, in words."""
+        if self._ended is not None:
+            return self._ended
+        if not self.steps or len(self.steps) < len(self.runs):
+            return None
+        plan = self.steps[-1].plan
+        if plan.state is PlanState.MET:
+            self.reason = plan.reason
+            return CampaignOutcome.MET
+        if plan.state is PlanState.OUT_OF_REACH:
+            self.reason = plan.reason
+            return CampaignOutcome.OUT_OF_REACH
+        if len(self.steps) >= self._most_runs:
+            self.reason = f"{self._most_runs} runs were made, and more were not allowed"
+            return CampaignOutcome.ENDED
+        return None
+
+    @property
+    def next_run(self) -> PlannedRun | None:
+        """The run to be made now."""
+        if self.outcome is not None or len(self.steps) < len(self.runs):
+            return None
+        return self.steps[-1].plan.run if self.steps else self._first
+
+    @property
+    def work(self) -> StepWork | None:
+        """What is to be found before the next run."""
+        if self._ended is not None or len(self.steps) == len(self.runs):
+            return None
+        before = self.steps[-1].parameter_set.values if self.steps else None
+        runs = tuple(self.runs[: len(self.steps) + 1])
+        return StepWork(self.task, runs, before, self._evolution)
+
+    def take(self, recording: Recording) -> str:
+        """Take in a recording of the next run; why it is refused, empty where it is not.
+
+        A run that is refused twice ends the campaign; nothing is lost. Raises OSError.
+        """
+        run = self.next_run
+        if run is None:
+            raise RuntimeError("no run is wanted now")
+        refusal = fault_of_run(run, recording)
+        if not refusal:
+            self.refusals = []
+            if self._folder is not None:
+                self._folder.keep_run(len(self.runs) + 1, run, recording)
+            self.runs.append((run, recording))
+            return ""
+        self.refusals.append(refusal)
+        if self._folder is not None:
+            self._folder.keep_refused(len(self.runs) + 1, run, recording, refusal)
+        if len(self.refusals) >= _TRIES:
+            self.fail(f"run {self.number} was refused {_TRIES} times: {refusal}")
+        return refusal
+
+    def conclude(self, step: CampaignStep) -> None:
+        """Take in what was found by the work. Raises OSError."""
+        if self._folder is not None:
+            self._folder.keep_step(len(self.steps) + 1, step)
+        self.steps.append(step)
+
+    def end(self, reason: str) -> None:
+        """Be over, because somebody wants it so."""
+        self.reason, self._ended = reason, CampaignOutcome.ENDED
+
+    def fail(self, reason: str) -> None:
+        """Be over, because something does not work."""
+        self.reason, self._ended = reason, CampaignOutcome.FAILED
+
+
+def fault_of_run(run: PlannedRun, recording: Recording) -> str:
+    """Why a recording cannot be used as one of this run, in words; empty where it can."""
+    try:
+        measured_run(recording)
+    except ValueError as error:
+        return str(error)
+    needed = round(run.duration / recording.period)
+    if recording.sample_count < needed:
+        return f"the recording lasts {recording.duration:.3g} s, the run {run.duration:.3g} s"
+    for place, (current, part) in enumerate(
+        zip(run.currents, run.parts(recording.period), strict=True)
+    ):
+        amplitude = 0.5 * float(np.ptp(recording.displacement[part]))
+        if abs(amplitude - run.amplitude) > _AMPLITUDE_SHARE * run.amplitude:
+            return (
+                f"the amplitude is {1e3 * amplitude:.3g} mm, where {1e3 * run.amplitude:.3g} mm "
+                "were wanted: does the machine follow?"
+            )
+        measured = float(np.median(recording.current[part]))
+        if abs(measured - current) > max(_CURRENT_TOLERANCE, _CURRENT_SHARE * current):
+            return (
+                f"the current is {measured:.3g} A in part {place + 1} of the run, where "
+                f"{current:.3g} A were wanted: is the supply on?"
+            )
+    return ""

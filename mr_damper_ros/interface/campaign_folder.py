@@ -1,0 +1,246 @@
+"""A campaign on disk: what is wanted, every run as a bag, and what was found from it.
+
+A bag, and the file of a step, is there whole or not at all: whatever ends the program, what is
+finished is there, and only what is not is done again.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
+from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.signals.recording import Recording
+
+_RUN = "planned_run"
+"""Detail of a bag that holds the run as it was planned."""
+
+_BAG = re.compile(r"run_(\d{3,})")
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignStep:
+    """A run that was made, the set identified from it and all before, and what follows."""
+
+    run: PlannedRun
+    parameter_set: ParameterSet
+    plan: Plan
+
+
+@dataclass(frozen=True)
+class CampaignTask:
+    """What a campaign is to reach, within which limits, with which law."""
+
+    goal: ForceGoal
+    limits: MachineLimits
+    model: str
+
+
+class CampaignFolder:
+    """The folder of one campaign, which one program at a time may use.
+
+    ``campaign.json`` holds the task, ``runs/`` the bags, also those of runs that were refused,
+    ``steps/`` what was found after each run, ``set.yaml`` the last set.
+
+    Raises ValueError where another program uses the folder, or it holds another campaign, and
+    OSError.
+    """
+
+    def __init__(self, path: Path, task: CampaignTask) -> None:
+        self.path = path
+        try:
+            self._lock = FolderLock(path / ".lock")
+        except LockHeldError as error:
+            raise ValueError(
+                f"{path} is in use by another program (process {error.holder}): choose another "
+                "folder or end it"
+            ) from error
+        try:
+            self._check(task)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def close(self) -> None:
+        """Let another program use it."""
+        self._lock.release()
+
+    def _check(self, task: CampaignTask) -> None:
+        path = self.path / "campaign.json"
+        if not path.exists():
+            write_text(path, json.dumps(_written(asdict(task)), indent=2) + "\n")
+            return
+        before = read_task(self.path)
+        for part in ("goal", "limits", "model"):
+            if getattr(before, part) != getattr(task, part):
+                raise ValueError(
+                    f"{self.path} holds a campaign with another {part}: choose another folder, or "
+                    "ask for the same as before"
+                )
+
+    def keep_run(self, number: int, run: PlannedRun, recording: Recording) -> None:
+        """Write a run that can be used as a bag."""
+        self._write(f"run_{number:03d}", f"run {number} of a campaign", run, recording)
+
+    def keep_refused(self, number: int, run: PlannedRun, recording: Recording, reason: str) -> None:
+        """Write a run that was refused as a bag, beside the others, once."""
+        name = f"refused_{number:03d}_{recording.start_ns}"
+        if not (self.path / "runs" / name).exists():
+            self._write(name, f"run {number} of a campaign, refused: {reason}", run, recording)
+
+    def _write(self, name: str, what: str, run: PlannedRun, recording: Recording) -> None:
+        source = recording.details.get("provenance", "")
+        details = {
+            **recording.details,
+            "provenance": f"{what}: {run.sentence}" + (f"; {source}" if source else ""),
+            _RUN: json.dumps(asdict(run)),
+        }
+        named = Recording(
+            name,
+            recording.start_ns,
+            recording.period,
+            recording.displacement,
+            recording.force,
+            recording.current,
+            recording.temperature,
+            details,
+        )
+        write_bag(self.path / "runs" / name, named)
+
+    def keep_step(self, number: int, step: CampaignStep) -> None:
+        """Write what was found after a run, whole or not at all."""
+        write_text(
+            _step_path(self.path, number), json.dumps(_document(step), allow_nan=False) + "\n"
+        )
+        step.parameter_set.save(self.path / "set.yaml")
+
+
+def read_task(folder: Path) -> CampaignTask:
+    """What the campaign in a folder is to reach. Raises ValueError, in a sentence."""
+    path = folder / "campaign.json"
+    if not path.is_file():
+        raise ValueError(f"{folder} holds no campaign: there is no campaign.json")
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        goal, limits = found["goal"], found["limits"]
+        for name in ("peak_velocity", "current"):
+            goal[name] = tuple(goal[name])
+        limits["frequency"] = tuple(limits["frequency"])
+        limits["heat"] = math.inf if limits["heat"] is None else limits["heat"]
+        return CampaignTask(ForceGoal(**goal), MachineLimits(**limits), found["model"])
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"{path} is damaged: choose another folder ({error})") from error
+
+
+def read_campaign_runs(folder: Path) -> list[tuple[PlannedRun, Recording]]:
+    """The runs in a campaign's folder, in their order. Raises ValueError where one is damaged."""
+    numbers = sorted(
+        int(found[1])
+        for path in (folder / "runs").glob("run_*")
+        if (found := _BAG.fullmatch(path.name))
+    )
+    if numbers != list(range(1, len(numbers) + 1)):
+        raise ValueError(f"{folder / 'runs'} lacks a run: the runs there are {numbers}")
+    return [_read_run(folder / "runs" / f"run_{number:03d}") for number in numbers]
+
+
+def _read_run(path: Path) -> tuple[PlannedRun, Recording]:
+    recordings = read_bag(path)
+    run = planned_run_of(recordings[0])
+    if len(recordings) != 1 or run is None:
+        raise ValueError(f"{path} is no run of a campaign: move it away")
+    return run, recordings[0]
+
+
+def planned_run_of(recording: Recording) -> PlannedRun | None:
+    """The run that a recording was made of, None where it does not say."""
+    try:
+        found = json.loads(recording.details[_RUN])
+        return PlannedRun(**found | {"currents": tuple(found["currents"])})
+    except (KeyError, ValueError, TypeError):
+        return None
+
+
+def read_steps(folder: Path) -> list[CampaignStep]:
+    """What was found after each run, in order, up to the first of which that is not known."""
+    steps: list[CampaignStep] = []
+    task = read_task(folder)
+    while (path := _step_path(folder, len(steps) + 1)).is_file():
+        try:
+            steps.append(_step(json.loads(path.read_text(encoding="utf-8")), task.goal))
+        except (ValueError, TypeError, KeyError) as error:
+            raise ValueError(
+                f"{path} is damaged: remove it, and it is found again ({error})"
+            ) from error
+    return steps
+
+
+def _step_path(folder: Path, number: int) -> Path:
+    return folder / "steps" / f"step_{number:03d}.json"
+
+
+def _document(step: CampaignStep) -> dict[str, Any]:
+    plan = step.plan
+    return {
+        "run": asdict(step.run),
+        "parameter_set": step.parameter_set.to_yaml(),
+        "plan": {
+            "state": plan.state.value,
+            "errors": _written(plan.now.errors.tolist()),
+            "worst": _written(plan.now.worst),
+            "run": None if plan.run is None else asdict(plan.run),
+            "expected": _written(plan.expected),
+            "runs_left": plan.runs_left,
+            "reason": plan.reason,
+        },
+    }
+
+
+def _step(document: dict[str, Any], goal: ForceGoal) -> CampaignStep:
+    found = document["plan"]
+    errors = np.array([math.nan if e is None else e for e in found["errors"]], dtype=float)
+    points = goal.points
+    if errors.shape != (len(points),):
+        raise ValueError("its errors are those of another goal")
+    plan = Plan(
+        PlanState(found["state"]),
+        PointErrors(points, errors, _read(found["worst"])),
+        None if found["run"] is None else _run(found["run"]),
+        _read(found["expected"]),
+        found["runs_left"],
+        found["reason"],
+    )
+    return CampaignStep(
+        _run(document["run"]), ParameterSet.from_yaml(document["parameter_set"]), plan
+    )
+
+
+def _run(document: dict[str, Any]) -> PlannedRun:
+    return PlannedRun(**document | {"currents": tuple(document["currents"])})
+
+
+def _written(value: Any) -> Any:
+    """A value as JSON can hold it: what is not finite is null."""
+    if isinstance(value, dict):
+        return {key: _written(entry) for key, entry in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_written(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _read(value: float | None) -> float:
+    return math.nan if value is None else value

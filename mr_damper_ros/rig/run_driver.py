@@ -1,0 +1,270 @@
+"""Makes one run on a machine: lets it settle, steps the current, and keeps the samples.
+
+It knows no clock but the stamps of the samples. What it wants of the machine is ``command``; a
+machine that a person sets is waited for in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.settings.option_table import CheckedSettings, option
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.uniform_grid import Placed
+from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+
+_CYCLE_SAMPLES = 64
+"""Samples of a cycle that are looked at, at most."""
+
+STEADY = 0.02
+"""Part of the amplitude by which two cycles of a steady motion differ at most."""
+
+_SINE = 0.1
+"""Part of the amplitude that a sine leaves of a cycle at most (root mean square)."""
+
+_LATE = 1.0
+"""Seconds that the readings of the current may be behind the samples."""
+
+_REACH = 1.05
+"""Part of the largest amplitude at which the run is broken off: what is measured has noise."""
+
+
+@dataclass(frozen=True)
+class DriveSettings(CheckedSettings):
+    """When a machine makes the run that is wanted of it."""
+
+    settle_timeout: float = option(
+        60.0,
+        "Longest time [s] until the machine moves steadily as commanded, besides ten cycles of "
+        "the motion; a machine that is set by hand is waited for without end.",
+        minimum=1.0,
+        maximum=3600.0,
+    )
+    amplitude_tolerance: float = option(
+        0.1,
+        "How far amplitude and frequency may be off those commanded, relative; the samples are "
+        "used as they were measured.",
+        minimum=0.001,
+        maximum=0.3,
+    )
+    current_tolerance: float = option(
+        0.05,
+        "How far the measured current may be off the one commanded [A].",
+        minimum=0.001,
+        maximum=10.0,
+    )
+
+
+class MachineCommand(NamedTuple):
+    """A sine of ``amplitude`` [m] and ``frequency`` [Hz], 0 for rest, at a ``current`` [A]."""
+
+    amplitude: float
+    frequency: float
+    current: float
+
+
+REST = MachineCommand(0.0, 0.0, 0.0)
+
+
+class DriveStage(IntEnum):
+    """How far a run is."""
+
+    SETTLING = 0
+    RECORDING = 1
+    DONE = 2
+    BROKEN = 3
+
+
+class RunDriver:
+    """One run: give it all that is measured, and have the machine do what ``command`` says.
+
+    Once the ``stage`` is DONE there is a ``recording``; BROKEN, the ``fault`` says why in words.
+    ``state`` says in words what is waited for.
+    """
+
+    def __init__(
+        self,
+        run: PlannedRun,
+        limits: MachineLimits,
+        settings: DriveSettings,
+        *,
+        by_hand: bool = False,
+    ) -> None:
+        self.run = run
+        self.stage = DriveStage.SETTLING
+        self.fault = ""
+        self.state = "the motion grows"
+        self.recording: Recording | None = None
+        self._limits = limits
+        self._settings = settings
+        self._patience = math.inf if by_hand else settings.settle_timeout + 10.0 / run.frequency
+        self._current = ZeroOrderHold(60.0 + 2.0 * run.duration)
+        self._blocks: list[SampleBlock] = []
+        self._passed = 0.0
+        self._since_ns: int | None = None
+        self._next_look_ns = 0
+
+    @property
+    def command(self) -> MachineCommand:
+        """What the machine is to do now."""
+        if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
+            return REST
+        passed = self._passed if self.stage is DriveStage.RECORDING else 0.0
+        current = float(self.run.current_at(np.array([passed]))[0])
+        return MachineCommand(self.run.amplitude, self.run.frequency, current)
+
+    def add_current(self, stamp_ns: int, current: float) -> None:
+        """Take in a reading of the current [A]; raises CurrentError for one that cannot be used."""
+        self._current.add(stamp_ns, current)
+
+    def add_block(self, placed: Placed) -> None:
+        """Take in samples that were put on the grid of all samples."""
+        if placed.continuity.restarts:
+            self._begin_anew("samples were lost")
+        if placed.continuity.kind == "jump_back":
+            self._current.follow_jump()
+        if placed.continuity.kind != "repeat":
+            self._follow(placed.block)
+
+    def _begin_anew(self, why: str) -> None:
+        self._blocks = []
+        if self.stage is DriveStage.RECORDING:
+            self.stage, self.state = DriveStage.SETTLING, f"{why}: the run begins anew"
+
+    def _follow(self, block: SampleBlock) -> None:
+        if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
+            return
+        if self._since_ns is None:
+            self._since_ns = self._next_look_ns = block.start_ns
+        if self._beyond(block):
+            return
+        self._blocks.append(block)
+        if self.stage is DriveStage.RECORDING:
+            self._passed += block.sample_count * block.period
+            self._finish()
+        elif block.end_ns >= self._next_look_ns:
+            self._next_look_ns = block.end_ns + round(0.25 * NANOSECONDS / self.run.frequency)
+            self._settle(block)
+
+    def _beyond(self, block: SampleBlock) -> bool:
+        """Whether the force is beyond the limit of the machine, which breaks the run off."""
+        force = float(np.max(np.abs(block.force)))
+        if force <= self._limits.force:
+            return False
+        self._break(f"the force reached {force:.4g} N, above {self._limits.force:.4g} N")
+        return True
+
+    def _break(self, fault: str) -> None:
+        self.stage, self.fault, self.state = DriveStage.BROKEN, fault, fault
+        self._blocks = []
+
+    def _settle(self, block: SampleBlock) -> None:
+        assert self._since_ns is not None
+        cycle = 1.0 / self.run.frequency
+        # Of what is past only what is looked at is kept.
+        self._blocks = _last(self._blocks, 2.0 * cycle)
+        unsettled = self._unsettled(block, cycle)
+        if not unsettled:
+            self._blocks, self._passed = [], 0.0
+            self.stage, self.state = DriveStage.RECORDING, "the run is made"
+        elif (block.end_ns - self._since_ns) / NANOSECONDS > self._patience:
+            self._break(f"the machine does not do what is wanted: {unsettled}")
+        else:
+            self.state = unsettled
+
+    def _unsettled(self, block: SampleBlock, cycle: float) -> str:
+        """Why the run cannot begin yet, in words; empty where it can."""
+        displacement = np.concatenate([one.displacement for one in self._blocks])
+        count = round(cycle / block.period)
+        if displacement.size < 2 * count:
+            return "the motion grows"
+        span = 0.5 * float(np.ptp(displacement))
+        if span > _REACH * self._limits.amplitude:
+            self._break(
+                f"the amplitude reached {1e3 * span:.3g} mm, above "
+                f"{1e3 * self._limits.amplitude:.3g} mm"
+            )
+            return self.fault
+        wanted, tolerance = self.run.amplitude, self._settings.amplitude_tolerance
+        before = sine_of_cycle(displacement[-2 * count : -count])
+        now = sine_of_cycle(displacement[-count:])
+        if abs(now.size - wanted) > tolerance * wanted:
+            return f"the amplitude is {1e3 * now.size:.3g} mm, not {1e3 * wanted:.3g} mm"
+        slip = (now.phase - before.phase + math.pi) % (2.0 * math.pi) - math.pi
+        off = slip / (2.0 * math.pi)
+        if abs(off) > tolerance:
+            return f"the frequency is {(1.0 + off) / cycle:.3g} Hz, not {1.0 / cycle:.3g} Hz"
+        if abs(now.size - before.size) > STEADY * now.size or now.rest > _SINE * now.size:
+            return "the motion is not steady yet"
+        return self._unsettled_current(block)
+
+    def _unsettled_current(self, block: SampleBlock) -> str:
+        if not self._current.known_from(block.start_ns):
+            return "no reading of the current has come"
+        current = float(self._current.at(block.end_ns, block.period, 1)[0])
+        wanted = self.run.currents[0]
+        if abs(current - wanted) > self._settings.current_tolerance:
+            return f"the current is {current:.3g} A, not {wanted:.3g} A"
+        return ""
+
+    def _finish(self) -> None:
+        """Make the recording where all samples and their current are there."""
+        first, last = self._blocks[0], self._blocks[-1]
+        count = round(self.run.duration / first.period)
+        if self._passed < (count - 0.5) * first.period:
+            return
+        known = self._current.last_stamp_ns
+        needed_ns = first.start_ns + round(count * first.period * NANOSECONDS)
+        late = (last.end_ns - needed_ns) / NANOSECONDS
+        if (known is None or known < needed_ns) and late < _LATE:
+            return
+        displacement, force = (
+            np.concatenate([getattr(block, name) for block in self._blocks])[:count]
+            for name in ("displacement", "force")
+        )
+        self.recording = Recording(
+            "run",
+            first.start_ns,
+            first.period,
+            displacement,
+            force,
+            self._current.at(first.start_ns, first.period, count),
+        )
+        self.stage, self.state = DriveStage.DONE, "the run is made"
+
+
+class CycleSine(NamedTuple):
+    """A sine through one cycle: its ``size`` [m] and ``phase`` [rad], and the ``rest`` [m]."""
+
+    size: float
+    phase: float
+    rest: float
+
+
+def sine_of_cycle(displacement: Array) -> CycleSine:
+    """The sine of one cycle in samples (n,) that hold just that cycle."""
+    angle = 2.0 * math.pi * np.arange(displacement.size) / displacement.size
+    centred = displacement - displacement.mean()
+    sine, cosine = (2.0 * float(np.mean(centred * wave(angle))) for wave in (np.sin, np.cos))
+    rest = centred - sine * np.sin(angle) - cosine * np.cos(angle)
+    size, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
+    return CycleSine(size, phase, float(np.sqrt(np.mean(rest**2))))
+
+
+def _last(blocks: list[SampleBlock], duration: float) -> list[SampleBlock]:
+    """The newest blocks, that hold so much time [s] or a block more."""
+    kept, held = [], 0.0
+    for block in reversed(blocks):
+        kept.append(block)
+        held += block.sample_count * block.period
+        if held > duration:
+            break
+    return kept[::-1]

@@ -1,0 +1,363 @@
+"""A campaign conducted on an emulated machine, by the stamps of its samples alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.interface import campaign_course
+from mr_damper_ros.interface.campaign_conductor import (
+    CampaignConductor,
+    CampaignEnd,
+    CampaignStage,
+    ConductSettings,
+)
+from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome
+from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignTask, read_campaign_runs
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.worker import Done, Failed, Outcome
+from mr_damper_ros.rig.commanded_motion import CommandedMotion
+from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.rig.run_driver import REST, DriveSettings, MachineCommand
+from mr_damper_ros.signals.blocks import SampleBlock
+
+RATE, BLOCK = 500.0, 10
+GOAL = ForceGoal(0.06, (0.05, 0.2), (0.0, 1.5), speeds=3, currents=4)
+LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 1.2, sample_rate=RATE)
+TASK = CampaignTask(GOAL, LIMITS, "sigmoid")
+RUNS = [PlannedRun(0.01, 2.0, (0.3, 1.2), 1.2), PlannedRun(0.005, 3.0, (0.75,), 1.2)]
+
+STEP_DELAY = 0.1
+"""[s]: what is cut off after a step of the current; commands must show within it."""
+
+
+class Inline:
+    """A worker that does each task at once; ``fail`` makes it fail."""
+
+    def __init__(self) -> None:
+        self.fail = ""
+        self.busy = False
+        self.done: list[str] = []
+        self._outcomes: list[Outcome] = []
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> int:
+        self.done.append(function.__name__)
+        if function.__name__ == "report_campaign":
+            self._outcomes.append(Done(1, None))
+        elif self.fail:
+            self._outcomes.append(Failed(1, self.fail))
+        else:
+            self._outcomes.append(Done(1, function(*arguments, None)))
+        return 1
+
+    def poll(self) -> list[Outcome]:
+        found, self._outcomes = self._outcomes, []
+        return found
+
+    def cancel(self) -> None:
+        raise AssertionError("nothing takes time here")
+
+
+class EmulatedMachine:
+    """An emulated rig that does what a conductor says; every sample is looked at."""
+
+    def __init__(self, conductor: CampaignConductor, obeys: bool = True) -> None:
+        self.conductor = conductor
+        self.obeys = obeys
+        self.commands: list[MachineCommand | None] = []
+        self.seen = np.empty((3, 0))
+        self.time = 0.0
+        self.lost = 0
+        self._motion = CommandedMotion(SineMotion(1e-9, 1.0), 0.0)
+        self._times, self._currents = [0.0], [0.0]
+        self._rig = EmulatedRig(
+            ConstantDamper(known.PLAUSIBLE),
+            self._motion,
+            CurrentSchedule(self._times, self._currents),
+            settings=RigSettings(sample_rate=RATE, force_noise=5.0),
+        )
+        self._rig.live = True
+
+    def set(self, command: MachineCommand) -> None:
+        self._motion.command(command.amplitude, command.frequency, self.time)
+        if command.current != self._currents[-1]:
+            self._times.append(self.time)
+            self._currents.append(command.current)
+
+    def block(self) -> None:
+        """One block of samples, after what was commanded before it."""
+        command = self.conductor.command
+        self.commands.append(command)
+        if self.obeys and command is not None:
+            self.set(command)
+        made = self._rig.next_block(BLOCK)
+        self.time += BLOCK / RATE
+        self.seen = np.concatenate(
+            [self.seen, np.stack([made.displacement, made.force, made.current])], axis=1
+        )
+        if self.lost:
+            self.lost -= 1
+            return
+        self.conductor.add_current(made.start_ns, float(made.current[0]))
+        self.conductor.add_block(
+            SampleBlock(made.start_ns, made.sequence, made.period, made.displacement, made.force)
+        )
+
+    def until(self, condition: Callable[[], Any], longest: float = 60.0) -> Any:
+        """Go on until something holds, for ``longest`` [s] of its time at the most."""
+        end = self.time + longest
+        while not (found := condition()):
+            assert self.time < end, f"in vain waited {longest:g} s: {self.conductor.status()}"
+            self.block()
+        return found
+
+
+@pytest.fixture
+def planned(monkeypatch: pytest.MonkeyPatch) -> list[PlannedRun]:
+    """The runs that are planned, whatever was found; tests may change them."""
+    runs = list(RUNS)
+
+    def plan(_: object, windows: list[object], *__: object) -> tuple[ParameterSet, Plan]:
+        made = count[0] = count[0] + 1
+        now = PointErrors(GOAL.points, np.full(len(GOAL.points), 0.1), 0.2 / made)
+        if made >= len(runs):
+            found = Plan(PlanState.MET, now, reason="the goal is met")
+        else:
+            found = Plan(PlanState.RUN, now, runs[made], 0.1, 1)
+        return ParameterSet(known.PLAUSIBLE), found
+
+    count = [0]
+    monkeypatch.setattr(campaign_course, "planned", plan)
+    monkeypatch.setattr(campaign_course, "planner_of", lambda _: object())
+    monkeypatch.setattr(campaign_course, "first_run", lambda *_: runs[0])
+    return runs
+
+
+def begun(
+    folder: Path, settings: ConductSettings | None = None, task: CampaignTask = TASK
+) -> tuple[CampaignConductor, Inline]:
+    worker = Inline()
+    conductor = CampaignConductor(worker, settings or ConductSettings())
+    kept = CampaignFolder(folder, task)
+    conductor.begin(CampaignCourse(task, folder=kept), kept)
+    return conductor, worker
+
+
+def ended(machine: EmulatedMachine) -> CampaignEnd:
+    end: CampaignEnd = machine.until(machine.conductor.poll)
+    return end
+
+
+def test_a_campaign_is_made_on_a_machine(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, worker = begun(tmp_path)
+    machine = EmulatedMachine(conductor)
+    end = ended(machine)
+    assert end.outcome is CampaignOutcome.MET
+    assert [run for run, _ in read_campaign_runs(tmp_path)] == RUNS
+    assert worker.done == ["find_step", "find_step", "report_campaign"]
+    assert conductor.command is None
+
+
+def test_the_samples_are_those_of_the_run(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, _ = begun(tmp_path)
+    ended(EmulatedMachine(conductor))
+    for run, recording in read_campaign_runs(tmp_path):
+        assert recording.sample_count == round(run.duration * RATE)
+        assert np.abs(recording.displacement).max() == pytest.approx(run.amplitude, rel=0.01)
+        stretch = round(run.stretch * RATE)
+        for place, current in enumerate(run.currents):
+            part = recording.current[place * stretch : (place + 1) * stretch]
+            assert np.all(part[round(STEP_DELAY * RATE) :] == current)
+
+
+def test_between_the_runs_the_machine_rests(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, _ = begun(tmp_path)
+    machine = EmulatedMachine(conductor)
+    machine.until(lambda: len(list(tmp_path.glob("runs/run_*"))) == 1)
+    machine.until(lambda: conductor.status().stage is CampaignStage.IDENTIFYING)  # type: ignore[union-attr]
+    for _ in range(100):
+        machine.block()
+        assert conductor.command == REST
+    assert np.abs(machine.seen[0, -10:]).max() < 1e-9
+    assert np.all(machine.seen[2, -10:] == 0.0)
+
+
+@st.composite
+def runs_within(draw: st.DrawFn) -> list[PlannedRun]:
+    """Runs within the limits, as a planner may choose them."""
+    found = []
+    for _ in range(draw(st.integers(1, 2))):
+        amplitude = draw(st.floats(2e-3, LIMITS.amplitude))
+        fastest = min(LIMITS.peak_velocity / (2.0 * math.pi * amplitude), 8.0)
+        currents = draw(st.lists(st.floats(0.0, LIMITS.current), min_size=1, max_size=2))
+        frequency = draw(st.floats(len(currents) / LIMITS.duration + 0.2, max(fastest, 2.0)))
+        frequency = min(frequency, LIMITS.peak_velocity / (2.0 * math.pi * amplitude))
+        found.append(PlannedRun(amplitude, frequency, tuple(currents), LIMITS.duration))
+    return found
+
+
+@known.fixed(8)
+@given(runs=runs_within(), disturbed=st.lists(st.integers(0, 300), max_size=4))
+def test_no_sample_leaves_the_limits(
+    tmp_path_factory: pytest.TempPathFactory, runs: list[PlannedRun], disturbed: list[int]
+) -> None:
+    """Whatever is planned, and paused, resumed or lost at whatever moments."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign_course, "planner_of", lambda _: object())
+        patch.setattr(campaign_course, "first_run", lambda *_: runs[0])
+        now = PointErrors(GOAL.points, np.full(len(GOAL.points), 0.1), 0.1)
+        steps = [Plan(PlanState.RUN, now, run, 0.1, 1) for run in runs[1:]]
+        steps.append(Plan(PlanState.MET, now, reason="the goal is met"))
+        patch.setattr(
+            campaign_course, "planned", lambda *_: (ParameterSet(known.PLAUSIBLE), steps.pop(0))
+        )
+        conductor, _ = begun(tmp_path_factory.mktemp("campaign"))
+        machine = EmulatedMachine(conductor)
+        for count in range(400):
+            if conductor.poll() is not None:
+                break
+            if count in disturbed:
+                machine.lost = 2
+                conductor.pause()
+            if count - 20 in disturbed:
+                conductor.resume()
+            machine.block()
+    displacement, force, current = machine.seen
+    velocity = np.gradient(displacement, 1.0 / RATE)
+    assert np.abs(displacement).max() <= LIMITS.amplitude * (1.0 + 1e-9)
+    # A difference over two samples is no more than the velocity in between.
+    assert np.abs(velocity[1:-1]).max() <= LIMITS.peak_velocity * (1.0 + 1e-9)
+    assert np.abs(force).max() <= LIMITS.force
+    assert 0.0 <= current.min() <= current.max() <= LIMITS.current
+
+
+def test_a_force_beyond_the_limit_ends_it_at_once(
+    planned: list[PlannedRun], tmp_path: Path
+) -> None:
+    task = replace(TASK, limits=replace(LIMITS, force=200.0))
+    conductor, _ = begun(tmp_path, task=task)
+    machine = EmulatedMachine(conductor)
+    end = ended(machine)
+    assert end.outcome is CampaignOutcome.FAILED
+    assert "above 200 N" in end.reason
+    over = int(np.argmax(np.abs(machine.seen[1]) > 200.0)) // BLOCK
+    assert all(command in (REST, None) for command in machine.commands[over + 1 :])
+
+
+def test_a_machine_that_does_not_obey_is_told(planned: list[PlannedRun], tmp_path: Path) -> None:
+    settings = ConductSettings(drive=DriveSettings(settle_timeout=2.0))
+    conductor, _ = begun(tmp_path, settings)
+    end = ended(EmulatedMachine(conductor, obeys=False))
+    assert end.outcome is CampaignOutcome.FAILED
+    assert "does not do what is wanted" in end.reason
+    assert "not 10 mm" in end.reason
+
+
+def test_a_refused_run_is_repeated_once_then_reported(
+    planned: list[PlannedRun], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(campaign_course, "fault_of_run", lambda *_: "it makes no sense")
+    conductor, _ = begun(tmp_path)
+    end = ended(EmulatedMachine(conductor))
+    assert end.outcome is CampaignOutcome.FAILED
+    assert "refused 2 times: it makes no sense" in end.reason
+    assert len(list(tmp_path.glob("runs/refused_001_*"))) == 2
+
+
+def test_lost_samples_begin_the_run_anew(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, _ = begun(tmp_path)
+    machine = EmulatedMachine(conductor)
+    machine.until(lambda: conductor.status().stage is CampaignStage.RECORDING)  # type: ignore[union-attr]
+    machine.block()
+    machine.lost = 20
+    for _ in range(21):
+        machine.block()
+    assert conductor.status().stage is CampaignStage.SETTLING  # type: ignore[union-attr]
+    assert ended(machine).outcome is CampaignOutcome.MET
+    recordings = [recording for _, recording in read_campaign_runs(tmp_path)]
+    assert [one.sample_count for one in recordings] == [600, 600]
+
+
+def test_it_pauses_and_resumes(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, _ = begun(tmp_path)
+    machine = EmulatedMachine(conductor)
+    machine.until(lambda: conductor.status().stage is CampaignStage.RECORDING)  # type: ignore[union-attr]
+    conductor.pause()
+    for _ in range(100):
+        machine.block()
+    assert conductor.status().stage is CampaignStage.PAUSED  # type: ignore[union-attr]
+    assert np.abs(machine.seen[0, -10:]).max() < 1e-9
+    conductor.resume()
+    assert ended(machine).outcome is CampaignOutcome.MET
+
+
+def test_it_is_stopped_and_goes_on_later(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, _ = begun(tmp_path)
+    machine = EmulatedMachine(conductor)
+
+    def one_step() -> bool:
+        conductor.poll()
+        return (tmp_path / "steps" / "step_001.json").exists()
+
+    machine.until(one_step)
+    conductor.stop()
+    end = ended(machine)
+    assert (end.outcome, end.reason, len(end.steps)) == (
+        CampaignOutcome.ENDED,
+        "it was stopped",
+        1,
+    )
+    again, worker = begun(tmp_path)
+    assert "going on after run 1" in again.take_notices()[0]
+    assert ended(EmulatedMachine(again)).outcome is CampaignOutcome.MET
+    assert worker.done == ["find_step", "report_campaign"]
+
+
+def test_an_identification_that_fails_is_told_and_its_run_kept(
+    planned: list[PlannedRun], tmp_path: Path
+) -> None:
+    conductor, worker = begun(tmp_path)
+    worker.fail = "the worker process died"
+    end = ended(EmulatedMachine(conductor))
+    assert end.outcome is CampaignOutcome.FAILED
+    assert "run 1 could not be identified: the worker process died" in end.reason
+    assert len(read_campaign_runs(tmp_path)) == 1
+
+
+def test_the_damper_rests_before_each_run(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, _ = begun(tmp_path, ConductSettings(rest_time=5.0))
+    machine = EmulatedMachine(conductor)
+    machine.until(lambda: conductor.command != REST)
+    assert machine.time >= 5.0
+    ended(machine)
+
+
+def test_by_hand_it_says_what_to_set_and_waits(planned: list[PlannedRun], tmp_path: Path) -> None:
+    planned[:] = [RUNS[1]]
+    conductor, _ = begun(tmp_path, ConductSettings(manual=True))
+    machine = EmulatedMachine(conductor)
+    for _ in range(200):
+        machine.block()
+    status = conductor.status()
+    assert status is not None
+    assert RUNS[1].sentence in status.state
+    assert conductor.command is None
+    # The person turns the knobs, not exactly.
+    machine.set(MachineCommand(0.0052, 2.9, 0.76))
+    assert ended(machine).outcome is CampaignOutcome.MET
+    (_, recording), *_ = read_campaign_runs(tmp_path)
+    assert np.abs(recording.displacement).max() == pytest.approx(0.0052, rel=0.01)
+    assert np.all(recording.current == 0.76)

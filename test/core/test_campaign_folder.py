@@ -1,0 +1,284 @@
+"""A campaign on disk: what is finished is kept, and never done again, however it ended."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import known
+import numpy as np
+import pytest
+
+import mr_damper_ros as mr
+from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.interface import campaign_course, force_campaign
+from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome, fault_of_run
+from mr_damper_ros.interface.campaign_folder import (
+    CampaignFolder,
+    CampaignTask,
+    read_campaign_runs,
+    read_steps,
+    read_task,
+)
+from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
+from mr_damper_ros.interface.signal_file import signal
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
+from mr_damper_ros.signals.recording import Recording
+
+GOAL = ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
+LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
+TASK = CampaignTask(GOAL, LIMITS, "sigmoid")
+RUNS = [
+    PlannedRun(0.01, 1.0, (0.0, 0.75), 2.0),
+    PlannedRun(0.01, 2.0, (1.5,), 2.0),
+    PlannedRun(0.005, 3.0, (0.5,), 2.0),
+]
+"""What the plan of these tests asks for, whatever was found."""
+
+
+class KilledError(BaseException):
+    """Stands for the end of the process at this moment."""
+
+
+def perform(run: PlannedRun, seed: int = 0) -> Recording:
+    times = [place * run.stretch for place in range(len(run.currents))]
+    rig = EmulatedRig(
+        ConstantDamper(known.PLAUSIBLE),
+        SineMotion(run.amplitude, run.frequency),
+        CurrentSchedule(times, run.currents),
+        settings=RigSettings(sample_rate=500.0, force_noise=25.0, seed=seed),
+    )
+    return rig.record(run.duration)
+
+
+def plan_of(count: int) -> Plan:
+    now = PointErrors(GOAL.points, np.full(len(GOAL.points), 0.1 / count), 0.2 / count)
+    if count == len(RUNS):
+        return Plan(PlanState.MET, now, reason="the goal is met")
+    return Plan(PlanState.RUN, now, RUNS[count], 0.1, 2)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Nothing is identified; the numbers of windows that it would be from are kept."""
+    asked: list[int] = []
+
+    def planned(_: object, windows: list[object], *__: object) -> tuple[ParameterSet, Plan]:
+        asked.append(len(windows))
+        return ParameterSet(known.PLAUSIBLE, set_id="quick"), plan_of(len(asked_runs(windows)))
+
+    def asked_runs(windows: list[object]) -> list[object]:
+        # The first run has two windows.
+        return windows[1:]
+
+    monkeypatch.setattr(campaign_course, "planned", planned)
+    for module in (campaign_course, force_campaign):
+        monkeypatch.setattr(module, "planner_of", lambda _: object())
+    monkeypatch.setattr(campaign_course, "first_run", lambda *_: RUNS[0])
+    return asked
+
+
+def state(folder: Path) -> dict[str, int]:
+    """When each finished file was written."""
+    return {
+        str(path.relative_to(folder)): path.stat().st_mtime_ns
+        for kind in ("runs/run_*/*", "steps/*.json")
+        for path in folder.glob(kind)
+    }
+
+
+def test_a_campaign_is_kept_as_bags_and_steps(quick: list[int], tmp_path: Path) -> None:
+    found = mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
+    assert found.reached
+    assert read_task(tmp_path) == TASK
+    kept = read_campaign_runs(tmp_path)
+    assert [run for run, _ in kept] == RUNS
+    for run, recording in kept:
+        np.testing.assert_array_equal(recording.force, perform(run).force)
+        np.testing.assert_array_equal(recording.current, perform(run).current)
+        assert run.sentence in recording.details["provenance"]
+    steps = read_steps(tmp_path)
+    assert [step.run for step in steps] == RUNS
+    for step, made in zip(steps, found.steps, strict=True):
+        np.testing.assert_array_equal(step.plan.now.errors, made.plan.now.errors)
+        assert step.plan.now.worst == made.plan.now.worst
+        assert (step.plan.state, step.plan.run) == (made.plan.state, made.plan.run)
+    assert ParameterSet.load(tmp_path / "set.yaml").set_id == "quick"
+
+
+@pytest.mark.parametrize("moment", range(6))
+def test_killed_at_any_moment_it_goes_on_where_it_was(
+    quick: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: int
+) -> None:
+    """Of six moments three are in a run, and three after one, before its step is kept."""
+    made: list[PlannedRun] = []
+    passed = 0
+
+    def die() -> None:
+        nonlocal passed
+        passed += 1
+        if passed == moment + 1:
+            raise KilledError
+
+    def mortal(run: PlannedRun) -> Recording:
+        die()
+        made.append(run)
+        return perform(run)
+
+    keep = CampaignFolder.keep_step
+
+    def keep_step(*arguments: object) -> None:
+        die()
+        keep(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(CampaignFolder, "keep_step", keep_step)
+    with pytest.raises(KilledError):
+        mr.run_campaign(GOAL, LIMITS, mortal, folder=tmp_path)
+    before = state(tmp_path)
+    found = mr.run_campaign(GOAL, LIMITS, mortal, folder=tmp_path)
+    assert found.reached
+    assert made == RUNS, "a run that was kept is not made again"
+    after = state(tmp_path)
+    assert {name: after.get(name) for name in before} == before
+
+
+def test_a_finished_campaign_does_nothing(quick: list[int], tmp_path: Path) -> None:
+    mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
+    before, count = state(tmp_path), len(quick)
+
+    def never(run: PlannedRun) -> Recording:
+        raise AssertionError(run)
+
+    again = mr.run_campaign(GOAL, LIMITS, never, folder=tmp_path)
+    assert again.reached
+    assert again.parameter_set.set_id == "quick"
+    assert (state(tmp_path), len(quick)) == (before, count)
+
+
+@pytest.mark.parametrize(
+    ("goal", "limits", "part"),
+    [
+        (replace(GOAL, error=0.01), LIMITS, "another goal"),
+        (GOAL, replace(LIMITS, force=100.0), "another limits"),
+    ],
+)
+def test_another_campaign_is_refused(
+    quick: list[int], tmp_path: Path, goal: ForceGoal, limits: MachineLimits, part: str
+) -> None:
+    CampaignFolder(tmp_path, TASK).close()
+    with pytest.raises(ValueError, match=part):
+        mr.run_campaign(goal, limits, perform, folder=tmp_path)
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
+    first = CampaignFolder(tmp_path, TASK)
+    try:
+        with pytest.raises(ValueError, match="in use by another program"):
+            CampaignFolder(tmp_path, TASK)
+    finally:
+        first.close()
+
+
+def test_a_refused_run_is_kept_beside_and_made_again(quick: list[int], tmp_path: Path) -> None:
+    folder = CampaignFolder(tmp_path, TASK)
+    course = CampaignCourse(TASK, folder=folder)
+    dead = replace(perform(RUNS[0]), force=np.zeros(1000))
+    assert "load cell" in course.take(dead)
+    assert course.next_run == RUNS[0]
+    assert course.take(perform(RUNS[0])) == ""
+    folder.close()
+    (refused,) = (tmp_path / "runs").glob("refused_001_*")
+    (recording,) = mr.read_bag(refused)
+    assert "load cell" in recording.details["provenance"]
+
+
+def test_a_run_that_is_refused_twice_ends_the_campaign(quick: list[int], tmp_path: Path) -> None:
+    folder = CampaignFolder(tmp_path, TASK)
+    course = CampaignCourse(TASK, folder=folder)
+    for _ in range(2):
+        course.take(replace(perform(RUNS[0]), force=np.zeros(1000)))
+    folder.close()
+    assert course.outcome is CampaignOutcome.FAILED
+    assert "refused 2 times" in course.reason
+    assert course.next_run is None
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        ({"current": np.zeros(1000)}, "is the supply on"),
+        ({"displacement": 2.0 * perform(RUNS[0]).displacement}, "does the machine follow"),
+    ],
+)
+def test_a_run_that_is_not_the_one_wanted_is_refused(
+    change: dict[str, np.ndarray], part: str
+) -> None:
+    assert part in fault_of_run(RUNS[0], replace(perform(RUNS[0]), **change))  # type: ignore[arg-type]
+
+
+def test_a_run_that_is_too_short_is_refused() -> None:
+    short = perform(replace(RUNS[1], duration=1.0))
+    assert "lasts 1 s, the run 2 s" in fault_of_run(RUNS[1], short)
+
+
+def test_a_damaged_step_is_named(quick: list[int], tmp_path: Path) -> None:
+    mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
+    (tmp_path / "steps" / "step_002.json").write_text("{")
+    with pytest.raises(ValueError, match=r"step_002\.json is damaged: remove it"):
+        mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
+
+
+def test_a_removed_step_is_found_again_from_the_runs(quick: list[int], tmp_path: Path) -> None:
+    mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
+    (tmp_path / "steps" / "step_003.json").unlink()
+    quick.clear()
+
+    def never(run: PlannedRun) -> Recording:
+        raise AssertionError(run)
+
+    assert mr.run_campaign(GOAL, LIMITS, never, folder=tmp_path).reached
+    assert quick == [4]
+
+
+def test_the_task_is_plain_json(tmp_path: Path) -> None:
+    CampaignFolder(tmp_path, TASK).close()
+    text = json.loads((tmp_path / "campaign.json").read_text())
+    assert text["limits"]["heat"] is None
+    assert text["goal"]["error"] == 0.06
+
+
+def played(run: PlannedRun) -> Recording:
+    """A recording of the signal file of a run, with rest before and after it."""
+    _, displacement, current = signal(run, 500.0)
+    rest = np.zeros(700)
+    motion = SampledMotion(np.concatenate([rest, displacement, rest]), 2e-3)
+    amperes = np.concatenate([rest + current[0], current, rest])
+    times = np.flatnonzero(np.diff(amperes, prepend=np.nan) != 0.0)
+    rig = EmulatedRig(
+        ConstantDamper(known.PLAUSIBLE),
+        motion,
+        CurrentSchedule((times * 2e-3).tolist(), amperes[times].tolist()),
+        settings=RigSettings(sample_rate=500.0, force_noise=5.0),
+    )
+    return rig.record(amperes.size * 2e-3)
+
+
+@pytest.mark.parametrize("run", RUNS)
+def test_a_run_is_cut_out_of_a_recording(run: PlannedRun) -> None:
+    whole = played(run)
+    found = cut_run(run, whole)
+    assert found.sample_count == round(run.duration * 500.0)
+    assert fault_of_run(run, found) == ""
+    begin = round((found.start_ns - whole.start_ns) * 1e-9 * 500.0)
+    # The motion grows for two cycles after the rest; a quarter of a cycle is not much then.
+    assert begin == pytest.approx(700 + 1000.0 / run.frequency, abs=125.0 / run.frequency)
+
+
+def test_a_recording_without_the_run_is_told() -> None:
+    with pytest.raises(RunNotFoundError, match="does not hold the run"):
+        cut_run(RUNS[1], played(RUNS[2]))

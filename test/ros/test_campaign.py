@@ -1,0 +1,177 @@
+"""The campaign as a process, with the emulated rig of a bridge: goals, commands, crashes."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from mr_damper_msgs.action import RunCampaign
+from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand
+from rclpy.action import ActionClient
+from std_srvs.srv import Trigger
+from support import Listener, assert_one_sentence
+
+from mr_damper_ros.interface.campaign_folder import read_campaign_runs, read_steps
+from mr_damper_ros.models.published_conditions import CONDITIONS
+from mr_damper_ros.nodes.campaign_parameters import CampaignParameters
+from mr_damper_ros.settings.option_table import options
+
+ROOT = Path(__file__).parents[2]
+
+RATE = 5.0
+"""The emulated rig goes so many times as fast as a real one."""
+
+MACHINE = {
+    "machine.duration": 1.2,
+    "machine.force": 5000.0,
+    "machine.sample_rate": 500.0,
+    "goal.lowest_peak_velocity": 0.06,
+    "goal.highest_peak_velocity": 0.1,
+    "goal.lowest_current": 1.0,
+    "goal.highest_current": 1.5,
+    "goal.error": 0.5,
+}
+"""A goal that few runs meet."""
+
+
+def rig(start: Any) -> Any:
+    return start(
+        "bridge",
+        rate=RATE,
+        **{
+            "emulated.damper": CONDITIONS[0].name,
+            "emulated.sample_rate": 500.0,
+            "emulated.command_timeout": 2.0,
+            "emulated.conductance": 1e4,
+        },
+    )
+
+
+def campaign(start: Any, folder: Path, **more: object) -> Any:
+    return start("campaign", folder=folder, **{**MACHINE, **more})
+
+
+def runs_in(folder: Path) -> list[Path]:
+    return sorted((folder / "runs").glob("run_*"))
+
+
+def test_the_configuration_file_has_every_parameter_with_its_default() -> None:
+    text = (ROOT / "config" / "campaign.yaml").read_text()
+    given = yaml.safe_load(text)["/**"]["ros__parameters"]
+    flat = {}
+    for name, value in given.items():
+        entries = value if isinstance(value, dict) else {"": value}
+        flat.update({f"{name}.{part}" if part else name: one for part, one in entries.items()})
+    assert flat == {item.name: item.default for item in options(CampaignParameters)}
+
+
+def test_a_goal_is_reached_on_the_emulated_rig(
+    start: Any, listener: Listener, tmp_path: Path
+) -> None:
+    motions = listener.listen(ExcitationCommand, "rig/excitation_command")
+    currents = listener.listen(CurrentCommand, "supply/current_command")
+    rig(start)
+    node = campaign(start, tmp_path)
+    client = ActionClient(listener.node, RunCampaign, "campaign/run_campaign")
+    listener.until(client.server_is_ready, "the action")
+    told: list[RunCampaign.Feedback] = []
+    sent = client.send_goal_async(
+        RunCampaign.Goal(), feedback_callback=lambda message: told.append(message.feedback)
+    )
+    listener.until(sent.done, "an answer to the goal")
+    assert sent.result().accepted
+    again = client.send_goal_async(RunCampaign.Goal())
+    listener.until(again.done, "an answer to the second goal")
+    assert not again.result().accepted
+    answer = sent.result().get_result_async()
+    listener.until(answer.done, "the end of the campaign", patience=120.0)
+    result = answer.result().result
+    assert result.outcome == RunCampaign.Result.MET, result.message
+    assert result.runs == len(runs_in(tmp_path)) >= 1
+    assert result.worst_error <= 0.5
+    assert len(result.parameters.values) == 16
+    assert (tmp_path / "campaign.html").is_file()
+    assert {message.stage for message in told} >= {
+        RunCampaign.Feedback.SETTLING,
+        RunCampaign.Feedback.IDENTIFYING,
+    }
+    assert all(0.0 <= command.amplitude <= 0.01 for command in motions)
+    assert all(0.0 <= command.current <= 1.5 for command in currents)
+    node.stop()
+    listener.until(lambda: motions[-1].amplitude == currents[-1].current == 0.0, "the rest")
+    client.destroy()
+
+
+def test_killed_it_goes_on_where_it_was(start: Any, listener: Listener, tmp_path: Path) -> None:
+    rig(start)
+    node = campaign(start, tmp_path, autostart=True, **{"goal.error": 0.05, "most_runs": 2})
+    listener.until(lambda: runs_in(tmp_path), "the first run", patience=60.0)
+    os.killpg(node.pid, signal.SIGKILL)
+    node.wait()
+    (first,) = runs_in(tmp_path)
+    written = (first / "metadata.yaml").stat().st_mtime_ns
+    campaign(start, tmp_path, autostart=True, **{"goal.error": 0.05, "most_runs": 2})
+    listener.until(
+        lambda: (tmp_path / "campaign.html").exists(), "the end of the campaign", patience=120.0
+    )
+    assert (first / "metadata.yaml").stat().st_mtime_ns == written
+    assert len(read_campaign_runs(tmp_path)) == len(read_steps(tmp_path)) <= 2
+
+
+def test_it_pauses_resumes_and_stops(start: Any, listener: Listener, tmp_path: Path) -> None:
+    motions = listener.listen(ExcitationCommand, "rig/excitation_command")
+    rig(start)
+    campaign(start, tmp_path, autostart=True)
+    listener.until(lambda: motions and motions[-1].amplitude > 0.0, "a motion")
+    assert listener.call(Trigger, "campaign/pause").success
+    listener.until(lambda: motions[-1].amplitude == 0.0, "the rest")
+    listener.wait_for_finding("campaign: campaign", "paused")
+    assert listener.call(Trigger, "campaign/resume").success
+    listener.until(lambda: motions[-1].amplitude > 0.0, "the motion again")
+    assert listener.call(Trigger, "campaign/stop").success
+    listener.wait_for_finding("campaign: campaign", "it was stopped")
+    assert not listener.call(Trigger, "campaign/pause").success
+
+
+def test_by_hand_nothing_is_commanded(start: Any, listener: Listener, tmp_path: Path) -> None:
+    motions = listener.listen(ExcitationCommand, "rig/excitation_command")
+    rig(start)
+    campaign(start, tmp_path, autostart=True, manual=True)
+    status = listener.wait_for_finding("campaign: campaign", "mm at")
+    assert "set" in status.message
+    assert motions == []
+
+
+def test_without_a_folder_a_goal_is_told_so(start: Any, listener: Listener) -> None:
+    start("campaign")
+    client = ActionClient(listener.node, RunCampaign, "campaign/run_campaign")
+    listener.until(client.server_is_ready, "the action")
+    sent = client.send_goal_async(RunCampaign.Goal())
+    listener.until(sent.done, "an answer to the goal")
+    answer = sent.result().get_result_async()
+    listener.until(answer.done, "the result")
+    result = answer.result().result
+    assert result.outcome == RunCampaign.Result.FAILED
+    assert "set the parameter folder" in result.message
+    client.destroy()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "part"),
+    [
+        ({"autostart": True}, "autostart needs a folder"),
+        ({"goal.lowest_current": 2.0}, "the lower comes first"),
+        ({"machine.lowest_frequency": 30.0}, "the lower first"),
+    ],
+)
+def test_a_wrong_configuration_is_one_sentence(
+    start: Any, parameters: dict[str, object], part: str
+) -> None:
+    node = start("campaign", **parameters)
+    assert node.wait() == 2
+    assert part in node.errors
+    assert_one_sentence(node.errors)
