@@ -29,6 +29,9 @@ _STAIRS = (2, 3, 4, 6)
 SETTLING = 0.1
 """Seconds after a step of the current that tell nothing: coil and force follow."""
 
+_CURRENT_STEP = 0.05
+"""A current that is so far [A] from that of its stretch has not been stepped yet."""
+
 _LEAST_CYCLES = 1.0
 """A stretch at one current holds so many cycles at the least."""
 
@@ -119,15 +122,28 @@ class PlannedRun:
 
     def windows(self, recording: Recording) -> list[Window]:
         """A window of each stretch of a recording of the run, at the current measured there."""
-        return [
-            Window.from_samples(
-                recording.displacement[chosen],
-                recording.force[chosen],
-                float(np.median(recording.current[chosen])),
-                recording.period,
+        found = []
+        for part in self.parts(recording.period):
+            chosen = _settled(part, recording)
+            found.append(
+                Window.from_samples(
+                    recording.displacement[chosen],
+                    recording.force[chosen],
+                    float(np.median(recording.current[chosen])),
+                    recording.period,
+                )
             )
-            for chosen in self.parts(recording.period)
-        ]
+        return found
+
+
+def _settled(part: slice, recording: Recording) -> slice:
+    """The samples of a stretch without those before the supply had come to its current."""
+    current = recording.current[part]
+    off = np.abs(current - np.median(current)) > _CURRENT_STEP
+    late = np.flatnonzero(off[: current.size // 2])
+    if not late.size:
+        return part
+    return slice(part.start + int(late[-1]) + 1 + round(SETTLING / recording.period), part.stop)
 
 
 def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:

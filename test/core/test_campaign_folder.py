@@ -6,81 +6,32 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import known
 import numpy as np
 import pytest
+from campaign_of_three import GOAL, LIMITS, RUNS, TASK, perform, plan_quickly, played
 
 import mr_damper_ros as mr
-from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
+from mr_damper_ros.estimation.force_knowledge import ForceGoal
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
-from mr_damper_ros.estimation.run_planner import Plan, PlanState
-from mr_damper_ros.interface import campaign_course, force_campaign
 from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome, fault_of_run
 from mr_damper_ros.interface.campaign_folder import (
     CampaignFolder,
-    CampaignTask,
     read_campaign_runs,
     read_steps,
     read_task,
 )
 from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
-from mr_damper_ros.interface.signal_file import signal
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
 from mr_damper_ros.signals.recording import Recording
-
-GOAL = ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
-LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
-TASK = CampaignTask(GOAL, LIMITS, "sigmoid")
-RUNS = [
-    PlannedRun(0.01, 1.0, (0.0, 0.75), 2.0),
-    PlannedRun(0.01, 2.0, (1.5,), 2.0),
-    PlannedRun(0.005, 3.0, (0.5,), 2.0),
-]
-"""What the plan of these tests asks for, whatever was found."""
 
 
 class KilledError(BaseException):
     """Stands for the end of the process at this moment."""
 
 
-def perform(run: PlannedRun, seed: int = 0) -> Recording:
-    times = [place * run.stretch for place in range(len(run.currents))]
-    rig = EmulatedRig(
-        ConstantDamper(known.PLAUSIBLE),
-        SineMotion(run.amplitude, run.frequency),
-        CurrentSchedule(times, run.currents),
-        settings=RigSettings(sample_rate=500.0, force_noise=25.0, seed=seed),
-    )
-    return rig.record(run.duration)
-
-
-def plan_of(count: int) -> Plan:
-    now = PointErrors(GOAL.points, np.full(len(GOAL.points), 0.1 / count), 0.2 / count)
-    if count == len(RUNS):
-        return Plan(PlanState.MET, now, reason="the goal is met")
-    return Plan(PlanState.RUN, now, RUNS[count], 0.1, 2)
-
-
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Nothing is identified; the numbers of windows that it would be from are kept."""
-    asked: list[int] = []
-
-    def planned(_: object, windows: list[object], *__: object) -> tuple[ParameterSet, Plan]:
-        asked.append(len(windows))
-        return ParameterSet(known.PLAUSIBLE, set_id="quick"), plan_of(len(asked_runs(windows)))
-
-    def asked_runs(windows: list[object]) -> list[object]:
-        # The first run has two windows.
-        return windows[1:]
-
-    monkeypatch.setattr(campaign_course, "planned", planned)
-    for module in (campaign_course, force_campaign):
-        monkeypatch.setattr(module, "planner_of", lambda _: object())
-    monkeypatch.setattr(campaign_course, "first_run", lambda *_: RUNS[0])
-    return asked
+    return plan_quickly(monkeypatch)
 
 
 def state(folder: Path) -> dict[str, int]:
@@ -250,22 +201,6 @@ def test_the_task_is_plain_json(tmp_path: Path) -> None:
     text = json.loads((tmp_path / "campaign.json").read_text())
     assert text["limits"]["heat"] is None
     assert text["goal"]["error"] == 0.06
-
-
-def played(run: PlannedRun) -> Recording:
-    """A recording of the signal file of a run, with rest before and after it."""
-    _, displacement, current = signal(run, 500.0)
-    rest = np.zeros(700)
-    motion = SampledMotion(np.concatenate([rest, displacement, rest]), 2e-3)
-    amperes = np.concatenate([rest + current[0], current, rest])
-    times = np.flatnonzero(np.diff(amperes, prepend=np.nan) != 0.0)
-    rig = EmulatedRig(
-        ConstantDamper(known.PLAUSIBLE),
-        motion,
-        CurrentSchedule((times * 2e-3).tolist(), amperes[times].tolist()),
-        settings=RigSettings(sample_rate=500.0, force_noise=5.0),
-    )
-    return rig.record(amperes.size * 2e-3)
 
 
 @pytest.mark.parametrize("run", RUNS)

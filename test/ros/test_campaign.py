@@ -16,13 +16,12 @@ from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
 from mr_damper_ros.interface.campaign_folder import read_campaign_runs, read_steps
-from mr_damper_ros.models.published_conditions import CONDITIONS
 from mr_damper_ros.nodes.campaign_parameters import CampaignParameters
 from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]
 
-RATE = 5.0
+RATE = 4.0
 """The emulated rig goes so many times as fast as a real one."""
 
 MACHINE = {
@@ -43,7 +42,6 @@ def rig(start: Any) -> Any:
         "bridge",
         rate=RATE,
         **{
-            "emulated.damper": CONDITIONS[0].name,
             "emulated.sample_rate": 500.0,
             "emulated.command_timeout": 2.0,
             "emulated.conductance": 1e4,
@@ -108,18 +106,18 @@ def test_a_goal_is_reached_on_the_emulated_rig(
 
 def test_killed_it_goes_on_where_it_was(start: Any, listener: Listener, tmp_path: Path) -> None:
     rig(start)
-    node = campaign(start, tmp_path, autostart=True, **{"goal.error": 0.05, "most_runs": 2})
+    node = campaign(start, tmp_path, autostart=True, most_runs=1)
     listener.until(lambda: runs_in(tmp_path), "the first run", patience=60.0)
     os.killpg(node.pid, signal.SIGKILL)
     node.wait()
     (first,) = runs_in(tmp_path)
     written = (first / "metadata.yaml").stat().st_mtime_ns
-    campaign(start, tmp_path, autostart=True, **{"goal.error": 0.05, "most_runs": 2})
+    campaign(start, tmp_path, autostart=True, most_runs=1)
     listener.until(
         lambda: (tmp_path / "campaign.html").exists(), "the end of the campaign", patience=120.0
     )
     assert (first / "metadata.yaml").stat().st_mtime_ns == written
-    assert len(read_campaign_runs(tmp_path)) == len(read_steps(tmp_path)) <= 2
+    assert len(read_campaign_runs(tmp_path)) == len(read_steps(tmp_path)) == 1
 
 
 def test_it_pauses_resumes_and_stops(start: Any, listener: Listener, tmp_path: Path) -> None:
@@ -165,7 +163,6 @@ def test_without_a_folder_a_goal_is_told_so(start: Any, listener: Listener) -> N
     [
         ({"autostart": True}, "autostart needs a folder"),
         ({"goal.lowest_current": 2.0}, "the lower comes first"),
-        ({"machine.lowest_frequency": 30.0}, "the lower first"),
     ],
 )
 def test_a_wrong_configuration_is_one_sentence(

@@ -1,0 +1,78 @@
+"""A campaign of three runs that are planned whatever was found, for tests."""
+
+from __future__ import annotations
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.interface import campaign_course, force_campaign
+from mr_damper_ros.interface.campaign_folder import CampaignTask
+from mr_damper_ros.interface.signal_file import signal
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
+from mr_damper_ros.signals.recording import Recording
+
+GOAL = ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
+LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
+TASK = CampaignTask(GOAL, LIMITS, "sigmoid")
+RUNS = [
+    PlannedRun(0.01, 1.0, (0.0, 0.75), 2.0),
+    PlannedRun(0.01, 2.0, (1.5,), 2.0),
+    PlannedRun(0.005, 3.0, (0.5,), 2.0),
+]
+"""What the plan of these tests asks for, whatever was found."""
+
+
+def perform(run: PlannedRun, seed: int = 0) -> Recording:
+    times = [place * run.stretch for place in range(len(run.currents))]
+    rig = EmulatedRig(
+        ConstantDamper(known.PLAUSIBLE),
+        SineMotion(run.amplitude, run.frequency),
+        CurrentSchedule(times, run.currents),
+        settings=RigSettings(sample_rate=500.0, force_noise=25.0, seed=seed),
+    )
+    return rig.record(run.duration)
+
+
+def _plan_of(count: int, goal: ForceGoal) -> Plan:
+    now = PointErrors(goal.points, np.full(len(goal.points), 0.1 / count), 0.2 / count)
+    if count == len(RUNS):
+        return Plan(PlanState.MET, now, reason="the goal is met")
+    return Plan(PlanState.RUN, now, RUNS[count], 0.1, 2)
+
+
+def played(run: PlannedRun) -> Recording:
+    """A recording of the signal file of a run, with rest before and after it."""
+    _, displacement, current = signal(run, 500.0)
+    rest = np.zeros(700)
+    motion = SampledMotion(np.concatenate([rest, displacement, rest]), 2e-3)
+    amperes = np.concatenate([rest + current[0], current, rest])
+    times = np.flatnonzero(np.diff(amperes, prepend=np.nan) != 0.0)
+    rig = EmulatedRig(
+        ConstantDamper(known.PLAUSIBLE),
+        motion,
+        CurrentSchedule((times * 2e-3).tolist(), amperes[times].tolist()),
+        settings=RigSettings(sample_rate=500.0, force_noise=5.0),
+    )
+    return rig.record(amperes.size * 2e-3)
+
+
+def plan_quickly(patch: pytest.MonkeyPatch, goal: ForceGoal = GOAL) -> list[int]:
+    """Nothing is identified; the numbers of windows that it would be from are kept."""
+    asked: list[int] = []
+
+    def planned(_: object, windows: list[object], *__: object) -> tuple[ParameterSet, Plan]:
+        asked.append(len(windows))
+        # The first run has two windows.
+        return ParameterSet(known.PLAUSIBLE, set_id="quick"), _plan_of(len(windows) - 1, goal)
+
+    patch.setattr(campaign_course, "planned", planned)
+    for module in (campaign_course, force_campaign):
+        patch.setattr(module, "planner_of", lambda _: object())
+    patch.setattr(campaign_course, "first_run", lambda *_: RUNS[0])
+    return asked

@@ -1,0 +1,111 @@
+"""A campaign by hand, program call by program call, and its report."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from campaign_of_three import GOAL, LIMITS, RUNS, perform, plan_quickly, played
+
+import mr_damper_ros as mr
+from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.interface.campaign_folder import read_campaign_runs
+from mr_damper_ros.interface.campaign_report import write_campaign_report
+from mr_damper_ros.tools import plan_campaign
+
+ASKED = [
+    *("--velocity", "0.02", "0.2", "--current", "0", "1.5", "--error", "0.06"),
+    *("--amplitude", "0.01", "--force", "5000", "--duration", "2", "--rate", "500"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign that is over."""
+    place = tmp_path_factory.mktemp("campaign")
+    with pytest.MonkeyPatch.context() as patch:
+        plan_quickly(patch)
+        mr.run_campaign(GOAL, LIMITS, perform, folder=place)
+    return place
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> str:
+    return write_campaign_report(folder).read_text(encoding="utf-8")
+
+
+def test_the_report_has_all_its_chapters(page: str) -> None:
+    assert re.findall(r'<section id="(\w+)">', page) == [
+        *("plan", "error", "map", "loops", "set", "unknown")
+    ]
+    assert page.count("data:image/svg+xml") == 3
+
+
+def test_the_report_tells_goal_runs_and_outcome(page: str) -> None:
+    assert "the force to 6.00% at the worst point" in page
+    assert "3 runs, 6 s of steady motion; the goal is met" in page
+
+
+def test_the_tables_lie_beside_the_page(folder: Path, page: str) -> None:
+    lines = (folder / "tables" / "plan.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 1 + len(RUNS)
+    for run, line in zip(RUNS, lines[1:], strict=True):
+        assert line.split(",")[1:3] == [str(1e3 * run.amplitude), str(run.frequency)]
+    assert (folder / "figures" / "map.svg").is_file()
+
+
+def test_a_folder_without_a_campaign_has_no_report(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="holds no campaign"):
+        write_campaign_report(tmp_path)
+
+
+def told(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> str:
+    assert plan_campaign.main([str(word) for word in arguments]) == code
+    return capsys.readouterr().out
+
+
+def test_by_hand_call_by_call(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan_quickly(monkeypatch, ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5)))
+    folder, bags = tmp_path / "campaign", tmp_path / "bags"
+    said = told(capsys, folder, *ASKED)
+    assert f"run 1: {RUNS[0].sentence}" in said
+    assert (folder / "signals" / "run_001.csv").read_text().startswith("time:s,displacement:m")
+    for number, run in enumerate(RUNS, start=1):
+        start_ns = number * 1_000_000_000_000
+        mr.write_bag(bags / f"bag_{number}", replace(played(run), start_ns=start_ns))
+        said = told(capsys, folder, bags)
+        assert len(read_campaign_runs(folder)) == number, said
+        if number < len(RUNS):
+            assert f"run {number + 1}: {RUNS[number].sentence}" in said
+    assert "the goal is met" in said
+    assert (folder / "campaign.html").is_file()
+
+
+def test_a_bag_of_another_run_is_told_and_left(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan_quickly(monkeypatch)
+    mr.write_bag(tmp_path / "bag", played(RUNS[2]))
+    said = told(capsys, tmp_path / "campaign", tmp_path / "bag", *ASKED)
+    assert "run 1 is not taken" in said
+    assert f"run 1: {RUNS[0].sentence}" in said
+
+
+def test_a_new_campaign_needs_a_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert plan_campaign.main([str(tmp_path / "new")]) == 2
+    assert "a new campaign needs --velocity, --current" in capsys.readouterr().err
+
+
+def test_by_hand_no_run_steps_its_current(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = told(capsys, tmp_path, *ASKED, "--manual")
+    (run,) = re.findall(r"run 1: .* with (.*)", said)
+    assert run == "0 A"
+    signal = np.loadtxt(tmp_path / "signals" / "run_001.csv", delimiter=",", skiprows=1)
+    assert np.all(signal[:, 2] == 0.0)
