@@ -71,6 +71,10 @@ def test_by_hand_call_by_call(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan_quickly(monkeypatch, ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5)))
+    reported: list[tuple[Path, str]] = []
+    monkeypatch.setattr(
+        plan_campaign, "write_campaign_report", lambda *given: reported.append(given)
+    )
     folder, bags = tmp_path / "campaign", tmp_path / "bags"
     said = told(capsys, folder, *ASKED)
     assert f"run 1: {RUNS[0].sentence}" in said
@@ -83,7 +87,7 @@ def test_by_hand_call_by_call(
         if number < len(RUNS):
             assert f"run {number + 1}: {RUNS[number].sentence}" in said
     assert "the goal is met" in said
-    assert (folder / "campaign.html").is_file()
+    assert reported[-1] == (folder, "the goal is met")
 
 
 def test_a_bag_of_another_run_is_told_and_left(
