@@ -11,7 +11,7 @@ TESTED := pytest -n 2 --dist loadgroup
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
-.PHONY: help setup demo live thesis doc bench soak test test-noble lint format clean distclean
+.PHONY: help setup demo live thesis control doc bench soak test test-noble lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -32,6 +32,10 @@ live: setup ## Serve a page that shows the emulated rig under identification, un
 thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (ARGS=--quick: two minutes)
 	@. ./env.bash
 	exec $(PROGRAMS)/reproduce $(ARGS)
+
+control: setup ## Compare controllers of the damper in car and buildings: build/control/report.html
+	@. ./env.bash
+	exec $(PROGRAMS)/control_study $(ARGS)
 
 doc: ## Build the documentation into build/doc/index.html; warnings are errors
 	@scripts/setup.bash doc

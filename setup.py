@@ -10,10 +10,14 @@ from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
-NODES = ("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply")
+NODES = (
+    *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
+    "suspension",
+)
 TOOLS = (
     *(
         "check_rig",
+        "control_study",
         "demo",
         "export",
         "identify",
@@ -106,6 +110,7 @@ setup(
         f"{NAME}.control.export": ["*.in"],
         f"{NAME}.live": ["page/*", "page/vendor/*/*"],
         f"{NAME}.rig.supplies": ["profiles/*.yaml"],
+        f"{NAME}.study": ["*.csv"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -12,6 +12,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks import (
+    building_cases,
+    car_on_roads,
     cold_start,
     drift,
     earthquake_online,
@@ -98,6 +100,8 @@ FULL: dict[str, Measure] = {
     "exports": exports.figures,
     "planned_runs": planned_runs.figures,
     "force_tracking": force_tracking.figures,
+    "car_on_roads": car_on_roads.figures,
+    "building_cases": building_cases.figures,
     "streaming_load": _of_nodes("streaming_load"),
     "single_sample": _of_nodes("single_sample"),
     "live_page": _of_nodes("live_page"),
@@ -125,6 +129,8 @@ QUICK: dict[str, Measure] = {
     "state_law": lambda: state_law.figures(5.0, 10.0),
     "many_recordings": lambda: many_recordings.figures(60, 20),
     "planned_runs": lambda: planned_runs.figures(2),
+    "car_on_roads": lambda: car_on_roads.figures(3.0),
+    "building_cases": lambda: building_cases.figures(4.0),
     "streaming_load": _of_nodes("streaming_load", duration=30.0, latency_duration=30.0),
     "single_sample": _of_nodes("single_sample", duration=15.0, overload_duration=8.0),
     "live_page": _of_nodes("live_page", duration=30.0, segment=10.0, segments=2),

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import random_motion
 from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.emulator import (
     CurrentSchedule,
     EmulatedRig,
@@ -18,6 +16,7 @@ from mr_damper_ros.rig.emulator import (
     RigSettings,
     ThermalModel,
 )
+from mr_damper_ros.rig.invented_damper import HOT_FORCE, invented_damper
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.predictor import PredictorSettings
@@ -25,41 +24,11 @@ from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
-VALUES = {
-    "f0": 40.0,
-    "I0": -0.35,
-    "I1": -0.25,
-    "a0": 900.0,
-    "a1": 2.5,
-    "a2": 4.0,
-    "a3": 3.0,
-    "a4": 2.0,
-    "k0": 9.0,
-    "k1c": 4.0,
-    "k1e": 6.0,
-    "k2": 18.0,
-    "k3": -0.45,
-    "k4": -0.11,
-    "k5": 0.06,
-    "k6": 0.012,
-    "compliance": 3e-8,
-    "stiffness": 2000.0,
-    "offset": -40.0,
-    "coil_time_constant": 0.01,
-}
+VALUES = invented_damper(0.01).as_dict()
 
-DAMPER = ParameterSet(
-    np.array([VALUES[name] for name in MODELS["sigmoid_lag"].parameter_names]),
-    set_id="cold",
-    model="sigmoid_lag",
-    peak_velocity_range=(0.0, 0.5),
-    current_range=(0.0, 1.6),
-)
+DAMPER = replace(invented_damper(0.01), set_id="cold", peak_velocity_range=(0.0, 0.5))
 """An invented damper in the size of the thesis', whose coil lags by 10 ms, as if identified at
 28 °C: what is known of it is the truth."""
-
-HOT_FORCE = 989.0 / 1332.0
-"""What the thesis' damper keeps of its force at 71 °C."""
 
 DEMAND = 9000.0
 """Damping [N s/m] that is wanted: a force that always resists the motion."""

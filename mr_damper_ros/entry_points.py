@@ -70,6 +70,11 @@ def controller() -> int:
     return _run("controller")
 
 
+def suspension() -> int:
+    """Run the node suspension."""
+    return _run("suspension")
+
+
 def replay() -> int:
     """Run the node replay."""
     return _run("replay")

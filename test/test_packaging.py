@@ -11,10 +11,14 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-NODES = ("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply")
+NODES = (
+    *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
+    "suspension",
+)
 TOOLS = (
     *(
         "check_rig",
+        "control_study",
         "demo",
         "export",
         "identify",

@@ -65,6 +65,13 @@ class ForceControlSettings(SupplyLimits):
     predictor: PredictorSettings = group(PredictorSettings, flat=True)
 
 
+_MOMENTS = (0.5, 1.0, 1.5)
+"""Parts of the time ahead at which the force of a current is looked at ..."""
+
+_MIDDLE = 1
+"""... the one that it is chosen for."""
+
+
 class Demand(NamedTuple):
     """A wanted force [N] and its stamp."""
 
@@ -228,6 +235,7 @@ class _Inverse:
         self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
         self._time_constant = np.array(coil_time_constant(parameters))
         self._drive = CoilDrive(settings, float(self._time_constant))
+        self._lowest = low
         self._deadband = settings.force_deadband
         self._range = parameters.peak_velocity_range
         self._stream: ForceStream | None = None
@@ -263,12 +271,24 @@ class _Inverse:
         motion = _moved_on(self._moment, ahead)
         state = self._stream.state
         found = self._model.currents(motion, wanted, last=last, period=ahead, state=state)
-        current, force = float(found.current[0]), float(found.force[0])
-        if last is not None:
-            kept = float(self._model.force(motion, last, period=ahead, state=state)[0])
-            if abs(kept - wanted) <= abs(force - wanted) + self._deadband:
-                return _Aim(last, kept, bool(found.attainable[0]))
-        return _Aim(current, force, bool(found.attainable[0]))
+        kept = self._lowest if last is None else last
+        currents = np.array([float(found.current[0]), self._lowest, kept])
+        # Where the motion is about to turn, a current that is right at one moment is far off at
+        # another: the coil is not that quick.
+        forces = np.concatenate(
+            [
+                self._model.forces(
+                    _moved_on(self._moment, part * ahead), currents, period=ahead, state=state
+                )
+                for part in _MOMENTS
+            ]
+        )
+        misses = np.sqrt(np.mean((forces - wanted) ** 2, axis=0))
+        best = int(np.argmin(misses))
+        if last is not None and misses[2] <= misses[best] + self._deadband:
+            best = 2
+        met = bool(found.attainable[0]) and (best != 1 or currents[0] == self._lowest)
+        return _Aim(float(currents[best]), float(forces[_MIDDLE, best]), met)
 
     def drive(self, wanted: float, before: float, horizon: float, duration: float) -> float:
         """Command [A] of the supply, whose last command was ``before``, for a current [A]."""

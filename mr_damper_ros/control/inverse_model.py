@@ -80,6 +80,12 @@ class InverseModel:
         """Force (n,) [N] at the samples of a motion and these currents (n,) [A] of the coil."""
         return self._response(motion, period, state).force(_each(current, motion))[:, 0]
 
+    def forces(
+        self, motion: Motion, currents: Array, *, period: float = 1e-3, state: State | None = None
+    ) -> Array:
+        """Force (n, m) [N] at the samples of a motion, for each of these currents (m,) [A]."""
+        return self._response(motion, period, state).force(currents)
+
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
     ) -> tuple[Inversion, State | None]:

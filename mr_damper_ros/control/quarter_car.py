@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.control.linear_plant import LinearPlant
 from mr_damper_ros.signals.arrays import Array
 
 ROUGHNESS = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6, "E": 4096e-6}
@@ -50,58 +51,66 @@ class QuarterCar:
         return np.array([0.0, -1.0 / self.body, 0.0, 1.0 / self.wheel])
 
     @property
-    def by_road(self) -> Array:
-        """What the velocity of the road adds to them (4,)."""
-        return np.array([0.0, 0.0, -1.0, 0.0])
-
-
-class MovingCar:
-    """A quarter car step by step, exactly for a force and a road's velocity that hold."""
-
-    def __init__(self, car: QuarterCar, period: float) -> None:
-        from scipy.linalg import expm  # here: see mr_damper_ros.entry_points
-
-        whole = np.zeros((6, 6))
-        whole[:4, :4] = car.dynamics
-        whole[:4, 4], whole[:4, 5] = car.by_force, car.by_road
-        step = expm(period * whole)
-        self._advance, self._by_force, self._by_road = step[:4, :4], step[:4, 4], step[:4, 5]
-        self.state = np.zeros(4)
-
-    def step(self, force: float, road_velocity: float) -> Array:
-        """The states (4,) a period later, for a force [N] and a velocity of the road [m/s]."""
-        self.state = (
-            self._advance @ self.state + force * self._by_force + road_velocity * self._by_road
+    def plant(self) -> LinearPlant:
+        """The car, moved by the velocity of the road [m/s]."""
+        return LinearPlant(
+            self.dynamics,
+            self.by_force,
+            by_input=np.array([0.0, 0.0, -1.0, 0.0]),
+            displacement=np.array([1.0, 0.0, 0.0, 0.0]),
+            velocity=np.array([0.0, 1.0, 0.0, -1.0]),
         )
-        return self.state
 
 
-def iso_road(roughness: str, speed: float, period: float, count: int, seed: int = 0) -> Array:
-    """Velocity (n,) [m/s] with which a road of an ISO 8608 class lifts a wheel at a speed [m/s].
+@dataclass(frozen=True)
+class IsoRoad:
+    """A road of an ISO 8608 class under a wheel at a ``speed`` [m/s], for ever.
 
     A sum of sines of random phases, whose height has the density G(n) = G(n0) (n / n0)^-2; no wave
-    is faster than a fifth of the sample rate. Raises ValueError for a class that there is not.
+    is faster than ``highest`` [Hz]. Raises ValueError for a class that there is not.
     """
-    if roughness not in ROUGHNESS:
-        raise ValueError(f"there is no road {roughness}: the classes are {', '.join(ROUGHNESS)}")
-    rng = np.random.default_rng(seed)
-    most = min(_SHORTEST, 0.2 / (period * speed))
-    edges = np.geomspace(_LONGEST, most, 401)
-    waves, widths = np.sqrt(edges[1:] * edges[:-1]), np.diff(edges)
-    density = ROUGHNESS[roughness] * (waves / _REFERENCE) ** -2
-    amplitudes = np.sqrt(2.0 * density * widths)
-    rates = 2.0 * math.pi * waves * speed
-    phases = rng.uniform(0.0, 2.0 * math.pi, waves.size)
-    time = np.arange(count) * period
-    velocity = np.zeros(count)
-    for amplitude, rate, phase in zip(amplitudes, rates, phases, strict=True):
-        velocity += amplitude * rate * np.cos(rate * time + phase)
-    return velocity
+
+    roughness: str
+    speed: float
+    seed: int = 0
+    highest: float = 100.0
+
+    def __post_init__(self) -> None:
+        if self.roughness not in ROUGHNESS:
+            raise ValueError(
+                f"there is no road {self.roughness}: the classes are {', '.join(ROUGHNESS)}"
+            )
+
+    def at(self, time: Array) -> Array:
+        """Velocity (n,) [m/s] with which it lifts the wheel at these times (n,) [s]."""
+        rng = np.random.default_rng(self.seed)
+        edges = np.geomspace(_LONGEST, min(_SHORTEST, self.highest / self.speed), 401)
+        waves, widths = np.sqrt(edges[1:] * edges[:-1]), np.diff(edges)
+        density = ROUGHNESS[self.roughness] * (waves / _REFERENCE) ** -2
+        amplitudes = np.sqrt(2.0 * density * widths)
+        rates = 2.0 * math.pi * waves * self.speed
+        phases = rng.uniform(0.0, 2.0 * math.pi, waves.size)
+        velocity = np.zeros(time.size)
+        for amplitude, rate, phase in zip(amplitudes, rates, phases, strict=True):
+            velocity += amplitude * rate * np.cos(rate * time + phase)
+        return velocity
 
 
-def bump(height: float, length: float, speed: float, period: float, count: int) -> Array:
-    """Velocity (n,) [m/s] of a bump of a cosine's shape [m], driven over at a speed [m/s]."""
-    time = np.arange(count) * period
-    rate = 2.0 * math.pi * speed / length
-    within = time < length / speed
-    return np.where(within, 0.5 * height * rate * np.sin(rate * time), 0.0)
+@dataclass(frozen=True)
+class Bump:
+    """A bump of a cosine's shape, ``height`` [m] by ``length`` [m], at a ``speed`` [m/s].
+
+    It begins ``start`` seconds after the start.
+    """
+
+    height: float
+    length: float
+    speed: float
+    start: float = 0.0
+
+    def at(self, time: Array) -> Array:
+        """Velocity (n,) [m/s] with which it lifts the wheel at these times (n,) [s]."""
+        since = time - self.start
+        rate = 2.0 * math.pi * self.speed / self.length
+        within = (since >= 0.0) & (since < self.length / self.speed)
+        return np.where(within, 0.5 * self.height * rate * np.sin(rate * since), 0.0)

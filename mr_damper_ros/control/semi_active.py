@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.control.linear_quadratic import regulator_gain
+from mr_damper_ros.control.quarter_car import QuarterCar
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -112,23 +114,14 @@ class Weights(NamedTuple):
     force: float = 1e-9
 
 
-def optimal_gain(dynamics: Array, force: Array, weights: Weights) -> Array:
-    """Gain (4,) of the linear-quadratic regulator for x' = dynamics x + force F.
+def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
+    """Gain (4,) of the linear-quadratic regulator of a car, for :func:`linear_feedback`.
 
-    The states are those of :func:`linear_feedback`; a Kalman filter, where they are not measured,
-    changes nothing of it (the separation principle). Clipped to what a damper can give it is the
-    clipped-optimal control of Dyke, Spencer, Sain and Carlson, Smart Materials and Structures 5,
-    1996. Anderson and Moore, Optimal Control: Linear Quadratic Methods, 1990.
+    See :mod:`mr_damper_ros.control.linear_quadratic`. An estimator, where the states are not
+    measured, changes nothing of it (the separation principle).
     """
-    from scipy.linalg import solve_continuous_are  # here: see mr_damper_ros.entry_points
-
-    row, direct = dynamics[1], float(force[1])
     # The acceleration of the body is the second state's derivative, which the force enters.
-    states = weights.acceleration * np.outer(row, row) + np.diag(
-        [weights.apart, 0.0, weights.tyre, 0.0]
-    )
-    crossed = weights.acceleration * direct * row[:, np.newaxis]
-    effort = np.array([[weights.acceleration * direct**2 + weights.force]])
-    column = force[:, np.newaxis]
-    cost = solve_continuous_are(dynamics, column, states, effort, s=crossed)
-    return np.asarray(np.linalg.solve(effort, column.T @ cost + crossed.T)[0])
+    outputs = np.stack([car.dynamics[1], np.eye(4)[0], np.eye(4)[2]])
+    direct = np.array([car.by_force[1], 0.0, 0.0])
+    squares = np.array([weights.acceleration, weights.apart, weights.tyre])
+    return regulator_gain(car.plant, outputs, direct, squares, weights.force)

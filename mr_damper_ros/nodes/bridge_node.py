@@ -190,6 +190,7 @@ class BridgeNode(LifecycleNode):
                 current_rate=values.current_rate,
                 mirror_rate=values.mirror_rate,
                 unpaced=values.rate == 0.0,
+                suspended=self._source.suspended,
             )
         except (ValueError, OSError) as error:
             self._problem = _in_words(error)

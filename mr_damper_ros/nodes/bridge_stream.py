@@ -10,17 +10,25 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 
-from mr_damper_ros.nodes.messages import current_message, header, samples_message
+from mr_damper_ros.nodes.messages import (
+    current_message,
+    header,
+    samples_message,
+    suspension_message,
+)
 from mr_damper_ros.nodes.pacing import Outlet, Pacer, wait_for_subscribers
 from mr_damper_ros.rig.meter import Meter, Reading
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.blocks import NANOSECONDS
+
+_SUSPENSION = "suspension/motion"
 
 _TOPICS = {
     "mts/samples": MtsSamples,
     "supply/current": SupplyCurrent,
     "temperature": Temperature,
     "joint_states": JointState,
+    _SUSPENSION: JointState,
 }
 
 _CURRENT_STEP = 0.005
@@ -41,7 +49,7 @@ class BridgeStream:
     """The topics of the bridge, from its configuration to its clean-up.
 
     ``current_rate`` and ``mirror_rate`` are messages per second [Hz] of the data's time; without a
-    mirror rate there are no joint states.
+    mirror rate there are no joint states, and no motion of a suspension that is not there.
     """
 
     def __init__(
@@ -53,6 +61,7 @@ class BridgeStream:
         current_rate: float,
         mirror_rate: float,
         unpaced: bool,
+        suspended: bool,
     ) -> None:
         self._node = node
         self._pacer = pacer
@@ -64,7 +73,8 @@ class BridgeStream:
         self._outlets = {
             topic: Outlet(node, kind, topic, pacer, unpaced=unpaced)
             for topic, kind in _TOPICS.items()
-            if topic != "joint_states" or mirror_rate > 0.0
+            if (topic != "joint_states" or mirror_rate > 0.0)
+            and (topic != _SUSPENSION or suspended)
         }
 
     def close(self) -> None:
@@ -96,6 +106,10 @@ class BridgeStream:
                         header=header(reading.stamp_ns, self._frame_id), temperature=reading.value
                     )
                 )
+            if block.suspension is not None:
+                # A force is wanted by the time the controller of the damper has the samples.
+                stamp = header(_last_stamp(block), self._frame_id)
+                self._outlets[_SUSPENSION].publish(suspension_message(block.suspension, stamp))
             self._outlets["mts/samples"].publish(samples_message(block, self._frame_id))
             for message in mirror.messages(block) if mirror else ():
                 self._outlets["joint_states"].publish(message)

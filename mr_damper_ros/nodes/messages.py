@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import array
+import math
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from mr_damper_ros.control.semi_active import Moment
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import BlockError, SampleBlock, check_live
@@ -83,3 +86,36 @@ def sample_block(message: MtsSamples) -> SampleBlock:
 def current_message(stamp_ns: int, current: float, frame_id: str) -> SupplyCurrent:
     """The message of one value of the supply current [A]."""
     return SupplyCurrent(header=header(stamp_ns, frame_id), current=current)
+
+
+BODY, WHEEL, SUSPENSION, TYRE = "body", "wheel", "suspension", "tyre"
+"""Joints of the state that tells how a suspension moves."""
+
+
+def suspension_message(now: Moment, stamped: Header) -> JointState:
+    """The motion of a suspension as the state of its joints; NaN where one has no such value."""
+    return JointState(
+        header=stamped,
+        name=[BODY, WHEEL, SUSPENSION, TYRE],
+        position=[math.nan, math.nan, now.apart, now.tyre],
+        velocity=[now.body, now.wheel, now.extension, math.nan],
+    )
+
+
+def suspension_moment(message: JointState, acceleration: float) -> Moment:
+    """What a message says of a suspension, whose body has this acceleration [m/s²].
+
+    Raises ValueError, in a sentence, where body or wheel have no velocity.
+    """
+    velocity = dict(zip(message.name, message.velocity, strict=False))
+    position = dict(zip(message.name, message.position, strict=False))
+    missing = [name for name in (BODY, WHEEL) if not math.isfinite(velocity.get(name, math.nan))]
+    if missing:
+        raise ValueError(f"the motion has no velocity of the joint {' and '.join(missing)}")
+    return Moment(
+        velocity[BODY],
+        velocity[WHEEL],
+        acceleration,
+        position.get(SUSPENSION, math.nan),
+        position.get(TYRE, math.nan),
+    )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mr_damper_ros.control.semi_active import Moment
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
@@ -18,6 +19,7 @@ class RigBlock:
     ``sequence`` its index since the start. ``temperature`` [°C] has shape (n,) too, NaN where it
     is not known; so is a current that the supply does not report. ``ahead_ns`` is how far
     a wrong clock of the samples is ahead, and ``supply_ahead_ns`` that of the supply beside it.
+    ``suspension`` is the motion at the last sample where the damper is in one.
     """
 
     start_ns: int
@@ -29,6 +31,7 @@ class RigBlock:
     temperature: Array
     ahead_ns: int = 0
     supply_ahead_ns: int = 0
+    suspension: Moment | None = None
 
     @property
     def sample_count(self) -> int:

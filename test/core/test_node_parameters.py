@@ -24,7 +24,10 @@ from mr_damper_ros.settings.option_table import (
 )
 
 CONFIG = Path(__file__).parents[2] / "config"
-NODES = ("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply")
+NODES = (
+    *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
+    "suspension",
+)
 
 
 @dataclass(frozen=True)

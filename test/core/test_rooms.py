@@ -13,7 +13,7 @@ PACKAGE = ROOT / "mr_damper_ros"
 
 ROOMS = (
     *("settings", "processes", "signals", "kinematics", "models", "estimation", "tracking"),
-    *("control", "io", "rig", "interface", "live", "nodes", "tools"),
+    *("control", "io", "rig", "interface", "study", "live", "nodes", "tools"),
 )
 """A room knows those before it, and none after it. The first two know nothing of dampers."""
 

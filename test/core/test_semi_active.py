@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mr_damper_ros.control.quarter_car import ROUGHNESS, MovingCar, QuarterCar, bump, iso_road
+from mr_damper_ros.control.linear_plant import MovingPlant
+from mr_damper_ros.control.quarter_car import ROUGHNESS, Bump, IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import (
     Controller,
     Moment,
@@ -37,7 +38,7 @@ def moment(state: Array, acceleration: float) -> Moment:
 
 def driven(controller: Controller, road: Array) -> tuple[float, float]:
     """RMS of body acceleration [m/s²] and of the tyre's load [N], with an ideal damper."""
-    car = MovingCar(CAR, PERIOD)
+    car = MovingPlant(CAR.plant, PERIOD)
     force, body, tyre = 0.0, [], []
     for velocity in road.tolist():
         before = car.state
@@ -50,7 +51,7 @@ def driven(controller: Controller, road: Array) -> tuple[float, float]:
     return float(np.sqrt(np.mean(np.square(body)))), float(np.sqrt(np.mean(np.square(tyre))))
 
 
-ROAD = iso_road("C", 20.0, PERIOD, 8000, seed=3)
+ROAD = IsoRoad("C", 20.0, seed=3).at(np.arange(8000) * PERIOD)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,7 @@ def soft() -> tuple[float, float]:
         skyhook(HARD),
         hybrid(HARD, 0.7),
         mixed_skyhook_add(SOFT, HARD, 12.0),
-        linear_feedback(optimal_gain(CAR.dynamics, CAR.by_force, Weights())),
+        linear_feedback(optimal_gain(CAR, Weights())),
     ],
     ids=["skyhook", "hybrid", "SH-ADD", "optimal"],
 )
@@ -89,7 +90,7 @@ def test_groundhook_holds_the_wheel_on_the_road(soft: tuple[float, float]) -> No
 
 def test_the_optimal_gain_costs_least() -> None:
     weights = Weights()
-    gain = optimal_gain(CAR.dynamics, CAR.by_force, weights)
+    gain = optimal_gain(CAR, weights)
 
     def cost(k: Array) -> float:
         closed = CAR.dynamics - np.outer(CAR.by_force, k)
@@ -118,11 +119,11 @@ def test_the_optimal_gain_costs_least() -> None:
 
 
 def test_the_car_moves_as_its_equations_say() -> None:
-    car = MovingCar(CAR, PERIOD)
+    car = MovingPlant(CAR.plant, PERIOD)
     for _ in range(200):
         state = car.step(120.0, 0.1)
     run = solve_ivp(
-        lambda _, x: CAR.dynamics @ x + 120.0 * CAR.by_force + 0.1 * CAR.by_road,
+        lambda _, x: CAR.dynamics @ x + 120.0 * CAR.by_force + 0.1 * CAR.plant.by_input,
         (0.0, 0.2),
         np.zeros(4),
         rtol=1e-9,
@@ -133,7 +134,7 @@ def test_the_car_moves_as_its_equations_say() -> None:
 
 def test_a_road_has_the_density_of_its_class() -> None:
     speed, count = 20.0, 2**16
-    height = np.cumsum(iso_road("B", speed, PERIOD, count, seed=1)) * PERIOD
+    height = np.cumsum(IsoRoad("B", speed, seed=1).at(np.arange(count) * PERIOD)) * PERIOD
     spectrum = np.abs(np.fft.rfft(height * np.hanning(count))) ** 2
     density = 2.0 * PERIOD * spectrum / np.sum(np.hanning(count) ** 2)
     waves = np.fft.rfftfreq(count, PERIOD) / speed
@@ -143,7 +144,7 @@ def test_a_road_has_the_density_of_its_class() -> None:
 
 
 def test_a_bump_ends_where_it_began() -> None:
-    velocity = bump(0.05, 1.0, 5.0, PERIOD, 500)
+    velocity = Bump(0.05, 1.0, 5.0).at(np.arange(500) * PERIOD)
     height = np.cumsum(velocity) * PERIOD
     assert height.max() == pytest.approx(0.05, rel=0.01)
     assert height[-1] == pytest.approx(0.0, abs=1e-4)
@@ -151,4 +152,4 @@ def test_a_bump_ends_where_it_began() -> None:
 
 def test_a_road_of_no_class_is_refused() -> None:
     with pytest.raises(ValueError, match="the classes are A, B"):
-        iso_road("F", 20.0, PERIOD, 10)
+        IsoRoad("F", 20.0)

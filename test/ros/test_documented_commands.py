@@ -25,6 +25,7 @@ from mr_damper_ros.nodes.model_node import ModelParameters
 from mr_damper_ros.nodes.quality import OVERRIDES, objection
 from mr_damper_ros.nodes.replay_node import ReplayParameters
 from mr_damper_ros.nodes.supply_node import SupplyParameters
+from mr_damper_ros.nodes.suspension_node import SuspensionParameters
 from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]
@@ -41,6 +42,7 @@ TABLES: dict[str, type] = {
     "model": ModelParameters,
     "replay": ReplayParameters,
     "supply": SupplyParameters,
+    "suspension": SuspensionParameters,
 }
 
 OTHERS = {"cd", "ln", "colcon", "rosdep", ".", "export", "for", "done", "kill", "sudo"}

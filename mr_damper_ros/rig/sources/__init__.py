@@ -3,6 +3,7 @@
 from mr_damper_ros.rig.sources.bag_source import BagSource
 from mr_damper_ros.rig.sources.daq_source import DaqSource
 from mr_damper_ros.rig.sources.emulated_source import EmulatedSource
+from mr_damper_ros.rig.sources.quarter_car_source import QuarterCarSource
 from mr_damper_ros.rig.sources.record_source import RecordSource
 from mr_damper_ros.rig.sources.source import Source
 from mr_damper_ros.rig.sources.stream_source import StreamSource
@@ -10,6 +11,7 @@ from mr_damper_ros.rig.sources.stream_source import StreamSource
 SOURCES: dict[str, type[Source]] = {
     "bag": BagSource,
     "record": RecordSource,
+    "quarter_car": QuarterCarSource,
     "emulated": EmulatedSource,
     "stream": StreamSource,
     "daq": DaqSource,

@@ -47,6 +47,9 @@ class Source(ABC):
     live: ClassVar[bool] = False
     """Whether the samples are measured right now, and stamped: they are sent as they come."""
 
+    suspended: ClassVar[bool] = False
+    """Whether its damper is in a suspension, whose motion the blocks tell too."""
+
     commander: CurrentCommander | None = None
     """Takes commands of the current, in a source that has a supply of its own, while it is open."""
 

@@ -1,0 +1,131 @@
+"""Node that says what force the damper of a suspension should have."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mr_damper_msgs.msg import DesiredForce
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from mr_damper_ros.control.suspension_control import SuspensionSettings, controller_of
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.controller_node import DEMAND_TOPIC
+from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.messages import BODY, suspension_moment, to_nanoseconds
+from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.settings.option_table import ParameterTable, group, option
+from mr_damper_ros.signals.blocks import NANOSECONDS
+
+MOTION_TOPIC = "suspension/motion"
+
+_LONGEST_STEP = 0.1
+"""Seconds between two messages beyond which they tell no acceleration."""
+
+_MOTIONS = 1
+"""Motions that may wait: only the newest matters."""
+
+
+@dataclass(frozen=True)
+class SuspensionParameters(ParameterTable):
+    """Parameters of the suspension node."""
+
+    control: SuspensionSettings = group(SuspensionSettings, flat=True, read_only=True)
+    largest_force: float = option(
+        10_000.0,
+        "Largest force [N] that is wanted, of either sign.",
+        minimum=0.0,
+        maximum=1e9,
+        read_only=True,
+    )
+    frame_id: str = option("damper", "Frame of the desired forces.", read_only=True)
+
+
+class SuspensionNode(Node):
+    """Publishes a desired force for every motion of the suspension."""
+
+    def __init__(self) -> None:
+        super().__init__("suspension")
+        self._options = NodeParameters(self, SuspensionParameters).values
+        try:
+            self._controller = controller_of(self._options.control)
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+        self._wanted = self._failed = 0
+        self._last = math.nan
+        self._problem = ""
+        # The body's velocity [m/s] and its stamp.
+        self._body = math.nan, 0
+        self._demand = self.create_publisher(
+            DesiredForce,
+            DEMAND_TOPIC,
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
+        self.create_subscription(
+            JointState,
+            MOTION_TOPIC,
+            self._take,
+            quality.stream(_MOTIONS),
+            qos_overriding_options=quality.overridable(),
+        )
+        self._diagnostics = Diagnostics(self, {"force": self._finding})
+        name = self._options.control.function or self._options.control.controller
+        self.get_logger().info(
+            f"{name}: waiting for {self.resolve_topic_name(MOTION_TOPIC)}; without it no force is "
+            "wanted"
+        )
+
+    def _take(self, message: JointState) -> None:
+        try:
+            now = suspension_moment(message, self._acceleration(message))
+        except ValueError as error:
+            self._give_up(str(error))
+            return
+        try:
+            force = float(self._controller(now))
+        except Exception as error:  # another's function: what it raises must not end the node
+            self._give_up(f"the controller failed: {type(error).__name__}: {error}")
+            return
+        if not math.isfinite(force):
+            self._give_up(f"the controller wants {force} N: does it need what is not measured?")
+            return
+        limit = self._options.largest_force
+        self._last = min(max(force, -limit), limit)
+        self._wanted += 1
+        demand = DesiredForce(force=self._last)
+        demand.header.stamp = message.header.stamp
+        demand.header.frame_id = self._options.frame_id
+        self._demand.publish(demand)
+
+    def _acceleration(self, message: JointState) -> float:
+        """The mean acceleration [m/s²] of the body since the last message; 0 if long ago."""
+        velocity = dict(zip(message.name, message.velocity, strict=False)).get(BODY, math.nan)
+        stamp_ns = to_nanoseconds(message.header.stamp)
+        (before, before_ns), self._body = self._body, (velocity, stamp_ns)
+        passed = (stamp_ns - before_ns) / NANOSECONDS
+        return (velocity - before) / passed if 0.0 < passed < _LONGEST_STEP else 0.0
+
+    def _give_up(self, problem: str) -> None:
+        """Want nothing: the controller of the damper falls back to its safe current."""
+        self._problem = problem
+        self._failed += 1
+        self.get_logger().error(problem, throttle_duration_sec=10.0)
+
+    def _finding(self) -> Finding:
+        wanted, self._wanted = self._wanted, 0
+        failed, self._failed = self._failed, 0
+        values = {"desired force [N]": f"{self._last:.4g}", "wanted": wanted, "failed": failed}
+        if failed:
+            return Finding(WARN, f"{self._problem}; no force was wanted then", values)
+        if not wanted:
+            topic = self.resolve_topic_name(MOTION_TOPIC)
+            return Finding(STALE, f"no motion comes on {topic}", values)
+        return Finding(OK, f"{self._last:.0f} N is wanted", values)
+
+
+def main() -> int:
+    """Run the node."""
+    return run(SuspensionNode, SuspensionParameters)

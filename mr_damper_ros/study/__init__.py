@@ -1,0 +1,1 @@
+"""The control study: controllers side by side on emulated plants; see ``make control``."""

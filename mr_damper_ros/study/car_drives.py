@@ -1,0 +1,205 @@
+"""A quarter car on roads and over a bump: what each controller makes of it.
+
+The controllers are given the true motion of body and wheel; the damper is commanded through its
+inverse, by the set that is known, from what a rig measures of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
+from mr_damper_ros.control.quarter_car import Bump, IsoRoad, QuarterCar
+from mr_damper_ros.control.semi_active import (
+    Controller,
+    Weights,
+    acceleration_driven,
+    groundhook,
+    hybrid,
+    linear_feedback,
+    mixed_skyhook_add,
+    optimal_gain,
+    skyhook,
+)
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.commanded_rig import Choice, ForceChoice, SupplyKnob, commanded
+from mr_damper_ros.rig.emulator import RigSettings, ThermalModel
+from mr_damper_ros.rig.invented_damper import HIGHEST_CURRENT, HOT_FORCE, invented_damper
+from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig, Surroundings
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources.quarter_car_source import suspension_moment
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.predictor import PredictorSettings
+
+CAR = QuarterCar()
+GRAVITY = 9.80665
+STATIC_LOAD = (CAR.body + CAR.wheel) * GRAVITY
+"""[N]."""
+
+SPEEDS = {"A": 30.0, "B": 25.0, "C": 20.0, "D": 15.0, "E": 10.0}
+"""Speed [m/s] on a road of each class: the worse, the slower."""
+
+BUMP = Bump(height=0.06, length=3.0, speed=8.0, start=3.0)
+BUMP_ROAD = "bump"
+
+BLOCK = 5
+SETTLED = 2.0
+"""Seconds after the start from which on it counts."""
+
+OFF, ON = "passive-off", "passive-on"
+
+SOFT, HARD = 700.0, 4000.0
+"""Dampings [N s/m] between which ADD and SH-ADD switch."""
+
+CONTROLLERS: dict[str, Controller] = {
+    "skyhook": skyhook(2500.0),
+    "groundhook": groundhook(2500.0),
+    "hybrid": hybrid(3500.0, 0.6),
+    "ADD": acceleration_driven(SOFT, HARD),
+    "SH-ADD": mixed_skyhook_add(SOFT, HARD, 12.0),
+    "clipped-optimal": linear_feedback(optimal_gain(CAR, Weights())),
+}
+"""One setting each, chosen on a road that is not judged: class C, seed 99."""
+
+STRATEGIES = (OFF, ON, *CONTROLLERS)
+
+CONSTANTS = {f"{current:g} A": current for current in (0.1, 0.2, 0.3, 0.4, 0.6)}
+"""Currents [A] that hold: what a passive damper of some hardness would do."""
+
+_HELD = {OFF: 0.0, ON: HIGHEST_CURRENT, **CONSTANTS}
+
+ROADS = (*SPEEDS, BUMP_ROAD)
+
+LAG = 0.01
+"""Time constant [s] of the coil, where it lags."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A controller on a road, with a coil that lags by so many seconds."""
+
+    strategy: str
+    road: str
+    coil_time_constant: float
+    duration: float = 12.0
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class DriveResult:
+    """RMS values and peaks of a drive.
+
+    ``comfort`` is the body's acceleration [m/s²], ``holding`` the tyre's load about the static one
+    as a part of it [1], ``travel`` that of the suspension [m]; ``power`` [W] is what the damper
+    takes, ``coil`` the mean square of its current [A²]. ``met`` is the share of blocks whose wanted
+    force could be had, ``doubted`` that of blocks without control. Of the peaks of body and
+    suspension, ``highest`` and ``furthest``. ``series`` are samples (4, n) 5 ms apart: time [s],
+    acceleration, load, current.
+    """
+
+    comfort: float
+    holding: float
+    travel: float
+    power: float
+    coil: float
+    met: float
+    doubted: float
+    highest: float
+    furthest: float
+    series: Array = field(repr=False)
+
+
+@cache
+def _surroundings(road: str, seed: int) -> Surroundings:
+    return BUMP if road == BUMP_ROAD else IsoRoad(road, SPEEDS[road], seed)
+
+
+def car_rig(
+    surroundings: Surroundings,
+    knob: SupplyKnob,
+    coil_time_constant: float,
+    thermal: ThermalModel | None = None,
+) -> PlantRig:
+    """The car with the invented damper."""
+    return PlantRig(
+        BuiltInDamper(invented_damper(coil_time_constant), HOT_FORCE),
+        CAR.plant,
+        surroundings,
+        knob.schedule,
+        settings=RigSettings(displacement_noise=1e-6),
+        thermal=thermal,
+        coil_time_constant=coil_time_constant,
+        substeps=2,
+    )
+
+
+def force_choice(rig: PlantRig, known: ParameterSet, controller: Controller) -> ForceChoice:
+    """What the nodes `suspension` and `controller` do together."""
+    settings = ForceControlSettings(
+        highest_current=HIGHEST_CURRENT,
+        # The study asks what a wrong set costs: it is not taken out of use.
+        predictor=PredictorSettings(max_age=0.0, maximum_error=0.0),
+    )
+    choice = ForceChoice(ForceController(settings), lambda _: controller(suspension_moment(rig)))
+    choice.controller.set_parameters(known)
+    return choice
+
+
+def constant(current: float) -> Choice:
+    """The same current [A] whatever happens."""
+    return lambda _: current
+
+
+def drive(task: Drive) -> DriveResult:
+    """Drive, and judge what follows the first seconds."""
+    held = _HELD.get(task.strategy, 0.0)
+    knob = SupplyKnob(held)
+    rig = car_rig(_surroundings(task.road, task.seed), knob, task.coil_time_constant)
+    choose: Callable[[RigBlock], float]
+    if task.strategy in CONTROLLERS:
+        known = invented_damper(task.coil_time_constant)
+        choose = force_choice(rig, known, CONTROLLERS[task.strategy])
+    else:
+        choose = constant(held)
+    rows, met, doubted, count = [], 0, 0, 0
+    for block in commanded(rig, knob, choose, BLOCK, task.duration):
+        motion = block.motion
+        rows.append(
+            np.stack(
+                [
+                    motion.rates[:, 1],
+                    CAR.tyre * motion.states[:, 2],
+                    motion.states[:, 0],
+                    motion.force * motion.velocity,
+                    motion.coil,
+                ]
+            )
+        )
+        if isinstance(choose, ForceChoice) and choose.last is not None:
+            count += 1
+            met += choose.last.attainable and not choose.last.doubt
+            doubted += bool(choose.last.doubt)
+    every = np.concatenate(rows, axis=1)
+    late = every[:, round(SETTLED * rig.settings.sample_rate) :]
+    acceleration, load, travel, power, coil = late
+    time = rig.settings.period * np.arange(1, every.shape[1] + 1)
+    return DriveResult(
+        comfort=_rms(acceleration),
+        holding=_rms(load) / STATIC_LOAD,
+        travel=_rms(travel - travel.mean()),
+        power=float(np.mean(power)),
+        coil=float(np.mean(coil**2)),
+        met=met / count if count else np.nan,
+        doubted=doubted / count if count else 0.0,
+        highest=float(np.max(np.abs(acceleration))),
+        furthest=float(np.max(np.abs(travel))),
+        series=np.stack([time, every[0], every[1], every[4]])[:, ::BLOCK],
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,189 @@
+"""The report of the control study: all tasks, in processes, and the page from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+from mr_damper_ros.interface.figure_style import styled
+from mr_damper_ros.interface.report_page import Chapter, write_report
+from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.study import building_chapter, car_chapters, hybrid_chapter
+from mr_damper_ros.study.building_runs import WEIGHTED, simulate
+from mr_damper_ros.study.car_chapters import Drives
+from mr_damper_ros.study.car_drives import (
+    CONSTANTS,
+    CONTROLLERS,
+    LAG,
+    OFF,
+    ROADS,
+    STRATEGIES,
+    Drive,
+    drive,
+)
+from mr_damper_ros.study.heated_chapter import growth, heated_chapter
+from mr_damper_ros.study.heated_drive import HeatedDrive, drive_heated
+from mr_damper_ros.study.hybrid_run import hybrid, missed
+
+PARTS = ("roads", "heated", "buildings", "hybrid")
+
+_TITLE = "Controllers of an MR damper side by side"
+
+_NOTICE = (
+    "Everything here is simulated: car, buildings and dampers are emulated, and nothing was tried "
+    "on hardware. The damper is commanded through the inverse of its identified law, by the code "
+    "that the controller node runs. All random numbers have fixed seeds."
+)
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Seconds of a drive, of the heated drive, of an earthquake at most, of the hybrid run."""
+
+    drive: float = 12.0
+    heated: float = 90.0
+    earthquake: float = math.inf
+    hybrid: float = 12.0
+
+
+FULL = Extent()
+QUICK = Extent(drive=4.0, heated=40.0, earthquake=6.0, hybrid=6.0)
+"""Shorter, to see that all works: its figures are not the real ones."""
+
+
+def build_report(
+    folder: Path, parts: Sequence[str], workers: int, extent: Extent, say: Say
+) -> Path:
+    """Simulate what the parts need and write the report; returns its page."""
+    chapters: list[Chapter] = []
+    headlines: list[str] = []
+    with ProcessPool(workers) as pool:
+        for part in PARTS:
+            if part in parts:
+                say(f"{part} ...")
+                found, told = _PARTS[part](pool, extent, say)
+                chapters += found
+                headlines += told
+    short = "" if extent == FULL else " Quick variant: drives and earthquakes are cut short."
+    with styled():
+        return write_report(folder, _TITLE, _NOTICE + short, headlines, chapters)
+
+
+def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+    tasks = [(strategy, road, LAG) for road in ROADS for strategy in STRATEGIES]
+    tasks += [(strategy, road, 0.0) for road in ("A", "C", "E") for strategy in CONTROLLERS]
+    tasks += [(name, "C", 0.0) for name in (*STRATEGIES[:2], *CONSTANTS)]
+    drives = Drives(
+        _each(pool, drive, [Drive(*task, duration=extent.drive) for task in tasks], "drives", say),
+        extent.drive,
+    )
+    best = car_chapters.best_on(drives, "C")
+    here, off, on = (drives.of(name, "C", LAG) for name in (best, *STRATEGIES[:2]))
+    worst = max(
+        drives.of(name, "C", LAG).comfort / drives.of(name, "C", 0.0).comfort
+        for name in CONTROLLERS
+    )
+    bumped = {name: drives.of(name, "bump", LAG).highest for name in (best, OFF)}
+    with styled():
+        chapters = [
+            car_chapters.damper_chapter(),
+            car_chapters.roads_chapter(drives),
+            car_chapters.bump_chapter(drives),
+            car_chapters.lag_chapter(drives),
+        ]
+    return chapters, [
+        "an invented damper whose truth is known, in a quarter car.",
+        f"on road C {best} gives {here.comfort:.2f} m/s² and {here.holding:.0%} of the tyre's "
+        f"load; passive-off {off.comfort:.2f} and {off.holding:.0%}, passive-on {on.comfort:.2f} "
+        f"and {on.holding:.0%}.",
+        f"the body's highest acceleration is {bumped[best]:.1f} m/s² with {best}, "
+        f"{bumped[OFF]:.1f} m/s² with passive-off.",
+        f"a coil that lags by 10 ms costs at most {worst - 1.0:.0%} of comfort on road C.",
+    ]
+
+
+def _heated(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+    tasks = [HeatedDrive(learns, duration=extent.heated) for learns in (False, True)]
+    results = _each(pool, drive_heated, tasks, "heated drives", say)
+    found = {task.learns: result for task, result in results.items()}
+    with styled():
+        chapter = heated_chapter(found, tasks[0])
+    return [chapter], [
+        f"the force is missed by {growth(found[False]):.1f} times as much at the end as at the "
+        f"beginning with the set of 28 °C, {growth(found[True]):.1f} times with the set identified "
+        "on line."
+    ]
+
+
+def _buildings(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+    longest = extent.earthquake
+    results = _each(pool, simulate, building_chapter.tasks(longest), "earthquakes", say)
+    found = building_chapter.Buildings(results, longest)
+    won = building_chapter.cases_won(found)
+    fastest = max(
+        found.of(WEIGHTED, case, building_chapter.LAG).reversals for case in building_chapter.CASES
+    )
+    with styled():
+        chapter = building_chapter.building_chapter(found)
+    return [chapter], [
+        f"the weighted inverse is better than passive-on and bang-bang in both RMS criteria in "
+        f"{won} of {len(building_chapter.CASES)} cases, with at most {fastest:.0f} reversals of "
+        "the current a second."
+    ]
+
+
+def _hybrid(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+    tasks = [replace(task, duration=extent.hybrid) for task in hybrid_chapter.TASKS]
+    results = _each(pool, hybrid, tasks, "hybrid simulations", say)
+    found = dict(zip(hybrid_chapter.TASKS, results.values(), strict=True))
+    reference = found[hybrid_chapter.REFERENCE]
+    late, ahead = (
+        missed(found[task].roof, reference.roof)
+        for task in (hybrid_chapter.LATE, hybrid_chapter.COMPENSATED)
+    )
+    with styled():
+        chapter = hybrid_chapter.hybrid_chapter(found)
+    return [chapter], [
+        f"with the damper in an emulated machine that is late the roof is off by {late:.0%}, with "
+        f"a command that runs ahead by {ahead:.0%}."
+    ]
+
+
+_PARTS: dict[str, Callable[[ProcessPool, Extent, Say], tuple[list[Chapter], list[str]]]] = {
+    "roads": _roads,
+    "heated": _heated,
+    "buildings": _buildings,
+    "hybrid": _hybrid,
+}
+
+
+def _each(
+    pool: ProcessPool,
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    name: str,
+    say: Say,
+) -> dict[Task, Result]:
+    """Results by their tasks."""
+    count = 0
+
+    def done(_: int, __: Result) -> None:
+        nonlocal count
+        count += 1
+        say(f"{name}: {count} of {len(tasks)}")
+
+    work = [(function, task) for task in tasks]
+    results = pool.map(_call, work, done=done)
+    return {task: result for task, result in zip(tasks, results, strict=True) if result is not None}
+
+
+def _call(work: tuple[Callable[[Task], Result], Task], tell: Tell) -> Result:
+    function, task = work
+    return function(task)

@@ -1,0 +1,232 @@
+"""Plants with a damper in them: car and buildings, what moves them, and who commands the damper."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mr_damper_ros.control.linear_plant import MovingPlant
+from mr_damper_ros.control.linear_quadratic import StateEstimator, regulator_gain
+from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
+from mr_damper_ros.control.semi_active import Moment, skyhook
+from mr_damper_ros.control.shear_building import BUILDINGS, STOREYS
+from mr_damper_ros.control.suspension_control import SuspensionSettings, controller_of
+from mr_damper_ros.rig.commanded_rig import SupplyKnob, commanded
+from mr_damper_ros.rig.emulator import RigSettings, ThermalModel
+from mr_damper_ros.rig.invented_damper import HOT_FORCE, invented_damper
+from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.study.building_runs import reversals
+from mr_damper_ros.study.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION, el_centro
+
+CAR = QuarterCar()
+
+FINER = 0.02
+"""Half the step changes the RMS of a drive by less: the plant is solved well enough."""
+
+SETTLED = 1e-6
+"""Relative, of what a settled filter and the exact states agree by."""
+
+
+def car_rig(current: float | SupplyKnob = 0.3, **options: object) -> PlantRig:
+    supply = current.schedule if isinstance(current, SupplyKnob) else current
+    settings = {"settings": RigSettings(seed=5), **options}
+    return PlantRig(
+        BuiltInDamper(invented_damper(0.0), HOT_FORCE),
+        CAR.plant,
+        IsoRoad("C", 20.0, seed=2),
+        supply,
+        **settings,  # type: ignore[arg-type]
+    )
+
+
+@pytest.mark.parametrize("sizes", [(50,), (1, 7, 13)])
+def test_a_plant_moves_the_same_whatever_the_blocks(sizes: tuple[int, ...]) -> None:
+    whole = car_rig().next_block(420)
+    rig, parts = car_rig(), []
+    while sum(part.sample_count for part in parts) < 420:
+        size = sizes[len(parts) % len(sizes)]
+        parts.append(rig.next_block(min(size, 420 - sum(p.sample_count for p in parts))))
+    for name in ("displacement", "force", "current", "temperature"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(joined, getattr(whole, name))
+
+
+def test_the_step_is_fine_enough() -> None:
+    def acceleration(substeps: int) -> float:
+        rig = car_rig(0.4, substeps=substeps)
+        rig.next_block(1500)
+        assert rig.motion is not None
+        return float(np.std(rig.motion.rates[:, 1]))
+
+    assert acceleration(4) == pytest.approx(acceleration(2), rel=FINER)
+
+
+def test_a_damper_takes_energy_and_gives_none() -> None:
+    rig = car_rig(0.8)
+    rig.next_block(1000)
+    assert rig.motion is not None
+    # The gas spring of the damper stores some, but not over a second.
+    assert float(np.sum(rig.motion.force * rig.motion.velocity)) > 0.0
+
+
+def test_what_a_damper_takes_warms_it() -> None:
+    rig = car_rig(0.8, thermal=ThermalModel(capacity=50.0, ambient=28.0))
+    block = rig.next_block(1500)
+    assert block.temperature[0] == 28.0
+    assert block.temperature[-1] > 28.5
+
+
+def test_a_hot_damper_is_weaker() -> None:
+    forces = []
+    for celsius in (28.0, 71.0):
+        rig = car_rig(
+            0.8,
+            settings=RigSettings(force_noise=0.0),
+            thermal=ThermalModel(initial=celsius, ambient=celsius, capacity=1e9),
+        )
+        rig.next_block(800)
+        assert rig.motion is not None
+        forces.append(float(np.std(rig.motion.force)))
+    assert forces[1] < 0.9 * forces[0]
+
+
+def test_without_dampers_the_plant_is_alone() -> None:
+    ground = el_centro()
+    building = BUILDINGS["I"]
+    rig = PlantRig(BuiltInDamper(invented_damper(0.0)), building.plant, ground, 0.0, dampers=0)
+    rig.next_block(1000)
+    alone = MovingPlant(building.plant, 2.5e-4)
+    for number in range(4000):
+        alone.step(0.0, float(ground.at(np.array([2.5e-4 * number]))[0]))
+    np.testing.assert_allclose(rig.plant.state, alone.state, rtol=SETTLED, atol=1e-12)
+
+
+def test_a_choice_takes_effect_with_the_next_block() -> None:
+    knob = SupplyKnob(0.2)
+    rig = car_rig(knob)
+    currents = [
+        block.measured.current
+        for block in commanded(rig, knob, lambda measured: 1e-3 * measured.sequence, 10, 0.04)
+    ]
+    assert [float(current[0]) for current in currents] == pytest.approx([0.2, 0.0, 0.01, 0.02])
+    assert all(np.ptp(current) == 0.0 for current in currents)
+
+
+def test_the_buildings_sway_as_published() -> None:
+    """The first frequency of the benchmark's building of 1000 kg a floor is about 3.6 Hz."""
+    rates = np.linalg.eigvals(BUILDINGS["I"].dynamics)
+    slowest = rates[np.argmin(np.abs(rates))]
+    assert abs(slowest) / (2.0 * math.pi) == pytest.approx(3.6, abs=0.1)
+    assert -slowest.real / abs(slowest) == pytest.approx(BUILDINGS["I"].damping)
+
+
+def test_an_estimator_finds_the_states() -> None:
+    building, period = BUILDINGS["II"], 1e-3
+    outputs, direct = building.dynamics[STOREYS:], building.by_force[STOREYS:]
+    estimator = StateEstimator(
+        building.plant, outputs, direct, disturbance=0.1, noise=5e-4, period=period
+    )
+    plant = MovingPlant(building.plant, period)
+    plant.state = np.array([1e-3, 2e-3, 3e-3, 0.0, 0.0, 0.0])
+    for number in range(4000):
+        force = 100.0 * math.sin(0.02 * number)
+        read = outputs @ plant.state + direct * force
+        plant.step(force, 0.0)
+        found = estimator.follow(force, read)
+    # The outputs are held for a sample, in which the building moves on.
+    assert np.linalg.norm(found - plant.state) < 0.05 * np.linalg.norm(plant.state)
+
+
+def test_the_regulator_costs_least() -> None:
+    building = BUILDINGS["III"]
+    plant, outputs = building.plant, np.eye(6)[2:3]
+    weights, effort = np.array([1e13]), 1.0
+    gain = regulator_gain(plant, outputs, np.zeros(1), weights, effort)
+
+    def cost(k: Array) -> float:
+        closed = plant.dynamics - np.outer(plant.by_force, k)
+
+        def grow(_: float, x: Array) -> Array:
+            state = x[:6]
+            paid = float(weights @ (outputs @ state) ** 2) + effort * float(k @ state) ** 2
+            return np.append(closed @ state, paid)
+
+        start = np.array([1e-3, 2e-3, 3e-3, 0.0, 0.0, 0.0, 0.0])
+        return float(solve_ivp(grow, (0.0, 4.0), start, rtol=1e-6).y[6, -1])
+
+    best = cost(gain)
+    assert best < cost(0.8 * gain)
+    assert best < cost(1.2 * gain)
+
+
+def test_el_centro_is_the_record_that_is_known() -> None:
+    ground = el_centro()
+    assert ground.acceleration.size == 1559
+    assert np.max(np.abs(ground.acceleration)) == pytest.approx(0.319 * GRAVITY, rel=1e-3)
+    assert ground.duration == pytest.approx(31.16)
+
+
+@pytest.mark.parametrize("shaking", [NEAR_FAULT, SUBDUCTION, REHEARSAL], ids=lambda s: s.name)
+def test_an_invented_earthquake_is_its_seed(shaking: object) -> None:
+    first, again = shaking.motion(), shaking.motion()  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(first.acceleration, again.acceleration)
+    peak = float(np.max(np.abs(first.acceleration)))
+    assert peak == pytest.approx(shaking.peak * GRAVITY)  # type: ignore[attr-defined]
+    # It begins and ends at rest.
+    assert np.max(np.abs(first.acceleration[:10])) < 0.01 * peak
+    assert np.max(np.abs(first.acceleration[-10:])) < 0.2 * peak
+
+
+@pytest.mark.parametrize(
+    ("current", "count"),
+    [
+        ([0.0, 0.5, 1.0], 0),
+        ([0.0, 1.0, 0.0, 1.0], 2),
+        ([0.0, 1.0, 0.98, 1.0, 0.0], 1),
+        ([0.5, 0.5, 0.5], 0),
+        ([1.0, 0.0, 0.02, 0.0, 0.3], 1),
+    ],
+)
+def test_a_current_has_turned_where_it_goes_back(current: list[float], count: int) -> None:
+    assert reversals(np.array(current)) == count
+
+
+@pytest.mark.parametrize(
+    "name", ["passive", "skyhook", "groundhook", "hybrid", "add", "sh_add", "optimal"]
+)
+def test_every_controller_has_a_name(name: str) -> None:
+    force = controller_of(SuspensionSettings(controller=name))(Moment(0.3, -0.2, 1.0, 0.01, 0.001))
+    assert math.isfinite(force)
+
+
+def stiff_floor(now: Moment) -> float:
+    """Somebody's own controller."""
+    return 1000.0 * now.apart
+
+
+def test_a_controller_of_ones_own_is_one_function() -> None:
+    mine = controller_of(SuspensionSettings(function=f"{__name__}:stiff_floor"))
+    assert mine(Moment(0.0, 0.0, apart=0.2)) == pytest.approx(200.0)
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        ("nowhere_at_all:f", "PYTHONPATH"),
+        ("math:no_such", "math has no no_such"),
+        ("math", "module:function"),
+        ("math:pi", "no function"),
+    ],
+)
+def test_a_function_that_is_not_there_is_named(place: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        controller_of(SuspensionSettings(function=place))
+
+
+def test_the_default_controller_is_the_skyhook() -> None:
+    now = Moment(0.3, -0.2)
+    assert controller_of(SuspensionSettings())(now) == skyhook(2500.0)(now)
