@@ -29,6 +29,9 @@ from mr_damper_ros.signals.arrays import Array
 _CONTRADICTED = 24.3
 """Seven squared normal numbers exceed this once in a thousand times."""
 
+_MORE_LEFT = 1.25
+"""A running set that makes the fit of a sine leave so many times as much is refuted by it."""
+
 _MOST_DOUBLINGS = 10
 
 WANDER = 0.03
@@ -63,6 +66,7 @@ def with_prior(
     if not np.isfinite(width).all():
         return fit  # A set without any force knows nothing.
     noise = _effective_noise(problem, fit, window)
+    alone = float(np.linalg.norm(problem.residual(fit.scales)))
     evaluations = fit.evaluations
     for _ in range(_MOST_DOUBLINGS):
         search = LocalSearch(_Weighed(problem, prior, noise / width), prior)
@@ -73,7 +77,10 @@ def with_prior(
             search.reweighted_least_squares()
         unknowns = search.best
         evaluations += search.evaluations
-        if float(np.sum(((unknowns - prior) / width) ** 2)) <= _CONTRADICTED:
+        usual = float(np.sum(((unknowns - prior) / width) ** 2)) <= _CONTRADICTED
+        left = float(np.linalg.norm(problem.residual(unknowns)))
+        # In random motion a fit on its own leaves less because it follows what no law has.
+        if usual and (window.motion.sine is None or left <= _MORE_LEFT * alone):
             break
         # The damper has changed by more than it usually does: less is known than was thought.
         width = 2.0 * width

@@ -16,8 +16,8 @@ _NOISE_TURN = 8.0
 _LARGEST_TURN = 0.25
 """... which is not told from motion near the sampling rate: no turn needs more of the span."""
 
-_EACH_WAY = 0.2
-"""Part of the whole way that each of the two directions must have."""
+_EACH_WAY = 0.75
+"""Part of the span that each of the two directions must go, in all its strokes."""
 
 _WHOLE_STROKE = 0.5
 """Part of the span that a stroke at the edge of a stretch covers at least, to be a whole one."""
@@ -62,7 +62,7 @@ def _holds_cycle(u: Array) -> bool:
     if turns >= 1:
         turns += _is_whole(u[places[0] : places[1] + 1], span)
         turns += _is_whole(u[places[-2] : places[-1] + 1][::-1], span)
-    return turns >= 2 and min(up, down) >= _EACH_WAY * (up + down)
+    return turns >= 2 and min(up, down) >= _EACH_WAY * span
 
 
 def _is_whole(stroke: Array, span: float) -> bool:

@@ -37,6 +37,12 @@ def test_a_cycle_from_any_turn_or_middle_is_one(phase: float) -> None:
     assert holds_cycle(sine(1.0, phase))
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.5])
+def test_two_thirds_of_a_cycle_with_one_turn_are_none(phase: float) -> None:
+    # One direction is seen at one sign of the acceleration alone.
+    assert not holds_cycle(sine(0.7, phase))
+
+
 def test_a_turn_back_is_no_cycle() -> None:
     # The parabola at the top of a slow sine moves up and down, but never slows down below.
     assert not holds_cycle(sine(0.1, 0.2, 1e-6))

@@ -8,12 +8,15 @@ import pytest
 from known import SIGMOID
 from random_motion import BandLimitedRandom
 
+from benchmarks.other_dampers import DAMPERS
 from mr_damper_ros.estimation.map_estimate import WANDER, with_prior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, SCALE_INDICES
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
+from mr_damper_ros.rig.emulator import EmulatedRig, ModelDamper, RigSettings
+from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 
 RUNNING = known.PLAUSIBLE
@@ -24,6 +27,9 @@ UNMOVED = 0.2
 
 AS_WELL = 1.001
 """Most that the RMSE may be of that of the fit to the window alone."""
+
+NEARLY_AS_WELL = 1.3
+"""The same of a window that refutes the running set, which may cost it a quarter."""
 
 BETTER = 0.5
 """Most that the error elsewhere may be of that of the fit to a short window alone."""
@@ -110,6 +116,29 @@ def test_a_sudden_change_is_followed_at_once() -> None:
     alone = own(window)
     weighed = with_prior(SIGMOID, alone, window, RUNNING)
     assert weighed.rmse < AS_WELL * alone.rmse
+
+
+def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it() -> None:
+    # A damper of another law: what the fit leaves of it is smooth, and counts for few samples.
+    rig = EmulatedRig(
+        ModelDamper(DAMPERS["modified_bouc_wen"], 1e-3),
+        SineMotion(0.01, 0.1),
+        1.2,
+        settings=RigSettings(1000.0, seed=0),
+    )
+    made = rig.record(13.0)
+
+    def window(begin: float, end: float) -> Window:
+        part = slice(round(1000 * begin), round(1000 * end))
+        return Window.from_samples(
+            made.displacement[part], made.force[part], 1.2, made.period
+        ).thinned(2000)
+
+    cycle = window(2.3, 12.3)
+    poor = own(window(0.3, 7.0)).parameters
+    alone = own(cycle)
+    weighed = with_prior(SIGMOID, alone, cycle, poor)
+    assert weighed.rmse < NEARLY_AS_WELL * alone.rmse
 
 
 @pytest.mark.parametrize("fastest", [0.1, np.inf])
