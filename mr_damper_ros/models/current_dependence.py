@@ -182,16 +182,15 @@ class CurrentDependentModel(Model):
         """Where the law remembers, or the coil may: the current changes."""
         return self.remembers or not window.has_constant_current
 
-    def numbers_at(self, values: Sequence[float], current: float) -> list[float]:
-        """The coefficients of one set (p,) at one current [A], in plain numbers."""
-        result = []
-        for value, coefficient, orders in zip(
-            values, self.at_one_current, self._orders, strict=False
-        ):
-            change = sum(values[place] * current**k for k, place in enumerate(orders, start=1))
-            value = value * (1.0 + change) if coefficient.grows else value + change
-            result.append(min(max(value, coefficient.low), coefficient.high))
-        return result
+    def number_at(self, values: Sequence[float], place: int, current: float) -> float:
+        """One coefficient of a set (p,) at one current [A], in plain numbers."""
+        change = 0.0
+        for column in self._orders[place][::-1]:
+            change = (change + values[column]) * current
+        coefficient, value = self.at_one_current[place], values[place]
+        low = coefficient.low
+        value = value * (1.0 + change) if low >= 0.0 else value + change
+        return low if value < low else min(value, coefficient.high)
 
     def _all_at(self, parameters: Array, current: Array) -> list[Array]:
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""

@@ -134,12 +134,15 @@ class SeriesSprings(CurrentDependentModel):
     ) -> tuple[tuple[_Numbers, _Numbers], tuple[float, float]]:
         """The two paths at currents [A], one or those of the samples, and k0 and f0."""
         values = parameters.tolist()
-        each = [self.numbers_at(values, current) for current in amperes]
-        first, second = (
-            [((1.0 - c[4]) * c[0], c[1], c[2], c[3]) for c in each],
-            [(c[4] * c[0], c[1], 0.0, c[5]) for c in each],
+        stiffness, share, softer, gas, offset = (
+            self.number_at(values, place, 0.0) for place in range(3, 8)
         )
-        return (first, second), (each[0][6], each[0][7])
+        first, second = [], []
+        for current in amperes:
+            f_y, w_y, c = (self.number_at(values, place, current) for place in range(3))
+            first.append(((1.0 - share) * f_y, w_y, c, stiffness))
+            second.append((share * f_y, w_y, 0.0, softer))
+        return (first, second), (gas, offset)
 
     def memory_length(self, parameters: Array, current: float) -> float:
         """Some times the way that the softer spring gives under its yield force."""
