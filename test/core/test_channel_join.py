@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import mr_damper_ros as mr
 from mr_damper_ros.signals.arrival_clock import ArrivalClock
 from mr_damper_ros.signals.channel_join import ChannelJoin, JoinedRun, interpolated
 from mr_damper_ros.signals.even_stamps import EvenSample
@@ -20,6 +22,9 @@ RATE = 1000.0
 DURATION = 8.0
 PAIRED = 1e-4
 """Seconds by which two samples that are joined may have been taken apart."""
+
+THESIS_NOISE, THESIS_BAR = 5.53, 1.02
+"""Standard deviation of the noise in the bags [N], and how much more may be left."""
 
 
 @dataclass(frozen=True)
@@ -218,3 +223,22 @@ def test_a_cubic_goes_through_a_motion_and_no_further_than_its_neighbours() -> N
     np.testing.assert_allclose(values[:4], wanted[:4] ** 3, rtol=1e-12)
     _, known = interpolated(np.delete(times, 20), np.delete(times, 20), wanted, 1.6)
     assert known.tolist() == [True, True, False, True, False]
+
+
+def test_a_run_of_the_thesis_that_came_by_topics_is_identified_down_to_its_noise() -> None:
+    (run,) = mr.read_bag(Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A")
+    # As the bridge takes in joint states, position and effort of each with one stamp.
+    join = ChannelJoin(StampedChannel(0.0), StampedChannel(0.0))
+    pieces = []
+    for k, (moved, pulled) in enumerate(zip(run.displacement, run.force, strict=True)):
+        join.lead(run.stamp_ns(k), 0, float(pulled))
+        join.follow(run.stamp_ns(k), 0, float(moved))
+        if k % 20 == 0:
+            pieces += join.take()
+    found = mr.identify(
+        displacement=np.concatenate([piece.following for piece in pieces]),
+        force=np.concatenate([piece.leading for piece in pieces]),
+        current=1.5,
+        period=join.leader.period,
+    )
+    assert found.rmse <= THESIS_BAR * THESIS_NOISE

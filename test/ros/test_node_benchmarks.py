@@ -45,12 +45,11 @@ def test_every_key_of_the_page_is_measured_once() -> None:
 
 
 def test_every_key_of_samples_from_topics_is_measured_once() -> None:
-    figures = topic_samples.figures(duration=2.0, bags=topic_samples.BAGS[:1])
+    figures = topic_samples.figures(duration=1.0, bags=())
     assert [figure.key for figure in figures] == [
         *("topics_lost_inside", "topics_lost_by_dds", "topics_rmse_ratio")
     ]
-    # Of a run of seven seconds.
-    assert figures[2].reached == "yes"
+    assert figures[0].reached == "yes"
 
 
 def test_a_missing_block_is_counted() -> None:
