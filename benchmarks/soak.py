@@ -11,7 +11,15 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks import endurance, fuzz, interrupts, kills, many_kills, poisoned_starts
+from benchmarks import (
+    campaign_kills,
+    endurance,
+    fuzz,
+    interrupts,
+    kills,
+    many_kills,
+    poisoned_starts,
+)
 from benchmarks.figure import Figure, table, write
 
 OUTPUT = Path("build/soak.json")
@@ -24,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "fuzz": lambda: fuzz.figures(options.cases, options.seed),
         "kills": lambda: kills.figures(options.kills, options.kills, options.seed),
         "many_kills": lambda: many_kills.figures(seed=options.seed),
+        "campaign_kills": lambda: campaign_kills.figures(seed=options.seed),
         "starts": lambda: poisoned_starts.figures(options.starts, seed=options.seed),
         "interrupts": lambda: interrupts.figures(options.interrupts, options.seed),
         "soak": lambda: endurance.figures(options.hours, min(1.0, 0.25 * options.hours)),
@@ -47,7 +56,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only",
         nargs="+",
-        choices=("fuzz", "kills", "many_kills", "starts", "interrupts", "soak"),
+        choices=(
+            *("fuzz", "kills", "many_kills", "campaign_kills"),
+            *("starts", "interrupts", "soak"),
+        ),
         help="these parts alone",
     )
     parser.add_argument(
