@@ -145,7 +145,8 @@ def building_chapter(found: Buildings) -> Chapter:
                 "the current for the wanted force every 5 ms, as the node does. The weighted one "
                 "weighs the roof's acceleration too "
                 f"({CHOSEN.displacement:.0e} x², {CHOSEN.acceleration:.0e} a², {CHOSEN.force:g} "
-                "F²), by weights that were chosen on another invented earthquake. A current has "
+                "F²), by the best of five sets of weights that were tried on another invented "
+                "earthquake; where the motion is not known both inverses are stiff. A current has "
                 f"turned where it goes back by more than {REVERSAL:g} A."
             ),
             Picture(

@@ -54,7 +54,7 @@ EARTHQUAKES: dict[str, Callable[[], GroundMotion]] = {
     "rehearsal (invented)": REHEARSAL.motion,
 }
 JUDGED = tuple(EARTHQUAKES)[:3]
-"""The last one is what the weights were chosen on."""
+"""The last one is what weights are tried on."""
 
 _AUTHORS_WEIGHT, _AUTHORS_EFFORT = 1e13, 1.0
 """Of the roof's displacement and of the force."""
@@ -63,6 +63,9 @@ _DISTURBANCE, _NOISE = 0.1, 5e-4
 """Of the authors' Kalman filter."""
 
 _BLOCK = 5
+_DEADBAND = 60.0
+"""[N] of a damper: the current stays for less."""
+
 REVERSAL = 0.05
 """A current that goes back by less [A] has not turned."""
 
@@ -76,8 +79,8 @@ class OutputWeights:
     force: float
 
 
-CHOSEN = OutputWeights(displacement=1e13, acceleration=1e7, force=1.0)
-"""Of :data:`WEIGHTED`, chosen on the rehearsal in building I."""
+CHOSEN = OutputWeights(displacement=1e13, acceleration=1e5, force=0.01)
+"""Of :data:`WEIGHTED`: the best of five tried on the rehearsal in building I."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,9 @@ def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[
         return switch, 1
     settings = ForceControlSettings(
         highest_current=HIGHEST_CURRENT,
+        # Stiff where the motion is not known, as passive-on is.
+        safe_current=HIGHEST_CURRENT,
+        force_deadband=_DEADBAND,
         # The emulated damper is the set itself, at any speed.
         predictor=PredictorSettings(max_age=0.0, maximum_error=0.0, velocity_margin=100.0),
     )

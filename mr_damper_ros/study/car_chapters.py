@@ -157,8 +157,7 @@ def roads_chapter(drives: Drives) -> Chapter:
                 "Each road is a sum of sines of random phases with the density of its class, "
                 f"the same for every controller; {speeds}. {drives.duration - SETTLED:.0f} s "
                 f"count, after {SETTLED:.0f} in which the controller comes to know the motion. "
-                "Every controller has one setting, chosen "
-                "on another stretch of class C and kept throughout."
+                "Every controller has one setting for all roads, and none was tuned to a road."
             ),
             Picture(
                 "trade_off",

