@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -150,7 +151,7 @@ def test_its_options_are_those_of_the_bridge(program: Path) -> None:
     bridge = Program([sys.executable, str(program), "--help"])
     assert bridge.wait() == 0
     assert "pipe.path" in bridge.output
-    assert "one of bag, record, emulated, stream, daq, pipe" in " ".join(bridge.output.split())
+    assert re.search(r"one of bag, [\w, ]*\bpipe\b", " ".join(bridge.output.split()))
     bridge.close()
 
 
