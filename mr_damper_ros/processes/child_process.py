@@ -14,16 +14,12 @@ import signal
 import sys
 from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
 
 SINGLE_THREADED = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment in which BLAS computes with one thread: the arrays here are small, more threads
 would get in each other's way, and sums would depend on their number."""
 
 _PR_SET_PDEATHSIG = 1
-
-_NICENESS = 5
-"""A third of the share of the processor that others have, where they want all of it."""
 
 _START = (
     "import sys; count, *rest = sys.argv[1:]; "
@@ -52,17 +48,6 @@ def live_with(parent: int) -> None:
     # It may have died before that was said.
     if os.getppid() != parent:
         os._exit(1)
-
-
-def give_way() -> None:
-    """Let processes that must be in time have the processor first. Called by a child.
-
-    Linux may share the processor between sessions, and their processes among each other: the
-    session, this child's own, gives way too (autogroups, see the manual page sched(7)).
-    """
-    os.nice(_NICENESS)
-    with contextlib.suppress(OSError):
-        Path("/proc/self/autogroup").write_text(str(_NICENESS), encoding="ascii")
 
 
 def _run(parent: str, module: str, function: str, *arguments: str) -> None:

@@ -323,7 +323,6 @@ class Worker:
 
 def serve(descriptor: str, module: str) -> None:
     """Be the worker on this socket, until it closes, for the tasks of a module."""
-    child_process.give_way()
     import_module(module)
     connection = Connection(int(descriptor))
     tasks: queue.SimpleQueue[tuple[int, memoryview]] = queue.SimpleQueue()

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.processes import child_process
 from mr_damper_ros.processes.process_pool import Tell
 
 
@@ -42,12 +41,6 @@ def threads(number: int, tell: Tell) -> str:
 
 def told(*arguments: str) -> None:
     print(list(arguments))
-
-
-def nicenesses() -> None:
-    child_process.give_way()
-    autogroup = Path("/proc/self/autogroup")
-    print(os.nice(0), autogroup.read_text().split()[-1] if autogroup.exists() else os.nice(0))
 
 
 def answering() -> None:

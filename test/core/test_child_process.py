@@ -66,21 +66,6 @@ def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
         assert child.stdout.read() == b"go on\n"
 
 
-def test_what_gives_way_does_so_within_its_session_and_beside_others() -> None:
-    command = child_process.command(pool_tasks.nicenesses)
-    done = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=True,
-        start_new_session=True,
-    )
-    own, of_the_session = map(int, done.stdout.split())
-    assert own == min(os.nice(0) + child_process._NICENESS, 19)
-    assert of_the_session == child_process._NICENESS
-
-
 def test_it_dies_with_its_parent() -> None:
     parent = (
         f"import sys; sys.path[:] = {sys.path!r}; import subprocess, pool_tasks; "

@@ -148,7 +148,7 @@ def test_the_three_terminals_of_the_readme_identify_a_bag(
     assert len(lines) == 3
     forces = listener.listen(PredictedForce, "/damper/predicted_force")
     script = "".join(f'{line} & pids+=" $!"\n' for line in lines[:2])
-    script += lines[2] + " -p rate:=4.0\nsleep 1\nkill $pids\nwait\n"
+    script += lines[2] + " -p rate:=2.0\nsleep 1\nkill $pids\nwait\n"
     done = subprocess.run(
         ["bash", "-c", script],
         cwd=tmp_path,

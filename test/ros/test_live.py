@@ -22,7 +22,7 @@ from mr_damper_ros.nodes.live_inputs import signals_in
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
-RATE = 4.0
+RATE = 2.0
 
 
 @pytest.mark.parametrize("frame_id", ["", "damper", "a frame of seventeen"])
