@@ -289,7 +289,7 @@ def test_a_machine_at_rest_has_no_valid_force_and_one_that_starts_again_has() ->
     u = np.where(moves, RUN.displacement.max() * np.sin(2.0 * np.pi * time), 0.0)
     v = np.where(moves, np.gradient(u, PERIOD), 0.0)
     a = -((2.0 * np.pi) ** 2) * u
-    force = np.where(moves, known.force(known.PLAUSIBLE, u, v, a, 1.0), 0.0)
+    force = np.where(moves, known.sine_force(known.PLAUSIBLE, u, v, a, 1.0), 0.0)
     predictions = predicted(u, force)
     assert kinds(predictions, 2500, 4000) == {DoubtKind.NONE}
     assert DoubtKind.NONE not in kinds(predictions, 4250, 6000)

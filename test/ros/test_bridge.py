@@ -277,7 +277,7 @@ def test_a_sample_rate_that_gives_no_even_stamps_does_not_drift(
 @pytest.mark.parametrize(
     ("parameters", "part"),
     [
-        ({"source": "tape"}, "source must be one of bag, record, emulated"),
+        ({"source": "tape"}, "source must be one of bag, record, quarter_car, emulated"),
         ({"sorce": "bag"}, "there is no parameter sorce: did you mean source?"),
         ({"block_size": 0}, "block_size must be"),
         ({"block_size": "many"}, "block_size must be an integer"),
