@@ -7,7 +7,7 @@ SHELL := bash
 .DEFAULT_GOAL := help
 export PYTHON
 
-TESTED := pytest -n 2 --dist loadgroup
+TESTED := pytest -n 2 --dist loadfile
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
