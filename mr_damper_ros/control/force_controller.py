@@ -28,6 +28,15 @@ from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
+_MOMENTS = (0.5, 1.0, 1.5)
+"""Parts of the time ahead at which the force of a current is looked at ..."""
+
+_MIDDLE = 1
+"""... the one that it is chosen for."""
+
+_FOUND, _LOWEST, _KEPT = range(3)
+"""Currents to choose from: that of the inverse, the lowest, the last one."""
+
 
 @dataclass(frozen=True)
 class ForceControlSettings(SupplyLimits):
@@ -63,13 +72,6 @@ class ForceControlSettings(SupplyLimits):
     )
     feedback: FeedbackSettings = group(FeedbackSettings, flat=True)
     predictor: PredictorSettings = group(PredictorSettings, flat=True)
-
-
-_MOMENTS = (0.5, 1.0, 1.5)
-"""Parts of the time ahead at which the force of a current is looked at ..."""
-
-_MIDDLE = 1
-"""... the one that it is chosen for."""
 
 
 class Demand(NamedTuple):
@@ -278,16 +280,18 @@ class _Inverse:
         forces = np.concatenate(
             [
                 self._model.forces(
-                    _moved_on(self._moment, part * ahead), currents, period=ahead, state=state
+                    _moved_on(self._moment, later), currents, period=later, state=state
                 )
-                for part in _MOMENTS
+                for later in (part * ahead for part in _MOMENTS)
             ]
         )
         misses = np.sqrt(np.mean((forces - wanted) ** 2, axis=0))
         best = int(np.argmin(misses))
-        if last is not None and misses[2] <= misses[best] + self._deadband:
-            best = 2
-        met = bool(found.attainable[0]) and (best != 1 or currents[0] == self._lowest)
+        if last is not None and misses[_KEPT] <= misses[best] + self._deadband:
+            best = _KEPT
+        # The inverse asks for another current, which would miss by more on the way.
+        given_up = best == _LOWEST and currents[_FOUND] != self._lowest
+        met = bool(found.attainable[0]) and not given_up
         return _Aim(float(currents[best]), float(forces[_MIDDLE, best]), met)
 
     def drive(self, wanted: float, before: float, horizon: float, duration: float) -> float:

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 
 from mr_damper_ros.nodes.messages import (
+    SUSPENSION_TOPIC,
     current_message,
     header,
     samples_message,
@@ -21,14 +22,12 @@ from mr_damper_ros.rig.meter import Meter, Reading
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
-_SUSPENSION = "suspension/motion"
-
 _TOPICS = {
     "mts/samples": MtsSamples,
     "supply/current": SupplyCurrent,
     "temperature": Temperature,
     "joint_states": JointState,
-    _SUSPENSION: JointState,
+    SUSPENSION_TOPIC: JointState,
 }
 
 _CURRENT_STEP = 0.005
@@ -74,7 +73,7 @@ class BridgeStream:
             topic: Outlet(node, kind, topic, pacer, unpaced=unpaced)
             for topic, kind in _TOPICS.items()
             if (topic != "joint_states" or mirror_rate > 0.0)
-            and (topic != _SUSPENSION or suspended)
+            and (topic != SUSPENSION_TOPIC or suspended)
         }
 
     def close(self) -> None:
@@ -109,7 +108,7 @@ class BridgeStream:
             if block.suspension is not None:
                 # A force is wanted by the time the controller of the damper has the samples.
                 stamp = header(_last_stamp(block), self._frame_id)
-                self._outlets[_SUSPENSION].publish(suspension_message(block.suspension, stamp))
+                self._outlets[SUSPENSION_TOPIC].publish(suspension_message(block.suspension, stamp))
             self._outlets["mts/samples"].publish(samples_message(block, self._frame_id))
             for message in mirror.messages(block) if mirror else ():
                 self._outlets["joint_states"].publish(message)

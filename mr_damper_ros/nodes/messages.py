@@ -88,6 +88,8 @@ def current_message(stamp_ns: int, current: float, frame_id: str) -> SupplyCurre
     return SupplyCurrent(header=header(stamp_ns, frame_id), current=current)
 
 
+SUSPENSION_TOPIC = "suspension/motion"
+
 BODY, WHEEL, SUSPENSION, TYRE = "body", "wheel", "suspension", "tyre"
 """Joints of the state that tells how a suspension moves."""
 

@@ -6,12 +6,11 @@ import dataclasses
 import math
 
 from mr_damper_msgs.action import IdentifyGlobal
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.goal_server import GoalServer
 from mr_damper_ros.nodes.results import parameters_message
 from mr_damper_ros.tracking.pipeline import Pipeline, Search, SearchEnded, SearchProgress
 
@@ -23,12 +22,7 @@ _MOST_GOALS = 20
 
 
 class SearchGoals:
-    """Serves ``~/identify_global``: each goal is a search of the pipeline.
-
-    A goal is "accepted" until its search has ended and "executing" only while its result is
-    handed over: a coroutine that waits for the search would be resumed by the executor again and
-    again, which takes two thirds of a core.
-    """
+    """Serves ``~/identify_global``: each goal is a search of the pipeline."""
 
     def __init__(
         self, node: Node, pipeline: Pipeline, configured: EvolutionSettings, frame_id: str
@@ -36,21 +30,16 @@ class SearchGoals:
         self._pipeline = pipeline
         self._configured = configured
         self._frame_id = frame_id
-        self._logger = node.get_logger()
         self._node = node.get_fully_qualified_name()
         self._goals: dict[Search, ServerGoalHandle] = {}
-        self._results: dict[bytes, IdentifyGlobal.Result] = {}
-        self._server = ActionServer(
+        self._server = GoalServer(
             node,
             IdentifyGlobal,
             "~/identify_global",
-            self._hand_over,
-            handle_accepted_callback=self._begin,
-            goal_callback=self._judge,
-            cancel_callback=self._cancel,
-            goal_service_qos_profile=quality.bursts(),
-            result_service_qos_profile=quality.bursts(),
-            cancel_service_qos_profile=quality.bursts(),
+            begin=self._begin,
+            refusal=self._refusal,
+            cancel=self._cancel,
+            succeeded=lambda result: bool(result.success),
         )
 
     def tell(self, event: SearchProgress) -> None:
@@ -70,16 +59,12 @@ class SearchGoals:
     def end(self, event: SearchEnded) -> None:
         """Give whoever asked for a search its result."""
         if event.search in self._goals:
-            self._finish(self._goals.pop(event.search), self._result(event))
+            self._server.finish(self._goals.pop(event.search), self._result(event))
 
-    def _judge(self, _: IdentifyGlobal.Goal) -> GoalResponse:
+    def _refusal(self) -> str:
         if len(self._goals) < _MOST_GOALS:
-            return GoalResponse.ACCEPT
-        self._logger.warning(
-            f"a goal is refused: {_MOST_GOALS} wait already; cancel some, or send it later",
-            throttle_duration_sec=1.0,
-        )
-        return GoalResponse.REJECT
+            return ""
+        return f"{_MOST_GOALS} wait already; cancel some, or send it later"
 
     def _begin(self, goal: ServerGoalHandle) -> None:
         try:
@@ -90,32 +75,16 @@ class SearchGoals:
                 strategy=goal.request.strategy or self._configured.strategy,
             )
         except ValueError as error:
-            self._finish(goal, IdentifyGlobal.Result(message=str(error), nrmse=math.nan))
+            self._server.finish(goal, IdentifyGlobal.Result(message=str(error), nrmse=math.nan))
             return
         search = Search(settings)
         self._goals[search] = goal
         self._pipeline.add_search(search)
 
-    def _finish(self, goal: ServerGoalHandle, result: IdentifyGlobal.Result) -> None:
-        self._results[bytes(goal.goal_id.uuid)] = result
-        goal.execute()
-
-    def _hand_over(self, goal: ServerGoalHandle) -> IdentifyGlobal.Result:
-        """End a goal, called by the action server once its result is there."""
-        result = self._results.pop(bytes(goal.goal_id.uuid))
-        if goal.is_cancel_requested:
-            goal.canceled()
-        elif result.success:
-            goal.succeed()
-        else:
-            goal.abort()
-        return result
-
-    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+    def _cancel(self, goal: ServerGoalHandle) -> None:
         for search, known in self._goals.items():
             if known == goal:
                 self._pipeline.cancel_search(search)
-        return CancelResponse.ACCEPT
 
     def _result(self, event: SearchEnded) -> IdentifyGlobal.Result:
         if event.result is None or event.report is None:

@@ -13,13 +13,16 @@ from mr_damper_ros.control.suspension_control import SuspensionSettings, control
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.controller_node import DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.messages import BODY, suspension_moment, to_nanoseconds
+from mr_damper_ros.nodes.messages import (
+    BODY,
+    SUSPENSION_TOPIC,
+    suspension_moment,
+    to_nanoseconds,
+)
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
-
-MOTION_TOPIC = "suspension/motion"
 
 _LONGEST_STEP = 0.1
 """Seconds between two messages beyond which they tell no acceleration."""
@@ -66,7 +69,7 @@ class SuspensionNode(Node):
         )
         self.create_subscription(
             JointState,
-            MOTION_TOPIC,
+            SUSPENSION_TOPIC,
             self._take,
             quality.stream(_MOTIONS),
             qos_overriding_options=quality.overridable(),
@@ -74,8 +77,8 @@ class SuspensionNode(Node):
         self._diagnostics = Diagnostics(self, {"force": self._finding})
         name = self._options.control.function or self._options.control.controller
         self.get_logger().info(
-            f"{name}: waiting for {self.resolve_topic_name(MOTION_TOPIC)}; without it no force is "
-            "wanted"
+            f"{name}: waiting for {self.resolve_topic_name(SUSPENSION_TOPIC)}; without it no force "
+            "is wanted"
         )
 
     def _take(self, message: JointState) -> None:
@@ -121,7 +124,7 @@ class SuspensionNode(Node):
         if failed:
             return Finding(WARN, f"{self._problem}; no force was wanted then", values)
         if not wanted:
-            topic = self.resolve_topic_name(MOTION_TOPIC)
+            topic = self.resolve_topic_name(SUSPENSION_TOPIC)
             return Finding(STALE, f"no motion comes on {topic}", values)
         return Finding(OK, f"{self._last:.0f} N is wanted", values)
 

@@ -6,26 +6,10 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from mr_damper_ros.control.force_controller import Command, ForceController
-from mr_damper_ros.rig.emulator import CurrentSchedule
 from mr_damper_ros.rig.plant_rig import PlantMotion, PlantRig
 from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.supply_knob import SupplyKnob
 from mr_damper_ros.signals.blocks import SampleBlock
-
-
-class SupplyKnob:
-    """The current of a supply, as a schedule that goes on from block to block."""
-
-    def __init__(self, current: float = 0.0) -> None:
-        self._times, self._currents = [0.0], [current]
-        self.schedule = CurrentSchedule(self._times, self._currents)
-
-    def turn(self, time: float, current: float) -> None:
-        """Supply this current [A] from a time [s] on."""
-        # Of what is past only the latest matters.
-        del self._times[:-1], self._currents[:-1]
-        if current != self._currents[-1]:
-            self._times.append(time)
-            self._currents.append(current)
 
 
 class CommandedBlock(NamedTuple):

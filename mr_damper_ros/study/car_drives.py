@@ -26,12 +26,13 @@ from mr_damper_ros.control.semi_active import (
     skyhook,
 )
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.commanded_rig import Choice, ForceChoice, SupplyKnob, commanded
+from mr_damper_ros.rig.commanded_rig import Choice, ForceChoice, commanded
 from mr_damper_ros.rig.emulator import RigSettings, ThermalModel
 from mr_damper_ros.rig.invented_damper import HIGHEST_CURRENT, HOT_FORCE, invented_damper
 from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig, Surroundings
 from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.sources.quarter_car_source import suspension_moment
+from mr_damper_ros.rig.sources.quarter_car_source import moment_of
+from mr_damper_ros.rig.supply_knob import SupplyKnob
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.predictor import PredictorSettings
 
@@ -144,7 +145,7 @@ def force_choice(rig: PlantRig, known: ParameterSet, controller: Controller) -> 
         # The study asks what a wrong set costs: it is not taken out of use.
         predictor=PredictorSettings(max_age=0.0, maximum_error=0.0),
     )
-    choice = ForceChoice(ForceController(settings), lambda _: controller(suspension_moment(rig)))
+    choice = ForceChoice(ForceController(settings), lambda _: controller(moment_of(rig)))
     choice.controller.set_parameters(known)
     return choice
 

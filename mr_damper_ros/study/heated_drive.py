@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mr_damper_ros.control.quarter_car import IsoRoad
-from mr_damper_ros.rig.commanded_rig import SupplyKnob, commanded
+from mr_damper_ros.rig.commanded_rig import commanded
 from mr_damper_ros.rig.emulator import ThermalModel
 from mr_damper_ros.rig.invented_damper import invented_damper
 from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.supply_knob import SupplyKnob
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.study.car_drives import (

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -12,17 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mr_damper_ros.rig.acquisition.analog_input import AnalogChannels, Readings
-from mr_damper_ros.rig.acquisition.block_maker import BlockMaker, Measured
-from mr_damper_ros.rig.acquisition.device_reader import DeviceReader, Portion
-from mr_damper_ros.rig.acquisition.host_clock import HostClock
+from mr_damper_ros.rig.acquisition.block_maker import Measured
+from mr_damper_ros.rig.acquisition.device_reader import Portion
 from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
+from mr_damper_ros.rig.sources.device_source import DeviceSource
+from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 if TYPE_CHECKING:
-    from mr_damper_ros.rig.acquisition.row_times import RowTimes
+    from mr_damper_ros.rig.acquisition.row_times import TimedSample
 
 DRIVERS = {
     "simulated": "mr_damper_ros.rig.acquisition.simulated_input",
@@ -36,8 +35,6 @@ _QUANTITIES = ("displacement", "force", "current")
 
 _FULL = 0.999
 """Part of the range from which on a channel counts as saturated."""
-
-_SILENCE = 2.0
 
 
 def _scale(name: str, unit: str) -> float:
@@ -121,22 +118,18 @@ class DaqOptions(ParameterTable):
         return ""
 
 
-class DaqSource(Source):
+class DaqSource(DeviceSource[Readings]):
     """Samples of analogue channels; a device that is lost is connected to again."""
 
     options = DaqOptions
     prefix = "daq."
-    live = True
 
     def __init__(self, settings: DaqOptions, stream: StreamSettings) -> None:
         super().__init__(settings, stream)
-        self._reader: DeviceReader[Readings] | None = None
-        self._heard = 0.0
         # Samples at the end of its range, by channel: in all, and when that was last told.
         self._saturated: dict[str, int] = {}
         self._told: dict[str, int] = {}
         self._missing = 0
-        self._times: Mapping[str, object] = {}
 
     @property
     def _wanted(self) -> list[str]:
@@ -167,13 +160,11 @@ class DaqSource(Source):
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """The samples as the device takes them."""
-        self.close()
         self._saturated = dict.fromkeys(self._wanted, 0)
         self._told = dict(self._saturated)
         self._missing = 0
-        self._heard = time.monotonic()
-        self._reader = DeviceReader(self._connect)
-        return self._stream(self._reader, HostClock(start_ns))
+        self._times = None
+        return self._read(self._connect, start_ns)
 
     def state(self) -> SourceState:
         """How the device is, and which channels were at the end of their range."""
@@ -184,58 +175,28 @@ class DaqSource(Source):
             "connections": reader.connections,
             **{f"{name} at the end of its range": n for name, n in self._saturated.items()},
             "without a value": self._missing,
-            **self._times,
+            **(self._times.values() if self._times is not None else {}),
         }
-        return SourceState(self._fault(reader), values)
+        return SourceState(self._fault(reader.fault), values)
 
-    def close(self) -> None:
-        """Let the device go."""
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None
-
-    def _stream(self, reader: DeviceReader[Readings], clock: HostClock) -> Iterator[RigBlock]:
-        from mr_damper_ros.rig.acquisition.row_times import CountedRows, StampedRows
-
-        maker, connection = BlockMaker(self.stream.block_size), 0
-        times: RowTimes | None = None
-        try:
-            while True:
-                for portion in reader.take():
-                    self._heard = time.monotonic()
-                    if times is None:
-                        counted = portion.data.stamps is None
-                        times = CountedRows.at(portion.data.rate) if counted else StampedRows(1.0)
-                    elif portion.connection != connection:
-                        times.interrupted()
-                    connection = portion.connection
-                    self._add(portion, times, maker, clock)
-                    self._times = times.values()
-                    yield from maker.take()
-                if clock.look():
-                    maker.cut()
-                yield from maker.take()
-        finally:
-            reader.close()
-
-    def _add(
-        self, portion: Portion[Readings], times: RowTimes, maker: BlockMaker, clock: HostClock
-    ) -> None:
+    def _samples(self, portion: Portion[Readings], *, begins: bool) -> Iterator[TimedSample]:
         """Bring readings to their units and times; the last of them was taken just now."""
         from mr_damper_ros.rig.acquisition.row_format import Row
+        from mr_damper_ros.rig.acquisition.row_times import CountedRows, StampedRows
 
         values, rate, stamps = portion.data
+        if self._times is None:
+            self._times = CountedRows.at(rate) if stamps is None else StampedRows(1.0)
         count = values.shape[1]
         channels = self._in_units(values)
         ago = (count - 1 - np.arange(count)) / rate if rate > 0.0 else np.zeros(count)
         taken = portion.arrival_ns - np.round(ago * NANOSECONDS).astype(np.int64)
         stamped = [None] * count if stamps is None else stamps.tolist()
         for stamp, taken_ns, row in zip(stamped, taken.tolist(), channels.T.tolist(), strict=True):
-            for sample in times.add(Row(Measured(*row), None, stamp), taken_ns):
+            for sample in self._times.add(Row(Measured(*row), None, stamp), taken_ns):
                 # The others have a number, too, so that they are seen to be missing.
                 if sample.measured.possible:
-                    stamp_ns = sample.time_ns + clock.ahead_ns
-                    maker.add(sample.number, stamp_ns, sample.period, sample.measured)
+                    yield sample
 
     def _in_units(self, volts: Array) -> Array:
         """The channels in units (3, n); NaN where one is not known, or at the end of its range."""
@@ -252,12 +213,12 @@ class DaqSource(Source):
             channels[_QUANTITIES.index(name)] = np.where(sound, scale * values + offset, math.nan)
         return channels
 
-    def _fault(self, reader: DeviceReader[Readings]) -> str:
+    def _fault(self, of_device: str) -> str:
         """What is wrong, in a sentence; empty for nothing."""
         told, self._told = self._told, dict(self._saturated)
-        if reader.fault:
-            return reader.fault
-        if time.monotonic() - self._heard > _SILENCE:
+        if of_device:
+            return of_device
+        if self._silent:
             return f"nothing comes from {self.settings.driver} {self.settings.device}"
         for name, count in self._told.items():
             new = count - told[name]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,7 +13,6 @@ from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, chirp, stepped
 from mr_damper_ros.rig.commanded_motion import CommandedMotion
 from mr_damper_ros.rig.emulator import (
     CHUNK,
-    CurrentSchedule,
     Damper,
     EmulatedRig,
     ModelDamper,
@@ -34,6 +32,7 @@ from mr_damper_ros.rig.supplies.current_commander import (
     CurrentCommander,
     Origin,
 )
+from mr_damper_ros.rig.supply_knob import CommandedKnob
 from mr_damper_ros.settings.option_table import ParameterTable, option
 
 _THESIS_TEMPERATURES = "thesis_temperatures"
@@ -263,12 +262,11 @@ class EmulatedSource(Source):
         )
         faults = faults_of(given.faults.split(), given.seed)
         instruments = Instruments(faults)
-        # The schedule is a list that grows while the rig reads it: this is the supply being turned.
-        times, currents = [0.0], [commander.step(time.monotonic())]
+        knob = CommandedKnob(commander, given.current, time.monotonic())
         rig = EmulatedRig(
             self._damper,
             self._excitation,
-            CurrentSchedule(times, currents),
+            knob.schedule,
             settings=settings,
             faults=faults,
             thermal=ThermalModel(
@@ -280,12 +278,10 @@ class EmulatedSource(Source):
             coil_time_constant=given.coil_time_constant,
         )
         motion: CommandedMotion | None = None
-        taken, by_hand = 0, given.current
+        taken = 0
         while True:
             now = time.monotonic()
-            if self.settings.current != by_hand:
-                by_hand = self.settings.current
-                commander.set_by_hand(by_hand)
+            knob.follow(taken * settings.period, self.settings.current, now)
             rig.surround(self.settings.ambient_temperature)
             rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
             if mover.commanded:
@@ -295,12 +291,6 @@ class EmulatedSource(Source):
                     motion = CommandedMotion(self._excitation, begin)
                     rig.move(motion)
                 motion.command(*mover.wanted(now), begin)
-            current = commander.step(now)
-            if current != currents[-1]:
-                # Of what is past only the latest matters.
-                del times[:-1], currents[:-1]
-                times.append(max(taken * settings.period, math.nextafter(times[-1], math.inf)))
-                currents.append(current)
             made = rig.next_block(self.stream.block_size)
             deliveries = instruments.read(made)
             yield from (delivery.block for delivery in deliveries)

@@ -10,13 +10,13 @@ from pathlib import Path
 from mr_damper_ros.control.quarter_car import ROUGHNESS, Bump, IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import Moment
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.commanded_rig import SupplyKnob
 from mr_damper_ros.rig.emulator import RigSettings, ThermalModel
 from mr_damper_ros.rig.invented_damper import HOT_FORCE, invented_damper
 from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig, Surroundings
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.rig.supplies.current_commander import CommandSettings, CurrentCommander
+from mr_damper_ros.rig.supply_knob import CommandedKnob
 from mr_damper_ros.settings.option_table import ParameterTable, option
 
 _BUMP = "bump"
@@ -139,8 +139,8 @@ class QuarterCarSource(Source):
         """The samples of a car that starts now."""
         assert self._damper is not None
         assert self.commander is not None
-        given, commander = self.settings, self.commander
-        knob = SupplyKnob(commander.step(time.monotonic()))
+        given = self.settings
+        knob = CommandedKnob(self.commander, given.current, time.monotonic())
         rig = PlantRig(
             self._damper,
             _CAR.plant,
@@ -157,22 +157,19 @@ class QuarterCarSource(Source):
             coil_time_constant=given.coil_time_constant,
             substeps=2,
         )
-        taken, by_hand = 0, given.current
+        taken = 0
         while True:
-            if self.settings.current != by_hand:
-                by_hand = self.settings.current
-                commander.set_by_hand(by_hand)
-            knob.turn(taken / given.sample_rate, commander.step(time.monotonic()))
+            knob.follow(taken / given.sample_rate, self.settings.current, time.monotonic())
             made = rig.next_block(self.stream.block_size)
             taken += self.stream.block_size
-            yield replace(made, suspension=suspension_moment(rig))
+            yield replace(made, suspension=moment_of(rig))
 
     def close(self) -> None:
         """Take the damper out."""
         self._damper = self.commander = None
 
 
-def suspension_moment(rig: PlantRig) -> Moment:
+def moment_of(rig: PlantRig) -> Moment:
     """What the controllers of a suspension see of a car now."""
     apart, body, tyre, wheel = rig.plant.state.tolist()
     return Moment(body, wheel, float(rig.plant.rates[1]), apart, tyre)

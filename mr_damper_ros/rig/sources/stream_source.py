@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mr_damper_ros.rig.acquisition.block_maker import BlockMaker
 from mr_damper_ros.rig.acquisition.byte_links import connector, parse_address
-from mr_damper_ros.rig.acquisition.device_reader import Device, DeviceReader, Portion
-from mr_damper_ros.rig.acquisition.host_clock import HostClock
+from mr_damper_ros.rig.acquisition.device_reader import Device, Portion
 from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
+from mr_damper_ros.rig.sources.device_source import DeviceSource
+from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.counted_times import CountedTimes
 
@@ -23,9 +21,6 @@ if TYPE_CHECKING:
     from mr_damper_ros.rig.acquisition.row_times import RowTimes, TimedSample
 
 _RATES = (1.0, 1e5)
-
-_SILENCE = 2.0
-"""Seconds without a byte after which the sender counts as silent."""
 
 _MANY = 0.05
 """Part of the rows that cannot be read which is told."""
@@ -119,20 +114,16 @@ class StreamOptions(ParameterTable):
         return form
 
 
-class StreamSource(Source):
+class StreamSource(DeviceSource[bytes]):
     """Samples from whatever sends them; a link that is lost is made again."""
 
     options = StreamOptions
     prefix = "stream."
-    live = True
 
     def __init__(self, settings: StreamOptions, stream: StreamSettings) -> None:
         super().__init__(settings, stream)
         self._address = parse_address("udp:[::]:1")
-        self._reader: DeviceReader[bytes] | None = None
         self._decoder: RowDecoder | None = None
-        self._times: RowTimes | None = None
-        self._heard = 0.0
         # Rows that could and could not be read: in all, and when that was last told.
         self._readable, self._unreadable = 0, 0
         self._told = (0, 0)
@@ -148,12 +139,9 @@ class StreamSource(Source):
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
         """The samples as they come."""
-        self.close()
         self._decoder, self._times = self._new_decoder(), self._new_times()
         self._readable, self._unreadable, self._told = 0, 0, (0, 0)
-        self._heard = time.monotonic()
-        self._reader = DeviceReader(self._connect)
-        return self._stream(self._reader, HostClock(start_ns))
+        return self._read(self._connect, start_ns)
 
     def state(self) -> SourceState:
         """How the link is, what of it could not be read, and what is wrong with the times."""
@@ -161,45 +149,16 @@ class StreamSource(Source):
         if reader is None or times is None:
             return SourceState("", {})
         values = {"connections": reader.connections, "unreadable": self._unreadable}
-        return SourceState(self._fault(reader, times), {**values, **times.values()})
+        return SourceState(self._fault(reader.fault, times), {**values, **times.values()})
 
-    def close(self) -> None:
-        """Let the link go."""
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None
-
-    def _stream(self, reader: DeviceReader[bytes], clock: HostClock) -> Iterator[RigBlock]:
-        maker, connection = BlockMaker(self.stream.block_size), 0
-        decoder, times = self._decoder, self._times
+    def _samples(self, portion: Portion[bytes], *, begins: bool) -> Iterator[TimedSample]:
+        decoder, times, datagrams = self._decoder, self._times, self._address.kind == "udp"
         assert decoder is not None
         assert times is not None
-        try:
-            while True:
-                for portion in reader.take():
-                    self._heard = time.monotonic()
-                    begins = portion.connection != connection
-                    if begins and connection:
-                        times.interrupted()
-                    connection = portion.connection
-                    if begins or self._address.kind == "udp":
-                        # A serial line is joined in the middle of something.
-                        decoder.begin(whole=self._address.kind != "serial")
-                    for sample in self._samples(portion, decoder, times):
-                        stamp_ns = sample.time_ns + clock.ahead_ns
-                        maker.add(sample.number, stamp_ns, sample.period, sample.measured)
-                    # However much waits, it does not keep the bridge from stopping.
-                    yield from maker.take()
-                if clock.look():
-                    maker.cut()
-                yield from maker.take()
-        finally:
-            reader.close()
-
-    def _samples(
-        self, portion: Portion[bytes], decoder: RowDecoder, times: RowTimes
-    ) -> Iterator[TimedSample]:
-        end = b"\n" if self._address.kind == "udp" and not self.settings.layout else b""
+        if begins or datagrams:
+            # A serial line is joined in the middle of something.
+            decoder.begin(whole=self._address.kind != "serial")
+        end = b"\n" if datagrams and not self.settings.layout else b""
         for row in decoder.feed(portion.data + end):
             if row is None:
                 self._unreadable += 1
@@ -234,13 +193,13 @@ class StreamSource(Source):
         counts = None if self._form.count is None else 2**self._form.bits
         return CountedRows(CountedTimes(self.settings.rate, counts))
 
-    def _fault(self, reader: DeviceReader[bytes], times: RowTimes) -> str:
+    def _fault(self, of_link: str, times: RowTimes) -> str:
         """What is wrong, in a sentence; empty for nothing."""
         told, self._told = self._told, (self._readable, self._unreadable)
         read, unread = self._readable - told[0], self._unreadable - told[1]
-        if reader.fault:
-            return reader.fault
-        if time.monotonic() - self._heard > _SILENCE:
+        if of_link:
+            return of_link
+        if self._silent:
             return f"nothing arrives from {self.settings.address}: does its sender send?"
         if unread > _MANY * (read + unread):
             assert self._decoder is not None
