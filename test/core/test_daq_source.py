@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -191,11 +196,13 @@ def test_what_is_missing_is_said(options: dict[str, Any], part: str) -> None:
     assert bool(objection) == bool(part)
 
 
-@pytest.mark.parametrize("driver", ["nidaqmx", "labjack", "lsl"])
+@pytest.mark.parametrize("driver", ["nidaqmx", "labjack", "mcc", "lsl"])
 def test_a_library_that_is_missing_is_one_sentence(
     driver: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    library = {"nidaqmx": "nidaqmx", "labjack": "labjack.ljm", "lsl": "pylsl"}[driver]
+    library = {"nidaqmx": "nidaqmx", "labjack": "labjack.ljm", "mcc": "uldaq", "lsl": "pylsl"}[
+        driver
+    ]
     monkeypatch.setitem(__import__("sys").modules, library, None)
     with pytest.raises(ValueError, match="not installed: pip install"):
         daq(driver=driver, device="x", **CHANNELS).open()
@@ -399,6 +406,156 @@ def test_labjack_without_its_library_is_told(
     monkeypatch.setattr(ljm, "_staticLib", None)
     running = rig(**LABJACK)
     running.until(lambda: "LJM is not installed" in running.source.state().fault)
+
+
+# -- Measurement Computing ---------------------------------------------------------------------
+
+
+DEAD_DEVICE = 8
+
+
+class FakeUl:
+    """MCC's library as uldaq calls it: a scan into the ring that it was given, then an error."""
+
+    def __init__(self, volts: np.ndarray) -> None:
+        self._volts = volts
+        self._done = 0
+        self._ring = np.empty((0, 0))
+        self.scan: tuple[Any, ...] = ()
+        self.calls: list[str] = []
+        self.gone = False
+
+    def __getattr__(self, name: str) -> Callable[..., int]:
+        """Any other function of it does nothing, well."""
+
+        def function(*arguments: Any) -> int:
+            self.calls.append(name)
+            return 0
+
+        return function
+
+    def loaded(self) -> Any:
+        """Its functions as of a library that was loaded: they can be told their types."""
+
+        class Library:
+            def __getattr__(other, name: str) -> Callable[..., int]:  # noqa: N805
+                function = partial(getattr(self, name))
+                setattr(other, name, function)
+                return function
+
+        return Library()
+
+    def ulGetDaqDeviceInventory(self, kind: int, found: Any, count: Any) -> int:  # noqa: N802
+        count._obj.value = 0 if self.gone else 1
+        found[0].product_name, found[0].unique_id = "USB-1608G", "01ABCDEF"
+        return 0
+
+    def ulCreateDaqDevice(self, descriptor: Any) -> int:  # noqa: N802
+        return 1
+
+    def ulDevGetInfo(self, handle: int, item: int, place: int, value: Any) -> int:  # noqa: N802
+        value._obj.value = 1
+        return 0
+
+    def ulGetDaqDeviceDescriptor(self, handle: int, found: Any) -> int:  # noqa: N802
+        found._obj.dev_interface = 1
+        return 0
+
+    def ulAIGetInfo(self, handle: int, item: Any, place: int, value: Any) -> int:  # noqa: N802
+        of_item = {"NUM_CHANS_BY_MODE": 8, "NUM_DIFF_RANGES": 2, "DIFF_RANGE": (5, 6)[place % 2]}
+        value._obj.value = of_item.get(item.name, 1)
+        return 0
+
+    def ulAInScan(self, handle: int, *arguments: Any) -> int:  # noqa: N802
+        low, high, _, _, held, rate, _, _, ring = self.scan = arguments
+        self._ring = np.frombuffer(ring).reshape(held, high - low + 1)
+        rate._obj.value = 999.5
+        return 0
+
+    def ulAInScanStatus(self, handle: int, status: Any, transfer: Any) -> int:  # noqa: N802
+        if self._done == self._volts.shape[1]:
+            self.gone = True
+            return DEAD_DEVICE
+        until = min(self._done + 70, self._volts.shape[1])
+        for k in range(self._done, until):
+            self._ring[k % len(self._ring)] = self._volts[:, k]
+        self._done = transfer._current_scan_count = until
+        status._obj.value = 1
+        return 0
+
+    def ulGetErrMsg(self, code: Any, text: Any) -> int:  # noqa: N802
+        text.value = b"Device no longer responding"
+        return 0
+
+
+MCC = {"driver": "mcc", "displacement_channel": "3", "force_channel": "1"}
+
+
+@pytest.fixture
+def fake_mcc(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[np.ndarray], FakeUl]]:
+    """The real uldaq on a library that gives these volts (channels, n)."""
+    if find_spec("uldaq") is None:
+        pytest.skip("uldaq is not installed")
+
+    def make(volts: np.ndarray) -> FakeUl:
+        fake = FakeUl(volts)
+        with monkeypatch.context() as loading:
+            # It loads the library when it is imported.
+            loading.setattr(ctypes, "CDLL", lambda name: fake.loaded())
+            import_module("uldaq")
+        return fake
+
+    yield make
+    for name in [name for name in sys.modules if name.partition(".")[0] == "uldaq"]:
+        del sys.modules[name]
+
+
+def test_mcc_scans_from_the_lowest_to_the_highest_channel_until_the_device_is_gone(
+    fake_mcc: Callable[[np.ndarray], FakeUl], rig: Callable[..., StreamedDevice]
+) -> None:
+    ramp = 1e-3 * np.arange(200)
+    fake = fake_mcc(np.stack([-ramp, np.zeros(200), ramp]))
+    running = rig(**MCC, rate=15.0, displacement_range=4.0, force_range=5.0)
+    running.until(lambda: running.samples() >= 200)
+    np.testing.assert_allclose(running.joined("displacement"), ramp)
+    np.testing.assert_allclose(running.joined("force"), -ramp)
+    assert {block.period for block in running.blocks} == {1.0 / 999.5}
+    low, high, mode, span, held, _, option, flags, _ = fake.scan
+    assert (low, high, mode.name, span.name) == (1, 3, "DIFFERENTIAL", "BIP5VOLTS")
+    assert (held, option.name, flags.name) == (150, "CONTINUOUS", "DEFAULT")
+    running.until(lambda: "no such device" in running.source.state().fault)
+    assert fake.calls[-3:] == ["ulAInScanStop", "ulDisconnectDaqDevice", "ulReleaseDaqDevice"]
+
+
+def test_what_an_mcc_device_does_not_have_is_told(
+    fake_mcc: Callable[[np.ndarray], FakeUl], rig: Callable[..., StreamedDevice]
+) -> None:
+    fake_mcc(np.zeros((2, 0)))
+    for wrong, sentence in (
+        ({"force_channel": "8"}, "it has no channel 8: 8 can be wired differentially"),
+        ({"force_range": 20.0}, "it has no range of ±20 V; its ranges: ±5 V, ±10 V"),
+        ({"device": "DEADBEEF"}, "there is no such device; found: USB-1608G (01ABCDEF)"),
+    ):
+        running = rig(**{**MCC, **wrong})
+        running.until(lambda: sentence in running.source.state().fault)  # noqa: B023
+
+
+def test_channels_of_mcc_are_numbers(fake_mcc: Callable[[np.ndarray], FakeUl]) -> None:
+    fake_mcc(np.zeros((2, 0)))
+    with pytest.raises(ValueError, match="MCC has no channel 'ai0'"):
+        daq(**{**MCC, "force_channel": "ai0"}).open()
+
+
+def test_mcc_without_its_library_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    if find_spec("uldaq") is None:
+        pytest.skip("uldaq is not installed")
+
+    def none(name: str) -> None:
+        raise OSError(f"{name}: cannot open shared object file")
+
+    monkeypatch.setattr(ctypes, "CDLL", none)
+    with pytest.raises(ValueError, match="does not find MCC's library UL for Linux"):
+        daq(**MCC).open()
 
 
 # -- lab streaming layer: real streams ---------------------------------------------------------

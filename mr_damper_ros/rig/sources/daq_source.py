@@ -27,6 +27,7 @@ DRIVERS = {
     "simulated": "mr_damper_ros.rig.acquisition.simulated_input",
     "nidaqmx": "mr_damper_ros.rig.acquisition.nidaqmx_input",
     "labjack": "mr_damper_ros.rig.acquisition.labjack_input",
+    "mcc": "mr_damper_ros.rig.acquisition.mcc_input",
     "lsl": "mr_damper_ros.rig.acquisition.lsl_input",
 }
 """The module of each, whose ``connector`` imports the library."""
@@ -64,15 +65,15 @@ class DaqOptions(ParameterTable):
 
     driver: str = option(
         "simulated",
-        "What it is: nidaqmx (National Instruments), labjack (T4, T7, T8), lsl (a stream of the "
-        "lab streaming layer), or simulated.",
+        "What it is: nidaqmx (National Instruments), labjack (T4, T7, T8), mcc (Measurement "
+        "Computing), lsl (a stream of the lab streaming layer), or simulated.",
         choices=tuple(DRIVERS),
         read_only=True,
     )
     device: str = option(
         "",
-        "Which one: Dev1 of NI, a serial number, name or address of LabJack (empty: the only one), "
-        "the name of an LSL stream.",
+        "Which one: Dev1 of NI, a serial number, name or address of LabJack, name or number of MCC "
+        "(empty: the only one), the name of an LSL stream.",
         read_only=True,
     )
     rate: float = option(
@@ -83,11 +84,14 @@ class DaqOptions(ParameterTable):
         read_only=True,
     )
     differential: bool = option(
-        True, "Channels of NI and LabJack are wired differentially, not to ground.", read_only=True
+        True,
+        "Channels of NI, LabJack and MCC are wired differentially, not to ground.",
+        read_only=True,
     )
     displacement_channel: str = option(
         "",
-        "Channel of the displacement: ai0 of NI, AIN0 of LabJack, label or number of LSL.",
+        "Channel of the displacement: ai0 of NI, AIN0 of LabJack, 0 of MCC, label or number of "
+        "LSL.",
         read_only=True,
     )
     displacement_scale: float = _scale("displacement", "Metres")
