@@ -35,6 +35,14 @@ class RigRecord:
     commanded: list[tuple[int, float]] = field(default_factory=list)
     unusable: int = 0
     """Messages without samples or a period, or with more of the one than of the other."""
+    saturated: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """By channel, how many samples its source had left out because it was at the end of its range:
+    when that was first told, and when it was last told."""
+
+    def left_out(self, channel: str) -> int:
+        """Samples left out meanwhile because the channel was at the end of its range."""
+        first, last = self.saturated.get(channel, (0, 0))
+        return max(last - first, 0)
 
     @property
     def period(self) -> float:

@@ -18,7 +18,10 @@ _JITTER = 0.1
 """Sample periods: a stamp that is off by less is taken as it is (doc/time.md)."""
 
 _BURST = 0.1
-"""Seconds without a block, besides its own length, that no network needs."""
+"""Seconds by which a block comes later than its samples, that no network needs."""
+
+_TOLD_LATE = 2.0
+"""Seconds of samples by which two counts may differ that are told once a second."""
 
 _CURRENT_OFF, _SETTLING = 0.05, 1.0
 """Amperes that the measured current may be off, once the command is so many seconds old."""
@@ -34,12 +37,16 @@ def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
     arrivals = np.array([block.arrival_ns for block in record.blocks], dtype=np.float64)
     if (arrivals >= 0.0).all() and arrivals.size > 2:
         longest = max(block.force.size * block.period for block in record.blocks)
-        pauses = np.diff(arrivals) / NANOSECONDS - longest
-        held_up = int(np.count_nonzero(pauses > _BURST))
-        if held_up > 1:
+        stamps = np.array([block.start_ns for block in record.blocks], dtype=np.int64)
+        # Where there are no samples, nothing was held up.
+        expected = np.clip(np.diff(stamps) / NANOSECONDS, longest, None)
+        pauses = np.diff(arrivals) / NANOSECONDS
+        held_up = pauses - expected > _BURST
+        if np.count_nonzero(held_up) > 1:
             yield RigFinding(
                 Trouble.BURSTS,
-                f"{held_up} times nothing came for up to {pauses.max() + longest:.2g} s, then much "
+                f"{np.count_nonzero(held_up)} times nothing came for up to "
+                f"{pauses[held_up].max():.2g} s, then much "
                 "at once: look at the network and the load of the sender",
             )
 
@@ -69,6 +76,19 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
             Trouble.REPEATED,
             f"{repeated} blocks came twice or after later ones: does only one node publish them?",
         )
+    left_out = 0
+    for name in ("displacement", "force"):
+        count = record.left_out(name)
+        left_out += count
+        if count:
+            yield RigFinding(
+                Trouble.CLIPPED,
+                f"the {name} was at the end of its range: {count} samples were left out by their "
+                "source; choose a larger range, or a smaller motion",
+                name,
+            )
+    if left_out and (lost - left_out) * record.period < _TOLD_LATE:
+        lost = 0
     if lost:
         whole = lost + record.sample_count
         yield RigFinding(

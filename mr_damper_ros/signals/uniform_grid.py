@@ -209,7 +209,8 @@ class UniformGrid:
         if late > 0.0:
             lost = max(missing, 0)
             detail = (
-                f"{lost} samples were lost (an overloaded computer or network?)"
+                f"{lost} samples were lost (by a busy computer or network, or left out by their "
+                "source?)"
                 if lost
                 else f"the samples pause for {late:.3g} s"
             )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from benchmarks.rig_troubles import FAULTS, MOTIONS, RATE, record
@@ -38,6 +41,41 @@ def test_several_faults_are_all_named(seed: int) -> None:
         Trouble.LOST,
         Trouble.CURRENT,
     }
+
+
+def without_large_forces(heard: RigRecord, limit: float) -> tuple[RigRecord, int]:
+    """What comes of a source that leaves out the samples at a limit [N], and how many it left."""
+    kept = RigRecord(measured=heard.measured, commanded=heard.commanded)
+    left_out = 0
+    for block in heard.blocks:
+        below = np.abs(block.force) < limit
+        left_out += int(np.count_nonzero(~below))
+        for run in np.split(np.arange(below.size), np.flatnonzero(np.diff(below)) + 1):
+            if below[run[0]]:
+                kept.blocks.append(
+                    replace(
+                        block,
+                        start_ns=block.start_ns + int(run[0] * 1e9 / RATE),
+                        sequence=block.sequence + int(run[0]),
+                        displacement=block.displacement[run],
+                        force=block.force[run],
+                    )
+                )
+    return kept, left_out
+
+
+def test_what_a_source_left_out_at_the_end_of_a_range_is_cut_off_and_not_lost() -> None:
+    kept, left_out = without_large_forces(record(), 600.0)
+    assert Trouble.LOST in troubles(kept)
+    kept.saturated["force"] = (40, 40 + left_out)
+    found = check_rig(kept).findings
+    assert [(finding.trouble, finding.channel) for finding in found] == [(Trouble.CLIPPED, "force")]
+    assert str(left_out) in found[0].sentence
+
+
+def test_what_was_left_out_before_is_not_told() -> None:
+    heard = replace(record(), saturated={"force": (40, 40)})
+    assert troubles(heard) == []
 
 
 def test_where_nothing_comes_that_is_all_that_is_said_of_the_samples() -> None:

@@ -104,7 +104,7 @@ def test_a_gap_is_told_once() -> None:
     made = assembler()
     cut(stream(100, last=800) + stream(100, first=900), made)
     assert made.take_events() == [
-        "100 samples were lost (an overloaded computer or network?): "
+        "100 samples were lost (by a busy computer or network, or left out by their source?): "
         "what was being collected starts again"
     ]
     assert made.take_events() == []

@@ -34,6 +34,9 @@ DRIVERS = {
 
 _QUANTITIES = ("displacement", "force", "current")
 
+SATURATED = "at the end of its range"
+"""What follows the name of a channel in the key of a count of :meth:`Source.state`."""
+
 _FULL = 0.999
 """Part of the range from which on a channel counts as saturated."""
 
@@ -177,13 +180,13 @@ class DaqSource(DeviceSource[Readings]):
             return SourceState("", {})
         values: dict[str, object] = {
             "connections": reader.connections,
-            **{f"{name} at the end of its range": n for name, n in self._saturated.items()},
+            **{f"{name} {SATURATED}": n for name, n in self._saturated.items()},
             "without a value": self._missing,
             **(self._times.values() if self._times is not None else {}),
         }
         return SourceState(self._fault(reader.fault), values)
 
-    def _samples(self, portion: Portion[Readings], *, begins: bool) -> Iterator[TimedSample]:
+    def _samples(self, portion: Portion[Readings], *, begins: bool) -> Iterator[TimedSample | None]:
         """Bring readings to their units and times; the last of them was taken just now."""
         from mr_damper_ros.rig.acquisition.row_format import Row
         from mr_damper_ros.rig.acquisition.row_times import CountedRows, StampedRows
@@ -199,8 +202,7 @@ class DaqSource(DeviceSource[Readings]):
         for stamp, taken_ns, row in zip(stamped, taken.tolist(), channels.T.tolist(), strict=True):
             for sample in self._times.add(Row(Measured(*row), None, stamp), taken_ns):
                 # The others have a number, too, so that they are seen to be missing.
-                if sample.measured.possible:
-                    yield sample
+                yield sample if sample.measured.possible else None
 
     def _in_units(self, volts: Array) -> Array:
         """The channels in units (3, n); NaN where one is not known, or at the end of its range."""
@@ -229,7 +231,6 @@ class DaqSource(DeviceSource[Readings]):
             if new:
                 limit = getattr(self.settings, f"{name}_range")
                 return (
-                    f"the {name} is at the end of its range of {limit:g} V: {new} samples of it "
-                    "were left out"
+                    f"the {name} is {SATURATED} of {limit:g} V: {new} samples of it were left out"
                 )
         return ""

@@ -38,8 +38,11 @@ class DeviceSource(Source, Generic[T]):
         return time.monotonic() - self._heard > _SILENCE
 
     @abstractmethod
-    def _samples(self, portion: Portion[T], *, begins: bool) -> Iterable[TimedSample]:
-        """The samples of a portion, which may be the first of its connection."""
+    def _samples(self, portion: Portion[T], *, begins: bool) -> Iterable[TimedSample | None]:
+        """The samples of a portion, which may be the first of its connection; None: one is missing.
+
+        A block that has begun does not wait for what may come after the missing one.
+        """
 
     def close(self) -> None:
         """Let the device go."""
@@ -65,6 +68,9 @@ class DeviceSource(Source, Generic[T]):
                         self._times.interrupted()
                     connection = portion.connection
                     for sample in self._samples(portion, begins=begins):
+                        if sample is None:
+                            maker.cut()
+                            continue
                         stamp_ns = sample.time_ns + clock.ahead_ns
                         maker.add(sample.number, stamp_ns, sample.period, sample.measured)
                     # However much waits, it does not keep the bridge from stopping.
