@@ -20,6 +20,7 @@ _CYCLES = 1.5
 """Length of the fit in cycles: longer averages more, shorter forgets a change sooner."""
 
 _FEWEST_CYCLES = 1.0
+"""A new sine is fitted to so many: it need not wait for what was before it to be forgotten."""
 _POINTS = 256
 """The fit takes every so-many-th sample, so that its cost does not grow with the rate."""
 
@@ -61,12 +62,16 @@ class SineFollower:
         self._period = period
         self._parts: list[Array] = []
         self._most = max(round(memory / period), 2)
+        # Samples that are kept.
+        self._count = 0
         self._omega = 0.0
         # Weights of sine, cosine and offset about the last sample of the fit, None without a steady
         # sine; samples that have come since; and the residual [m] that is allowed.
         self._weights: Array | None = None
         self._since = 0
         self._allowed = 0.0
+        # Samples from the first of the present sine on, as far as they are fitted.
+        self._length = 0
         # Samples until it is worth while to look for a sine again.
         self._wait = 0
 
@@ -102,6 +107,7 @@ class SineFollower:
         self._parts.append(displacement)
         if len(self._parts) > _PARTS:
             self._join()
+        self._count = min(self._count + displacement.size, self._most)
         self._since += displacement.size
         self._wait = max(self._wait - displacement.size, 0)
         if self._omega == 0.0 and self._wait:
@@ -110,18 +116,24 @@ class SineFollower:
         if self._omega != 0.0 and turned < 1.0 / _FITS_PER_CYCLE:
             return
         self._weights = None
+        self._length += self._since
         self._since = 0
         steps = 1
         if self._omega == 0.0:
             if math.isnan(half_cycle):
                 return
             self._omega = math.pi / half_cycle
+            self._length = 0
             steps = _FIRST_STEPS
         cycle = 2.0 * math.pi / self._omega / self._period
-        samples = self._join()
-        if samples.size < round(_FEWEST_CYCLES * cycle):
+        if self._count < round(_FEWEST_CYCLES * cycle):
+            # A change of the motion may have looked like a reversal of a slow one: the next time
+            # between two of them is another start.
+            self._omega = 0.0
             return
-        recent = samples[-round(_CYCLES * cycle) :]
+        samples = self._join()
+        self._length = max(self._length, round(_FEWEST_CYCLES * cycle))
+        recent = samples[-min(self._length, round(_CYCLES * cycle)) :]
         stride = max(recent.size // _POINTS, 1)
         # Time counts back from the newest sample.
         time: Array = self._period * np.arange(1.0 - recent.size, 1.0, stride)

@@ -104,9 +104,15 @@ class ForceWatch:
         # One that agrees with the measured force drives the motion no more than that does.
         return self._doubt_of_sensor() or (error and (self._doubt_of_power() or error))
 
-    def learn(self, predicted: Array, measured: Array, velocity: Array, half_cycle: float) -> None:
-        """What only later samples need of these: forces [N] and velocity [m/s], shape (n,)."""
-        self._recent.add(measured, predicted, velocity, half_cycle)
+    def learn(
+        self, forces: tuple[Array, Array], velocity: Array, half_cycle: float, *, steady: bool
+    ) -> None:
+        """What only later samples need of these; arrays of shape (n,).
+
+        ``forces`` [N], predicted and measured; ``velocity`` [m/s]; ``half_cycle`` [s] of the
+        motion, NaN before it is known; ``steady``: whether that is a sine that goes on.
+        """
+        self._recent.add(forces[::-1], velocity, half_cycle, steady=steady)
         if not math.isnan(half_cycle):
             self._time = min(max(half_cycle, _SHORTEST), _LONGEST)
 

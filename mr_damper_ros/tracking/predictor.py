@@ -156,7 +156,9 @@ class ForcePredictor:
     def _learn(self) -> None:
         unlearned, self._unlearned = self._unlearned, None
         if unlearned is not None and self._watch is not None and self._motion is not None:
-            self._watch.learn(*unlearned, self._motion.half_cycle)
+            predicted, measured, velocity = unlearned
+            half_cycle, steady = self._motion.half_cycle, self._motion.steady
+            self._watch.learn((predicted, measured), velocity, half_cycle, steady=steady)
             if self._newest_doubt.kind in _OF_THE_SET and self._known.search_is_due():
                 self._take_another(self._watch)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,9 @@ _HALF_CYCLES = 8
 _SHORTEST_MEMORY = 2.0
 _LONGEST_MEMORY = 120.0
 """The memory is so many half-cycles, and within these times [s]."""
+
+_PEAK_MEMORY = 10.0
+"""Seconds, where the motion is not steady: eight half-cycles of it may all be small ones."""
 
 _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
@@ -48,7 +52,7 @@ class RecentForce:
     """Remembers some cycles of a stream of samples ``period`` [s] apart.
 
     ``peak`` and ``centre`` [N]: half the span of the measured force and its middle, NaN before
-    anything is known of it.
+    anything is known of it. Where the motion is not steady they are those of a longer time.
     ``noise`` [N]: standard deviation of its white part. ``stuck``: it has not changed at all for a
     half-cycle. ``measured_drives`` and ``predicted_drives``: that force puts power into the motion.
     """
@@ -68,15 +72,23 @@ class RecentForce:
         self.measured_drives = False
         self.predicted_drives = False
 
-    def add(self, measured: Array, predicted: Array, velocity: Array, half_cycle: float) -> None:
-        """Add samples of the forces [N] and the velocity [m/s], shape (n,).
+    def add(
+        self,
+        forces: tuple[Array, Array],
+        velocity: Array,
+        half_cycle: float,
+        *,
+        steady: bool,
+    ) -> None:
+        """Add samples of the measured and the predicted force [N] and the velocity [m/s], (n,).
 
-        ``half_cycle`` [s] is that of the motion, NaN before it is known.
+        ``half_cycle`` [s] is that of the motion, NaN before it is known; ``steady``: whether it is
+        a sine that goes on.
         """
-        self._parts.append((measured, predicted, velocity))
-        self._count += measured.size
+        self._parts.append((*forces, velocity))
+        self._count += velocity.size
         if self._count >= self._stretch:
-            self._finish(half_cycle)
+            self._finish(half_cycle, steady)
 
     def forget_predicted(self) -> None:
         """The predicted forces so far were those of other parameters."""
@@ -85,7 +97,7 @@ class RecentForce:
         for stretch in self._past:
             stretch.sums[2] = stretch.sums[:, 3] = 0.0
 
-    def _finish(self, half_cycle: float) -> None:
+    def _finish(self, half_cycle: float, steady: bool) -> None:
         measured, predicted, velocity = (
             np.concatenate(rows) for rows in zip(*self._parts, strict=True)
         )
@@ -107,28 +119,38 @@ class RecentForce:
         known = 0.0 if math.isnan(half_cycle) else half_cycle
         memory = min(max(_HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
         self._stretch = max(round(min(memory / _STRETCHES, _LONGEST_STRETCH) / self._period), 1)
-        while (self._remembered - self._past[0].count) * self._period >= memory:
+        kept = max(memory, _PEAK_MEMORY)
+        while (self._remembered - self._past[0].count) * self._period >= kept:
             self._remembered -= self._past.popleft().count
-        self._judge(known)
+        recent = self._latest(memory)
+        self._judge_span(recent if steady else self._past)
+        self.noise = sorted(stretch.noise for stretch in recent)[len(recent) // 2]
+        self._judge_power(known)
 
-    def _judge(self, half_cycle: float) -> None:
-        past = self._past
-        top, bottom = max(s.top for s in past), min(s.bottom for s in past)
+    def _latest(self, time: float) -> list[_Stretch]:
+        """The stretches of the latest so many seconds, newest first."""
+        latest: list[_Stretch] = []
+        count = 0
+        for stretch in reversed(self._past):
+            latest.append(stretch)
+            count += stretch.count
+            if count * self._period >= time:
+                break
+        return latest
+
+    def _judge_span(self, stretches: Collection[_Stretch]) -> None:
+        top, bottom = max(s.top for s in stretches), min(s.bottom for s in stretches)
         self.peak, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
-        self.noise = sorted(stretch.noise for stretch in past)[len(past) // 2]
+
+    def _judge_power(self, half_cycle: float) -> None:
         self.stuck = self._unchanged * self._period > max(half_cycle, _SHORTEST_STUCK)
         self.measured_drives = self.predicted_drives = False
-        latest: list[Array] = []
-        count = 0
-        for stretch in reversed(past):
-            latest.append(stretch.sums)
-            count += stretch.count
-            if count * self._period >= _FOR_POWER * half_cycle:
-                break
+        latest = self._latest(_FOR_POWER * half_cycle)
+        count = sum(stretch.count for stretch in latest)
         if half_cycle == 0.0 or count * self._period < 0.5 * _FOR_POWER * half_cycle:
             return
         with np.errstate(over="ignore", invalid="ignore"):
-            sums = np.sum(latest, axis=0)
+            sums = np.sum([stretch.sums for stretch in latest], axis=0)
             products = sums[:, 1:] - np.outer(sums[:, 0], sums[:, 0]) / count
             sizes = np.sqrt(np.maximum(np.diag(products), 0.0))
             if sizes[0] > _STILL * math.sqrt(count):
