@@ -26,7 +26,7 @@ _HALF, _MARGIN = 0.5, 0.12
 """Sample periods that a stamp may be off, and by how much the clock may be wrong besides."""
 
 _WAITING = 3
-"""Samples that wait for the next ones to tell where they belong."""
+"""Samples that wait for the next ones to tell where they belong; more where those are late, too."""
 
 _LONGEST = 1.0
 """Seconds without a stamp after which the clock is not known well enough to count through."""
@@ -138,11 +138,15 @@ class EvenStamps(Generic[V]):
         sample = EvenSample(self._next, clock.at(self._next), stamp_ns, value)
         self._waiting.append((sample, late))
         self._next += 1
-        if len(self._waiting) <= _WAITING:
+        # After a loss that has not shown, all are late: one that is not tells that there is none.
+        if len(self._waiting) <= _WAITING or all(
+            late >= _HALF - _MARGIN for _, late in self._waiting
+        ):
             return []
-        # What has been learnt since makes its time better.
-        sample = self._waiting.pop(0)[0]
-        return [replace(sample, time_ns=clock.at(sample.index))]
+        certain = self._waiting[:-_WAITING]
+        del self._waiting[:-_WAITING]
+        # What has been learnt since makes their times better.
+        return [replace(each, time_ns=clock.at(each.index)) for each, _ in certain]
 
     def _leave_out_late_ones(self) -> None:
         """Samples were lost, and of those stamped so late it is not clear on which side."""

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import mr_damper_ros as mr
 from mr_damper_ros.signals.arrival_clock import ArrivalClock
 from mr_damper_ros.signals.channel_join import ChannelJoin, JoinedRun, interpolated
-from mr_damper_ros.signals.even_stamps import EvenSample
+from mr_damper_ros.signals.even_stamps import EvenSample, EvenStamps
 from mr_damper_ros.signals.stamped_channel import StampedChannel
 
 START = 1_700_000_000_000_000_000
@@ -111,6 +111,19 @@ def test_each_sample_has_the_number_that_it_was_taken_with() -> None:
     taken = np.concatenate([run.leading for run in runs])
     right = np.round((taken - taken[0]) * RATE).astype(int)
     np.testing.assert_array_equal(numbers - numbers[0], right)
+
+
+@pytest.mark.parametrize("unclear", range(10))
+def test_a_loss_that_does_not_show_for_long_puts_no_sample_in_the_wrong_place(unclear: int) -> None:
+    """Stamps after it are as late as those before may be, until one is not late at all."""
+    late = [0.0] * 400 + [-0.45] * unclear + [0.0] * 20
+    numbers = [*range(400), *range(401, 401 + unclear + 20)]
+    found = []
+    even: EvenStamps[int] = EvenStamps()
+    for number, periods in zip(numbers, late, strict=True):
+        found += even.add(START + round(1e9 * (number + periods) / RATE), number)
+    assert {sample.value - sample.index for sample in found} == {found[0].value - found[0].index}
+    assert found[-1].value == numbers[-4]
 
 
 def test_stamps_of_joined_samples_are_those_of_the_clock() -> None:
