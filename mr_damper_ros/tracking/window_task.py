@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.map_estimate import with_prior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
@@ -115,16 +116,20 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
 def _start_of(task: FitTask, window: Window) -> Array:
     """The running set (p,), or that first found at the window's operating point where it is nearer.
 
-    From far away a search may end in another minimum.
+    From far away a search may end in another minimum. Only the force of the latter counts: what has
+    been learnt since of other operating points stays.
     """
     baseline = Baselines(task.baselines).get(window.operating_point)
     if baseline is None:
         return task.start
-    running, first = (
-        float(np.sum((task.model.window_force(window, each) - window.force) ** 2))
-        for each in (task.start, baseline.parameters)
+    model = task.model
+    linear = frozenset(model.free_in_one_run)
+    first = adapted(model, [window], baseline.parameters, task.start, linear)
+    left, left_by_first = (
+        float(np.sum((model.window_force(window, each) - window.force) ** 2))
+        for each in (task.start, first)
     )
-    return baseline.parameters if first < _NEARER**2 * running else task.start
+    return first if left_by_first < _NEARER**2 * left else task.start
 
 
 def _fitted(

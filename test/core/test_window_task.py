@@ -10,8 +10,13 @@ import numpy as np
 import pytest
 from random_motion import BandLimitedRandom
 
+from benchmarks.other_dampers import DAMPERS
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import sine_force
+from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -56,3 +61,34 @@ def test_a_look_brings_no_samples_at_all() -> None:
     result = run_fit(tracker.window_task(weak))
     assert result.fit is not None
     assert len(pickle.dumps(result)) < 0.2 * weak.force.nbytes
+
+
+@pytest.mark.parametrize("model", ["sigmoid", "hyperbolic_tangent"])
+def test_what_was_first_found_here_does_not_undo_what_is_known_of_other_currents(
+    model: str,
+) -> None:
+    """The force then is a start to search from; the law over the current is that of now."""
+    law, current = MODELS[model], 1.0
+    truth = {"sigmoid": known.PLAUSIBLE, "hyperbolic_tangent": DAMPERS["viscous_tanh"].values}[
+        model
+    ]
+    motion = SineMotion(5e-3, 1.0).at(np.arange(SAMPLES) * known.PERIOD)
+    noise = np.random.default_rng(3).normal(0.0, known.NOISE, SAMPLES)
+    window = Window.from_samples(motion.displacement, np.zeros(SAMPLES), current, known.PERIOD)
+    force = law.window_force(window, truth) + noise
+    raw = RawWindow(known.T0, known.PERIOD, motion.displacement, force, np.full(SAMPLES, current))
+    knows_nothing_else = law.without_dependence(truth, 1.5)
+    baseline = fit_window(law, replace(window, force=force), knows_nothing_else)
+    weaker = truth.copy()
+    weaker[list(law.strength_indices)] *= 0.3
+    task = replace(
+        WindowTracker(TrackerSettings(model=model), ParameterSet(weaker, model=model)).window_task(
+            raw
+        ),
+        baselines=(baseline,),
+    )
+    fit = run_fit(task).fit
+    assert fit is not None
+    shape = law.places(law.shape_names)
+    np.testing.assert_array_equal(fit.parameters[shape], weaker[shape])
+    assert fit.rmse < 1.1 * known.NOISE
