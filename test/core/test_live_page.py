@@ -189,6 +189,8 @@ def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:
     page.resize(390, 844, 2.0)
     page.until("document.querySelector('[data-chart=force-time] canvas').clientWidth < 390")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    why = "document.querySelector('td.why').getBoundingClientRect()"
+    assert page.evaluate(f"{why}.width > 200 && {why}.right <= 390")
     page.resize(1280, 900)
 
 

@@ -15,6 +15,11 @@ function axis(label, size) {
   };
 }
 
+/** Room for the marks beside an axis: small numbers have many letters. */
+function beside(_, marks) {
+  return Math.max(48, 12 + 6.5 * Math.max(0, ...(marks ?? []).map((mark) => mark.length)));
+}
+
 /** A number in few letters, for axes and captions. */
 export function short(value, digits = 4) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
@@ -86,7 +91,7 @@ export class LoopChart extends Chart {
     return {
       ...this.size(), mode: 2, legend: { show: false }, cursor: { show: false },
       scales: { x: { time: false, range: range(0) }, y: { range: range(1) } },
-      axes: [axis(x, 30), axis(y, 48)],
+      axes: [axis(x, 30), axis(y, beside)],
       hooks: { drawClear: [(u) => u.series.forEach((s, i) => { if (i) s._paths = null; })] },
       series: [{}, ...lines.map((line) => ({
         facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }],
@@ -153,7 +158,7 @@ export class TimeChart extends Chart {
         x: { time: false, range: (_, low, high) => (low < high ? [low, high] : [low - 1, high + 1]) },
         y: { distr: log ? 3 : 1, range: () => padded(...extent(this.data.slice(1), lines), log) },
       },
-      axes: [{ ...axis("", 24), values: (_, marks) => marks.map(time) }, axis(y, 48)],
+      axes: [{ ...axis("", 24), values: (_, marks) => marks.map(time) }, axis(y, beside)],
       series: [{ label: "time", value: (_, value) => time(value) }, ...series],
       hooks: { setCursor: [(u) => this.tell(u)] },
     };
