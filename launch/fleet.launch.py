@@ -1,5 +1,7 @@
 """Identify many dampers at once, each in a namespace of its own, from a bridge each.
 
+One process holds the identifiers of all of them, which share its workers, and one the models.
+
 ros2 launch mr_damper_ros fleet.launch.py dampers:="left right"
 ros2 launch mr_damper_ros fleet.launch.py dampers:=8 bridge_config:=/path/to/{damper}.yaml
 
@@ -21,6 +23,9 @@ PACKAGE = "mr_damper_ros"
 SHARE = Path(get_package_share_directory(PACKAGE))
 
 NODES = ("bridge", "identifier", "model")
+
+HOSTED = NODES[1:]
+"""Those of all dampers are in one process."""
 
 PLACE = "{damper}"
 """Stands for the name of the damper in the path of a parameter file."""
@@ -87,28 +92,36 @@ def file_of(values: Mapping[str, str], node: str, damper: str) -> str:
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Bridge, identifier and model of every damper."""
+    """Identifiers and models of all dampers, and a bridge for each."""
     values = {item.name: LaunchConfiguration(item.name).perform(context) for item in arguments()}
-    return [
+    dampers = names_of(values["dampers"])
+    places = {
+        node: [f"{damper}={file_of(values, node, damper)}" for damper in dampers] for node in HOSTED
+    }
+    all_of_them = [
         Node(
             package=PACKAGE,
             executable=node,
-            name=node,
+            arguments=[text for place in places[node] for text in ("--namespace", place)],
+            output="screen",
+            on_exit=failed(node),
+        )
+        for node in HOSTED
+    ]
+    bridges = [
+        Node(
+            package=PACKAGE,
+            executable="bridge",
+            name="bridge",
             namespace=damper,
             # Identifier and model are there before the first sample.
-            parameters=[
-                file_of(values, node, damper),
-                {"wait_for_subscribers": 2} if node == "bridge" else {},
-            ],
-            remappings=[],
-            ros_arguments=[],
-            additional_env={},
+            parameters=[file_of(values, "bridge", damper), {"wait_for_subscribers": len(HOSTED)}],
             output="screen",
-            on_exit=failed(f"{damper}/{node}"),
+            on_exit=failed(f"{damper}/bridge"),
         )
-        for damper in names_of(values["dampers"])
-        for node in NODES
+        for damper in dampers
     ]
+    return all_of_them + bridges
 
 
 def generate_launch_description() -> LaunchDescription:

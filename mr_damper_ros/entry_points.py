@@ -47,12 +47,27 @@ def bridge() -> int:
 
 def campaign() -> int:
     """Run the node campaign."""
-    return _run_with_worker("campaign")
+    _hear_signals()
+    from mr_damper_ros.processes.worker import Worker
+
+    worker = Worker(_WORK["campaign"])
+    try:
+        return _run("campaign", worker)
+    finally:
+        worker.close()
 
 
 def identifier() -> int:
-    """Run the node identifier."""
-    return _run_with_worker("identifier")
+    """Run the node identifier, or one in each of several namespaces, which share workers."""
+    _hear_signals()
+    from mr_damper_ros.processes.hosting import worker_count
+    from mr_damper_ros.processes.worker_pool import WorkerPool
+
+    pool = WorkerPool(_WORK["identifier"], worker_count(sys.argv[1:]))
+    try:
+        return _run("identifier", pool)
+    finally:
+        pool.close()
 
 
 def live() -> int:
@@ -104,17 +119,6 @@ def tool(name: str) -> int:
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     return code
-
-
-def _run_with_worker(name: str) -> int:
-    _hear_signals()
-    from mr_damper_ros.processes.worker import Worker
-
-    worker = Worker(_WORK[name])
-    try:
-        return _run(name, worker)
-    finally:
-        worker.close()
 
 
 def _run(name: str, *arguments: object) -> int:

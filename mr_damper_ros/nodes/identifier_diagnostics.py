@@ -77,6 +77,8 @@ class IdentifierDiagnostics:
             )
         if not worker.ready:
             return Finding(OK, "the process is starting", values)
+        if worker.waits:
+            return Finding(OK, "waits for a process that others have", values)
         return Finding(OK, pipeline.running or "idle", values)
 
     def parameters(self) -> Finding:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,7 +33,8 @@ from mr_damper_ros.nodes.results import (
 )
 from mr_damper_ros.nodes.search_goals import SearchGoals
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.worker import Worker
+from mr_damper_ros.processes.hosting import HELP, WORKERS_HELP
+from mr_damper_ros.processes.worker_pool import PooledWorker, WorkerPool
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.identifier import Identifier, Publication
@@ -54,8 +54,8 @@ A guard condition would need no looking, but the events executor supports none.
 class IdentifierNode(Node):
     """Feeds what arrives to the identification, and publishes what comes of it."""
 
-    def __init__(self, worker: Worker) -> None:
-        super().__init__("identifier")
+    def __init__(self, worker: PooledWorker, cli_args: list[str] | None = None) -> None:
+        super().__init__("identifier", cli_args=cli_args)
         options = NodeParameters(self, IdentifierParameters).values
         self._frame_id = options.frame_id
         # Two dampers in two namespaces may share a folder.
@@ -228,7 +228,7 @@ class IdentifierNode(Node):
         return response
 
 
-def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) -> Identifier:
+def _identifier(options: IdentifierParameters, own_name: str, worker: PooledWorker) -> Identifier:
     windows, tracking = options.windows, options.tracking
     tracker = WindowTracker(tracking, _initial_set(options.initial_parameters, tracking.model))
     try:
@@ -255,6 +255,10 @@ def _initial_set(source: str, model: str) -> ParameterSet:
         raise ConfigurationError(f"initial_parameters: {error}") from error
 
 
-def main(worker: Worker) -> int:
-    """Run the node, with a worker that the caller closes."""
-    return run(partial(IdentifierNode, worker), IdentifierParameters)
+def main(pool: WorkerPool) -> int:
+    """Run the node, or one in each of several namespaces, with workers that the caller closes."""
+
+    def node(cli_args: list[str] | None = None) -> IdentifierNode:
+        return IdentifierNode(pool.worker(), cli_args)
+
+    return run(node, IdentifierParameters, hosted=HELP + WORKERS_HELP)

@@ -20,6 +20,7 @@ from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput
 from mr_damper_ros.nodes.results import PredictionMessage
 from mr_damper_ros.nodes.signal_mirror import SignalMirror
 from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.processes.hosting import HELP
 from mr_damper_ros.processes.postponed_work import PostponedWork
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -92,8 +93,8 @@ class ModelParameters(ParameterTable):
 class ModelNode(Node):
     """Publishes a prediction for every block of samples, valid or not."""
 
-    def __init__(self) -> None:
-        super().__init__("model")
+    def __init__(self, cli_args: list[str] | None = None) -> None:
+        super().__init__("model", cli_args=cli_args)
         self._options = NodeParameters(self, ModelParameters).values
         self._predictor = ForcePredictor(self._options.predictor, self._options.grid)
         self._error = RunningError(self._options.error_memory)
@@ -242,5 +243,5 @@ class ModelNode(Node):
 
 
 def main() -> int:
-    """Run the node."""
-    return run(ModelNode, ModelParameters, between=ModelNode.finish_in_time)
+    """Run the node, or one in each of several namespaces."""
+    return run(ModelNode, ModelParameters, between=ModelNode.finish_in_time, hosted=HELP)

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TypeVar
 
 import rclpy
@@ -27,6 +28,7 @@ from rclpy.utilities import remove_ros_args
 
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.nodes.quality import OVERRIDES
+from mr_damper_ros.processes.hosting import Place, hosting
 from mr_damper_ros.settings.option_table import ParameterTable, describe
 
 SUCCESS = 0
@@ -45,13 +47,17 @@ N = TypeVar("N", bound=Node)
 
 
 def run(
-    factory: Callable[[], N],
+    factory: Callable[..., N],
     parameters: type[ParameterTable],
     arguments: Sequence[str] | None = None,
     ended: Callable[[N], int | None] = lambda _: None,
     between: Callable[[N], float] = lambda _: _WAKE_UP,
+    hosted: str = "",
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
+
+    With ``hosted``, the help on it, it may be a node in each of several namespaces: the factory is
+    then called with ``cli_args`` for each, as rclpy's Node takes them.
 
     ``ended`` is the exit code once the node's work is over, None as long as it is not. ``between``
     is called between two callbacks, for what need not be done in one; it returns after how many
@@ -66,7 +72,15 @@ def run(
     if "-h" in others or "--help" in others:
         print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
         print(describe(parameters))
+        print(hosted, end="")
         return SUCCESS
+    places: tuple[Place, ...] = ()
+    if hosted:
+        try:
+            found = hosting(others)
+        except ValueError as error:
+            return _reject(str(error))
+        places, others = found.places, list(found.rest)
     if others:
         return _reject(
             f"unknown argument {others[0]}: parameters are set by --ros-args -p NAME:=VALUE"
@@ -89,7 +103,7 @@ def run(
             return _reject(f"{reason}: {_LOG_ADVICE}")
         return _reject(f"the command line cannot be used: {reason}")
     try:
-        return _spin(factory, ended, between, stop)
+        return _spin(_nodes(factory, places), ended, between, stop)
     except _CONFIGURATION_ERRORS as error:
         return _reject(str(error))
     except _NodeError as error:
@@ -109,12 +123,20 @@ class _Stop:
         self.requested = True
 
 
-def _spin(
-    factory: Callable[[], N],
-    ended: Callable[[N], int | None],
-    between: Callable[[N], float],
-    stop: _Stop,
-) -> int:
+def _nodes(factory: Callable[..., N], places: Sequence[Place]) -> list[N]:
+    """The node, or that of each place."""
+    if not places:
+        return [_node(factory)]
+    nodes = []
+    for place in places:
+        try:
+            nodes.append(_node(partial(factory, cli_args=place.arguments)))
+        except _CONFIGURATION_ERRORS as error:
+            raise ConfigurationError(f"{place.namespace}: {error}") from error
+    return nodes
+
+
+def _node(factory: Callable[..., N]) -> N:
     try:
         node = factory()
     except rclpy_implementation.RCLError as error:
@@ -122,22 +144,33 @@ def _spin(
     for name in node._parameter_overrides:
         if name.startswith(OVERRIDES) and not node.has_parameter(name):
             node.get_logger().warning(f"{name} is not used: there is no such topic so far")
+    return node
+
+
+def _spin(
+    nodes: Sequence[N],
+    ended: Callable[[N], int | None],
+    between: Callable[[N], float],
+    stop: _Stop,
+) -> int:
     executor = make_executor()
-    executor.add_node(node)
+    for node in nodes:
+        executor.add_node(node)
     # What was made so far stays to the end. Looking through it for garbage takes some tens of
     # milliseconds, in which blocks would wait.
     gc.collect()
     gc.freeze()
     try:
         while not stop.requested:
-            executor.spin_once(timeout_sec=min(between(node), _WAKE_UP))
-            code = ended(node)
-            if code is not None:
-                return code
+            executor.spin_once(timeout_sec=min(_WAKE_UP, *map(between, nodes)))
+            for code in map(ended, nodes):
+                if code is not None:
+                    return code
     finally:
         executor.shutdown()
         _end_in_any_case()
-        node.destroy_node()
+        for node in nodes:
+            node.destroy_node()
     return SUCCESS
 
 

@@ -95,8 +95,7 @@ class Program:
     @property
     def cpu_seconds(self) -> float:
         """Processor time [s] that it has used so far, without its children's."""
-        fields = _fields(self.pid)
-        return (int(fields[11]) + int(fields[12])) / _TICKS
+        return cpu_seconds(self.pid)
 
     @property
     def children(self) -> list[int]:
@@ -180,6 +179,12 @@ def resident_bytes(pid: int) -> int:
     """Memory [B] that a process has in use (resident set), shared libraries included."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def cpu_seconds(pid: int) -> float:
+    """Processor time [s] that a process has used so far, without its children's."""
+    fields = _fields(pid)
+    return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
 def _content(file: int) -> str:

@@ -205,6 +205,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "single_sample": list,
         "live_page": list,
         "lossy_link": list,
+        "eight_rigs": list,
         "hostile_messages": list,
         "supply_safety": list,
         "topic_samples": list,

@@ -94,10 +94,13 @@ def nodes(description: list[Any], given: Mapping[str, str]) -> list[Action]:
 
 def command_line(node: Action) -> tuple[list[str], dict[str, object]]:
     """ROS arguments and parameters with which launch would start a node."""
-    arguments = [*node.ros_arguments, "-r", f"__node:={node.name}"]
+    made = vars(node)
+    if "parameters" not in made:
+        return list(made["arguments"]), {}
+    arguments = [*made.get("ros_arguments", ()), "-r", f"__node:={node.name}"]
     if node.namespace:
         arguments += ["-r", f"__ns:=/{node.namespace.lstrip('/')}"]
-    for old, new in node.remappings:
+    for old, new in made.get("remappings", ()):
         arguments += ["-r", f"{old}:={new}"]
     file, parameters = node.parameters
     values = {k: v.value if isinstance(v, Value) else v for k, v in parameters.items()}

@@ -1,4 +1,4 @@
-"""The launch file of a fleet: what it would start, and two dampers side by side."""
+"""The launch file of a fleet: what it would start, and three dampers side by side."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from typing import Any
 
 import launch_stand_in
 import pytest
-from mr_damper_msgs.msg import FitReport, PredictedForce
-from support import Listener
+from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
+from support import Listener, assert_one_sentence
+
+from mr_damper_ros.nodes.quality import latched
+from mr_damper_ros.processes.hosting import hosting
 
 FILE = Path(__file__).parents[2] / "launch" / "fleet.launch.py"
 
@@ -20,24 +23,37 @@ def description(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return made
 
 
-def test_every_damper_has_three_nodes_in_its_namespace(description: list[Any]) -> None:
+def bridges(started: list[Any]) -> list[Any]:
+    return [node for node in started if node.executable == "bridge"]
+
+
+def test_every_damper_has_a_bridge_and_a_place_at_identifier_and_model(
+    description: list[Any],
+) -> None:
     started = launch_stand_in.nodes(description, {"dampers": "left right"})
-    assert [(node.namespace, node.name) for node in started] == [
-        (side, name) for side in ("left", "right") for name in ("bridge", "identifier", "model")
-    ]
+    assert [node.namespace for node in bridges(started)] == ["left", "right"]
+    for name in ("identifier", "model"):
+        (host,) = (node for node in started if node.executable == name)
+        places = hosting(host.arguments).places
+        assert [place.namespace for place in places] == ["left", "right"]
+        assert all(place.file.endswith(f"config/{name}.yaml") for place in places)
 
 
 def test_dampers_can_be_counted(description: list[Any]) -> None:
     started = launch_stand_in.nodes(description, {"dampers": "8"})
-    assert {node.namespace for node in started} == {f"damper_{k}" for k in range(1, 9)}
+    assert [node.namespace for node in bridges(started)] == [f"damper_{k}" for k in range(1, 9)]
 
 
 def test_each_damper_may_have_a_file_of_its_own(description: list[Any], tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / f"{name}.yaml").touch()
-    given = {"dampers": "a b", "bridge_config": str(tmp_path / "{damper}.yaml")}
-    files = [n.parameters[0] for n in launch_stand_in.nodes(description, given)][::3]
-    assert files == [str(tmp_path / "a.yaml"), str(tmp_path / "b.yaml")]
+    own = str(tmp_path / "{damper}.yaml")
+    given = {"dampers": "a b", "bridge_config": own, "model_config": own}
+    started = launch_stand_in.nodes(description, given)
+    files = [str(tmp_path / "a.yaml"), str(tmp_path / "b.yaml")]
+    assert [node.parameters[0] for node in bridges(started)] == files
+    (model,) = (node for node in started if node.executable == "model")
+    assert [place.file for place in hosting(model.arguments).places] == files
 
 
 @pytest.mark.parametrize(
@@ -59,23 +75,65 @@ def test_a_wrong_argument_is_refused(
 
 def test_it_fails_with_any_node(description: list[Any]) -> None:
     event = launch_stand_in.Action(returncode=2)
-    (first, *_) = launch_stand_in.nodes(description, {"dampers": "left"})
+    (first,) = bridges(launch_stand_in.nodes(description, {"dampers": "left"}))
     with pytest.raises(RuntimeError, match="left/bridge has ended with exit code 2"):
         first.on_exit(event, launch_stand_in.Context())
     assert first.on_exit(event, launch_stand_in.Context(is_shutdown=True)) is None
 
 
-def test_two_dampers_are_identified_side_by_side(
+def test_dampers_share_workers_and_are_identified_side_by_side(
     start: Any, listener: Listener, description: list[Any]
 ) -> None:
-    sides = ("left", "right")
-    reports = {side: listener.listen(FitReport, f"/{side}/damper/fit_report") for side in sides}
+    dampers = ("left", "middle", "right")
+    reports = {side: listener.listen(FitReport, f"/{side}/damper/fit_report") for side in dampers}
     forces = {
-        side: listener.listen(PredictedForce, f"/{side}/damper/predicted_force") for side in sides
+        side: listener.listen(PredictedForce, f"/{side}/damper/predicted_force") for side in dampers
     }
-    for node in launch_stand_in.nodes(description, {"dampers": " ".join(sides)}):
+    identifier, *others = launch_stand_in.nodes(description, {"dampers": " ".join(dampers)})
+    fitting = start(identifier.executable, "--workers", "1", *identifier.arguments)
+    for node in others:
         options, parameters = launch_stand_in.command_line(node)
         start(node.executable, *options, **parameters)
     listener.until(
-        lambda: all(reports[side] and forces[side] for side in sides), "reports of both dampers"
+        lambda: all(reports[side] and forces[side] for side in dampers), "reports of all dampers"
     )
+    assert len(fitting.children) == 1
+
+
+def test_each_namespace_takes_its_own_parameters(
+    start: Any, listener: Listener, tmp_path: Path
+) -> None:
+    places = []
+    for name, law in (("left", "bingham"), ("right", "sigmoid_lag")):
+        file = tmp_path / f"{name}.yaml"
+        file.write_text(f"/**:\n  ros__parameters:\n    model: {law}\n")
+        places += ["--namespace", f"{name}={file}"]
+    sets = {
+        name: listener.listen(DamperParameters, f"/{name}/damper/parameters", latched())
+        for name in ("left", "right")
+    }
+    start("identifier", *places)
+    listener.until(lambda: all(sets.values()), "the sets of both")
+    assert {name: found[-1].model for name, found in sets.items()} == {
+        "left": "bingham",
+        "right": "sigmoid_lag",
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--namespace",), "not ''"),
+        (("--namespace", "left", "--namespace", "left"), "the namespace left is given twice"),
+        (("--workers", "none"), "--workers needs a number of at least 1, not 'none'"),
+        (("--namespace", "left-hand"), "letters, digits and underscores, not 'left-hand'"),
+        (("--namespace", "left=/nowhere.yaml"), "/nowhere.yaml"),
+    ],
+)
+def test_a_place_that_cannot_be_is_refused(
+    start: Any, arguments: tuple[str, ...], sentence: str
+) -> None:
+    program = start("identifier", *arguments)
+    assert program.wait() == 2
+    assert sentence in program.errors
+    assert_one_sentence(program.errors)

@@ -10,7 +10,14 @@ from contextlib import closing
 
 import pytest
 
-from benchmarks import live_page, lossy_link, single_sample, streaming_load, topic_samples
+from benchmarks import (
+    eight_rigs,
+    live_page,
+    lossy_link,
+    single_sample,
+    streaming_load,
+    topic_samples,
+)
 from benchmarks.network import LossyLink, NetworkError
 from benchmarks.streaming_load import Counter
 
@@ -50,6 +57,18 @@ def test_every_key_of_samples_from_topics_is_measured_once() -> None:
         *("topics_lost_inside", "topics_lost_by_dds", "topics_rmse_ratio")
     ]
     assert figures[0].reached == "yes"
+
+
+def test_every_key_of_many_rigs_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, short in (("_SETTLED", 0.0), ("_QUIET", 1.5)):
+        monkeypatch.setattr(eight_rigs, name, short)
+    figures = eight_rigs.figures(duration=2.0, rigs=2)
+    assert [figure.key for figure in figures] == [
+        *("eight_rigs_lost", "eight_rigs_unfitted"),
+        *("eight_rigs_cpu_identifiers_percent", "eight_rigs_cpu_workers_percent"),
+        *("eight_rigs_cpu_models_percent", "eight_rigs_cpu_bridges_percent"),
+    ]
+    assert figures[1].reached == "yes"
 
 
 def test_a_missing_block_is_counted() -> None:
