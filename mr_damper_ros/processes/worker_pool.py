@@ -38,6 +38,16 @@ class WorkerPool:
         """Processes that have been replaced so far."""
         return sum(worker.replaced for worker in self._workers)
 
+    @property
+    def pid(self) -> int | None:
+        """Id of the process that is free next; None for the moment in which there is none."""
+        return self._next.pid if self._free else None
+
+    @property
+    def _next(self) -> Worker:
+        """One that is coming up still counts where there is no other."""
+        return next((one for one in self._free if one.ready), self._free[0])
+
     def worker(self) -> PooledWorker:
         """A share of the processes, for one who has one task at a time."""
         return PooledWorker(self)
@@ -62,10 +72,13 @@ class WorkerPool:
         for worker in self._free:
             worker.poll()
         while self._waiting and self._free:
-            # One that is coming up still counts where there is no other.
-            worker = next((one for one in self._free if one.ready), self._free[0])
+            worker = self._next
             self._free.remove(worker)
             self._waiting.popleft().take(worker)
+
+    def take_notices(self) -> list[str]:
+        """Sentences about free processes (deaths, replacements) since the last call."""
+        return [notice for worker in self._free for notice in worker.take_notices()]
 
 
 class PooledWorker:
@@ -101,8 +114,8 @@ class PooledWorker:
 
     @property
     def pid(self) -> int | None:
-        """Id of the process that is at the task; None where none is."""
-        return None if self._worker is None else self._worker.pid
+        """Id of the process that is at the task, or would be; None where there is none."""
+        return self._pool.pid if self._worker is None else self._worker.pid
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
         """As :meth:`Worker.submit`; the budget begins when a process has the task."""
@@ -131,6 +144,7 @@ class PooledWorker:
     def poll(self) -> list[Outcome]:
         """What has happened since the last call. Never blocks."""
         self._pool.hand_out()
+        self._notices += self._pool.take_notices()
         worker = self._worker
         if worker is None:
             return []
