@@ -31,7 +31,10 @@ _SETTLED = 5.0
 """Seconds of the streams after which the processor time counts."""
 
 _QUIET = 3.0
-"""Seconds without a report after which no window is left to be fitted."""
+"""Seconds for what all nodes say, which comes every second."""
+
+_PATIENCE = 30.0
+"""Seconds without a report after which no more are waited for."""
 
 _SHOWN = ("identifier: input", "model: input", "model: latency", "bridge: source")
 
@@ -41,6 +44,7 @@ class Fleet:
 
     def __init__(self, observer: Observer, dampers: Sequence[str]) -> None:
         self._observer = observer
+        self.dampers = dampers
         self.said: dict[str, dict[str, str]] = {}
         self.skipped: Counter[str] = Counter()
         self.reports: dict[str, list[FitReport]] = defaultdict(list)
@@ -89,11 +93,12 @@ class Fleet:
         self._observer.spin_for(duration)
 
     def drain(self) -> None:
-        """Wait until nothing is left to be fitted, and for what all nodes say then."""
-        self._observer.until(
-            lambda: time.monotonic() - self._last_report > _QUIET, "the last fits", 4.0 * PATIENCE
-        )
+        """Wait until nothing is left to be fitted, or nothing comes, and for what the nodes say."""
         self.listen(_QUIET)
+        while any(map(self.unfitted, self.dampers)):
+            if time.monotonic() - self._last_report > _PATIENCE:
+                break
+            self.listen(_QUIET)
 
 
 def measure(rigs: int, duration: float) -> tuple[list[str], Fleet, dict[str, float]]:

@@ -122,7 +122,9 @@ class PointErrors:
     """Relative standard error (k,) of the force at each point, the largest of its cycle.
 
     ``worst`` is the worst error at all points and phases together that is as likely exceeded as
-    not. It is larger than any of the standard errors: somewhere chance is always against one.
+    not. Where the errors at many points are independent it is larger than any of the standard
+    errors: somewhere chance is against one. Where one direction of the parameters dominates, all
+    points err together, and it is the median of one error, down to 0.67 of the largest.
     """
 
     points: Sequence[tuple[float, float]]

@@ -10,6 +10,7 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 
+from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import (
     SUSPENSION_TOPIC,
     current_message,
@@ -110,8 +111,10 @@ class BridgeStream:
                 stamp = header(_last_stamp(block), self._frame_id)
                 self._outlets[SUSPENSION_TOPIC].publish(suspension_message(block.suspension, stamp))
             self._outlets["mts/samples"].publish(samples_message(block, self._frame_id))
-            for message in mirror.messages(block) if mirror else ():
-                self._outlets["joint_states"].publish(message)
+            if mirror is not None:
+                outlet = self._outlets["joint_states"]
+                for message in mirror.messages(block, heard=quality.heard(outlet.publisher)):
+                    outlet.publish(message)
             self.sent += block.sample_count
         if self._pacer.stopped:
             return
@@ -168,12 +171,13 @@ class _Mirror:
         self._joint = joint
         self._last: tuple[int, float] | None = None
 
-    def messages(self, block: RigBlock) -> Iterator[JointState]:
+    def messages(self, block: RigBlock, *, heard: bool) -> Iterator[JointState]:
+        """Those of a block, none where nobody hears them."""
         every = max(round(1.0 / (self._rate * block.period)), 1)
         for index in range(-block.sequence % every, block.force.size, every):
             stamp_ns = block.stamp_ns(index)
             position = float(block.displacement[index])
-            if self._last is not None:
+            if heard and self._last is not None:
                 elapsed = (stamp_ns - self._last[0]) / NANOSECONDS
                 yield JointState(
                     header=header(stamp_ns, self._joint),

@@ -187,8 +187,8 @@ class ModelNode(Node):
         self._predictor.catch_up()
 
     def _mirror(self, prediction: Prediction) -> None:
-        """Publish the last sample of the block as a wrench, where one is due."""
-        if self._options.wrench_rate == 0.0:
+        """Publish the last sample of the block as a wrench, where one is due and heard."""
+        if self._options.wrench_rate == 0.0 or not quality.heard(self._wrench):
             return
         offset = round((prediction.force.size - 1) * prediction.period * NANOSECONDS)
         stamp_ns = prediction.start_ns + offset

@@ -5,6 +5,7 @@ Each function makes a new profile: rclpy changes a profile in place when it appl
 
 from __future__ import annotations
 
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
@@ -56,6 +57,11 @@ def latched() -> QoSProfile:
         history=HistoryPolicy.KEEP_LAST,
         depth=1,
     )
+
+
+def heard(publisher: Publisher) -> bool:
+    """Whether anybody subscribes: a message for nobody costs as much as any other."""
+    return publisher.get_subscription_count() > 0
 
 
 def overridable() -> QoSOverridingOptions:

@@ -18,7 +18,7 @@ SIGNALS_TOPIC = "damper/signals"
 
 
 class SignalMirror:
-    """Publishes some samples of each block with what was predicted for them.
+    """Publishes some samples of each block with what was predicted for them, where anybody listens.
 
     ``rate``: at most so many a second of data; 0 for none. ``current_at`` gives the current [A] at
     a stamp [ns].
@@ -44,7 +44,7 @@ class SignalMirror:
 
     def publish(self, prediction: Prediction, block: SampleBlock) -> None:
         """Publish the samples of a block that are due; only its new ones have a prediction."""
-        if self._interval_ns == 0:
+        if self._interval_ns == 0 or not quality.heard(self._publisher):
             return
         new = prediction.force.size
         message = self._message
