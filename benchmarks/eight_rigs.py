@@ -27,6 +27,9 @@ CORES = 2
 DURATION = 120.0
 _RATE, _BLOCK = 1000.0, 10
 _WINDOW, _HOP = 2.0, 1.0
+_CURRENT_PERIOD = 0.1
+"""Seconds between two readings of the current; a window waits for one at or after its end."""
+
 _SETTLED = 5.0
 """Seconds of the streams after which the processor time counts."""
 
@@ -84,7 +87,8 @@ class Fleet:
 
     def unfitted(self, damper: str) -> int:
         """Windows of the samples sent that were not fitted, or whose fit failed."""
-        windows = int((self.sent(damper) / _RATE - _WINDOW) / _HOP + 1e-9) + 1
+        known = self.sent(damper) / _RATE - _CURRENT_PERIOD
+        windows = int((known - _WINDOW) / _HOP + 1e-9) + 1
         fitted = [r for r in self.reports[damper] if r.verdict != Verdict.FAILED]
         return max(windows - len(fitted), 0)
 

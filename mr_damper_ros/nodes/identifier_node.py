@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -10,7 +11,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import DamperParameters, FitReport
 from mr_damper_msgs.srv import LoadParameters, SaveParameters
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
@@ -45,9 +45,10 @@ from mr_damper_ros.tracking.tracker_state import TrackerState
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 _ATTENTION_PERIOD = 0.02
-"""Seconds between two looks at the worker; this costs 1 % of a core.
+"""Seconds between two looks at the worker.
 
-A guard condition would need no looking, but the events executor supports none.
+A guard condition would need no looking, but the events executor supports none. A timer would have
+to wait behind all samples that a busy node is behind, and no window would be fitted meanwhile.
 """
 
 
@@ -84,8 +85,7 @@ class IdentifierNode(Node):
             qos_overriding_options=quality.overridable(),
         )
         self._publish_parameters(self._identifier.tracker.parameters)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_ATTENTION_PERIOD, self._attend, clock=steady)
+        self._next_look = 0.0
         self._inputs = Inputs(
             self, quality.lossless, self._take_block, self._identifier.add_current
         )
@@ -149,6 +149,15 @@ class IdentifierNode(Node):
     def _take_block(self, block: SampleBlock) -> None:
         for event in self._identifier.add_block(block):
             self.get_logger().warning(event, throttle_duration_sec=1.0)
+
+    def attend_in_time(self) -> float:
+        """Look at the worker if it is time to; returns the seconds until it is again."""
+        left = self._next_look - time.monotonic()
+        if left > 0.0:
+            return left
+        self._attend()
+        self._next_look = time.monotonic() + _ATTENTION_PERIOD
+        return _ATTENTION_PERIOD
 
     def _attend(self) -> None:
         for event in self._identifier.poll():
@@ -261,4 +270,9 @@ def main(pool: WorkerPool) -> int:
     def node(cli_args: list[str] | None = None) -> IdentifierNode:
         return IdentifierNode(pool.worker(), cli_args)
 
-    return run(node, IdentifierParameters, hosted=HELP + WORKERS_HELP)
+    return run(
+        node,
+        IdentifierParameters,
+        between=IdentifierNode.attend_in_time,
+        hosted=HELP + WORKERS_HELP,
+    )
