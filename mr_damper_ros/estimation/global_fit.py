@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mr_damper_ros.estimation.between_motions import discrepancy_between, motion_numbers
 from mr_damper_ros.estimation.covariance import least_squares_covariance
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
@@ -17,9 +18,11 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.global_search import Candidate, GlobalSearch
 from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
 from mr_damper_ros.estimation.record_levels import LevelPrior
+from mr_damper_ros.estimation.repeatability import error_covariances, samples_per_cycle
 from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import pooled
@@ -31,7 +34,9 @@ GLOBAL_METHODS = ("global", "nelder_mead", "least_squares", "differential_evolut
 class GlobalFit:
     """Result of a global identification.
 
-    ``covariance`` (p, p) of the parameters, zero where a parameter was held; ``nrmse`` (k,):
+    ``covariance`` (p, p) of the parameters, zero where a parameter was held, and ``discrepancy``
+    (p, p): the part of it that comes from what the law cannot follow, NaN where that is not known
+    (:mod:`between_motions`; of a single window :mod:`repeatability`). ``nrmse`` (k,):
     RMSE/std of the force, window by window; ``message`` says how it ended. ``noise`` (k,) [N]:
     what each window's own coefficients leave of its force; ``cost``: mean square over all samples
     of the residual in units of it, 1 where nothing but noise is left. ``candidates``: the local
@@ -41,6 +46,7 @@ class GlobalFit:
 
     parameter_set: ParameterSet
     covariance: Array
+    discrepancy: Array
     nrmse: Array
     evaluations: int
     success: bool
@@ -51,13 +57,22 @@ class GlobalFit:
     stopped: bool = False
     levels: LevelPrior | None = None
 
-    def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array]:
-        """Coefficients (c,) and their standard errors at (peak velocity [m/s], current [A])."""
+    def coefficients(self, operating_point: tuple[float, float]) -> tuple[Array, Array, Array]:
+        """Coefficients (c,) at (peak velocity [m/s], current [A]), with their errors.
+
+        That is their standard errors and the part of these that is discrepancy.
+        """
         model, values = self.parameter_set.law, self.parameter_set.values
         coefficients = model.coefficients_at(values, *operating_point)[:, 0]
         gradient = model.coefficient_gradient(values, *operating_point)
-        errors = np.sqrt(np.einsum("cp,pq,cq->c", gradient, self.covariance, gradient))
-        return coefficients, errors
+        # What a coefficient does not depend on must not make it unknown.
+        used = np.any(gradient != 0.0, axis=0)
+        block, gradient = np.ix_(used, used), gradient[:, used]
+        errors, discrepancies = (
+            np.sqrt(np.einsum("cp,pq,cq->c", gradient, each[block], gradient))
+            for each in (self.covariance, self.discrepancy)
+        )
+        return coefficients, errors, discrepancies
 
     @property
     def median_nrmse(self) -> float:
@@ -111,13 +126,12 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         if parameter.name in search.free and value not in (parameter.low, parameter.high)
     ]
     covariance = np.zeros((best.size, best.size))
+    discrepancy = np.zeros_like(covariance)
     errors = np.full(best.size, math.nan)
     misfit = search.whole_misfit()
     if places:
         block = np.ix_(places, places)
-        covariance[block] = least_squares_covariance(
-            misfit.jacobian(best, places), misfit.residual(best)
-        )
+        covariance[block], discrepancy[block] = _errors(misfit, best, places)
         errors[places] = np.sqrt(np.diag(covariance[block]))
     speeds = np.concatenate([window.motion.peak_velocity for window in search.windows])
     observable = np.isfinite(errors)
@@ -127,6 +141,7 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
     parameter_set = ParameterSet(
         values=best,
         standard_errors=errors,
+        discrepancies=np.where(observable, np.sqrt(np.diag(discrepancy)), math.nan),
         observable=observable,
         set_id=method,
         source=method,
@@ -139,6 +154,7 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
     return GlobalFit(
         parameter_set=replace(parameter_set, nrmse=pooled(errors_of_set).nrmse),
         covariance=covariance,
+        discrepancy=discrepancy,
         nrmse=np.array([error.nrmse for error in errors_of_set]),
         evaluations=search.evaluations,
         success=ending is Ending.CONVERGED and not search.shortcoming,
@@ -148,3 +164,15 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
         candidates=tuple(search.candidates),
         stopped=ending is Ending.STOPPED,
     )
+
+
+def _errors(misfit: PooledProblem, best: Array, places: Sequence[int]) -> tuple[Array, Array]:
+    """Covariance (f, f) of the parameters at some places, and the discrepancy in it."""
+    jacobian, residual = misfit.jacobian(best, places), misfit.residual(best)
+    if len(misfit.windows) == 1:
+        errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
+        return errors.repeatability + errors.discrepancy, errors.discrepancy
+    covariance = least_squares_covariance(jacobian, residual)
+    motions = motion_numbers(misfit.windows)[misfit.row_windows]
+    discrepancy = discrepancy_between(jacobian, residual, motions, covariance)
+    return covariance + np.nan_to_num(discrepancy), discrepancy

@@ -38,7 +38,7 @@ from mr_damper_ros.signals.arrays import Array
 _AS_GOOD = 1.01
 """Searches that end with a cost up to this times the best have found as good a set."""
 
-_VERSION = 2
+_VERSION = 3
 
 
 class SearchRecordError(ValueError):
@@ -249,6 +249,7 @@ def _to_document(fit: GlobalFit) -> dict[str, Any]:
     return {
         "set": fit.parameter_set.to_yaml(),
         "covariance": fit.covariance.tolist(),
+        "discrepancy": fit.discrepancy.tolist(),
         "nrmse": fit.nrmse.tolist(),
         "evaluations": fit.evaluations,
         "success": fit.success,
@@ -267,6 +268,7 @@ def _from_document(document: dict[str, Any]) -> GlobalFit:
     return GlobalFit(
         parameter_set=ParameterSet.from_yaml(document["set"]),
         covariance=np.array(document["covariance"]),
+        discrepancy=np.array(document["discrepancy"]),
         nrmse=np.array(document["nrmse"]),
         evaluations=int(document["evaluations"]),
         success=bool(document["success"]),

@@ -91,6 +91,12 @@ class LevelledProblem:
         """Weights of the samples alone (n,)."""
         return self._weights
 
+    @property
+    def row_windows(self) -> np.ndarray:
+        """The place of the window that each row (n,) of the residual belongs to."""
+        of_sample = self._pooled.row_windows
+        return np.concatenate([of_sample[[*rows, rows[-1], rows[-1]]] for rows in self._records])
+
     def residual(self, parameters: Array) -> Array:
         """Weighted residual [1], two rows more for each record."""
         plain = self._pooled.residual(parameters)

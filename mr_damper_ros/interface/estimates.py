@@ -15,6 +15,8 @@ class Estimate:
     """A number with its standard error, both in ``unit``; NaN where the error is unknown.
 
     ``observable``: whether the data determined it; else it kept the value of the start.
+    ``discrepancy``: the part of the standard error that comes from what the law cannot follow, and
+    that only another motion shows; NaN where it is unknown.
     """
 
     value: float
@@ -22,6 +24,7 @@ class Estimate:
     unit: str
     observable: bool = True
     meaning: str = ""
+    discrepancy: float = math.nan
 
     def __str__(self) -> str:
         if not self.observable:
@@ -35,23 +38,27 @@ Estimates = Mapping[str, Estimate]
 def parameter_estimates(found: ParameterSet) -> dict[str, Estimate]:
     """The parameters of a set by name."""
     return {
-        parameter.name: Estimate(value, error, parameter.unit, bool(observable))
-        for parameter, value, error, observable in zip(
+        parameter.name: Estimate(
+            value, error, parameter.unit, bool(observable), discrepancy=discrepancy
+        )
+        for parameter, value, error, observable, discrepancy in zip(
             found.law.parameters,
             found.values.tolist(),
             found.standard_errors.tolist(),
             found.observable,
+            found.discrepancies.tolist(),
             strict=True,
         )
     }
 
 
 def text_table(heading: str, estimates: Estimates) -> str:
-    """A table for a terminal: name, value, standard error, unit, meaning."""
+    """A table for a terminal: name, value, standard error, discrepancy in it, unit, meaning."""
     width = max(map(len, (heading, *estimates)))
-    lines = [f"{heading:>{width}} {'value':>12}  standard error  unit"]
+    lines = [f"{heading:>{width}} {'value':>12}  standard error  discrepancy  unit"]
     lines += [
-        f"{name:>{width}} {entry.value:12.6g}  {_error(entry):>14}  {entry.unit:<4}  "
+        f"{name:>{width}} {entry.value:12.6g}  {_error(entry):>14}  {_discrepancy(entry):>11}  "
+        f"{entry.unit:<4}  "
         f"{entry.meaning}".rstrip()
         for name, entry in estimates.items()
     ]
@@ -70,16 +77,22 @@ def html_table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def html_estimates(heading: str, estimates: Estimates) -> str:
     """The table of :func:`text_table` for a notebook."""
     rows = [
-        (name, f"{entry.value:.6g}", _error(entry), entry.unit, entry.meaning)
+        (name, f"{entry.value:.6g}", _error(entry), _discrepancy(entry), entry.unit, entry.meaning)
         for name, entry in estimates.items()
     ]
-    return html_table((heading, "value", "standard error", "unit", ""), rows)
+    return html_table((heading, "value", "standard error", "discrepancy", "unit", ""), rows)
 
 
 def _error(entry: Estimate) -> str:
     if not entry.observable:
         return "not observable"
     return f"{entry.standard_error:.3g}" if math.isfinite(entry.standard_error) else "unknown"
+
+
+def _discrepancy(entry: Estimate) -> str:
+    if not entry.observable:
+        return ""
+    return f"{entry.discrepancy:.3g}" if math.isfinite(entry.discrepancy) else "unknown"
 
 
 def as_json(value: float) -> float | None:

@@ -205,6 +205,7 @@ class Identification:
             "model": self.parameter_set.model,
             "parameters": self.parameter_set.as_dict(),
             "standard_errors": {n: as_json(e.standard_error) for n, e in self.parameters.items()},
+            "discrepancies": {n: as_json(e.discrepancy) for n, e in self.parameters.items()},
             "observable": {n: e.observable for n, e in self.parameters.items()},
             "metrics": error_entry(self.error),
             "evaluations": self.evaluations,
@@ -256,6 +257,9 @@ def _entry(run: FittedRun) -> dict[str, Any]:
         "coefficients": {name: entry.value for name, entry in run.coefficients.items()},
         "coefficient_standard_errors": {
             name: as_json(entry.standard_error) for name, entry in run.coefficients.items()
+        },
+        "coefficient_discrepancies": {
+            name: as_json(entry.discrepancy) for name, entry in run.coefficients.items()
         },
         **({} if run.level is None else {"level": run.level._asdict()}),
     }

@@ -244,11 +244,16 @@ def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRu
     fitted = []
     for place, run in enumerate(runs):
         point = run.longest.operating_point
-        values, errors = fit.coefficients(point)
         coefficients = {
-            name: Estimate(value, error if error > 0.0 else math.nan, unit, meaning=meaning)
-            for (name, unit, meaning), value, error in zip(
-                quantities, values.tolist(), errors.tolist(), strict=True
+            name: Estimate(
+                value,
+                error if error > 0.0 else math.nan,
+                unit,
+                meaning=meaning,
+                discrepancy=discrepancy,
+            )
+            for (name, unit, meaning), value, error, discrepancy in zip(
+                quantities, *(each.tolist() for each in fit.coefficients(point)), strict=True
             )
         }
         comparison = compare(fit.parameter_set, run)

@@ -73,6 +73,10 @@ class PooledProblem(Protocol):
     def sample_weights(self) -> Array:
         """Weights (n,) [1/N] of the samples of all windows, 0 where one has no residual."""
 
+    @property
+    def row_windows(self) -> np.ndarray:
+        """The place of the window that each row (n,) of the residual belongs to."""
+
 
 def window_weights(windows: Sequence[Window], noise: Sequence[float]) -> list[float]:
     """Weight [1/N] of the samples of each window; ValueError where there are no windows."""

@@ -42,6 +42,11 @@ class PooledDifferences:
             [w * settled for w, settled in zip(self._weights, self._settled, strict=True)]
         )
 
+    @property
+    def row_windows(self) -> np.ndarray:
+        """The place of the window that each row (n,) of the residual belongs to."""
+        return np.repeat(np.arange(len(self.windows)), [w.sample_count for w in self.windows])
+
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
         return np.concatenate([part for _, part in self._residuals(parameters)])

@@ -275,7 +275,7 @@ def test_the_coil_is_not_observable_where_the_current_is_constant(found):
 
 
 def test_coefficients_of_an_extended_set_are_those_of_its_sigmoid_law(found):
-    coefficients, errors = found.coefficients((0.1, 0.6))
+    coefficients, errors, _ = found.coefficients((0.1, 0.6))
     truth = np.concatenate(operating_point_coefficients(known.PLAUSIBLE, 0.1, 0.6))
     assert np.all(errors > 0.0)
     assert np.all(np.abs(coefficients - known.positive(truth)) < STANDARD_ERRORS * errors)

@@ -75,6 +75,11 @@ class PooledMisfit:
             counted = [1.0 - unsettled for unsettled in self._unsettled]
         return np.concatenate([w * c for w, c in zip(self._weights, counted, strict=True)])
 
+    @property
+    def row_windows(self) -> np.ndarray:
+        """The place of the window that each row (n,) of the residual belongs to."""
+        return np.repeat(np.arange(len(self.windows)), [w.sample_count for w in self.windows])
+
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
         forces = self._forces(parameters)

@@ -1,0 +1,125 @@
+"""Motions that bend the parameters differently tell what another motion would say."""
+
+from __future__ import annotations
+
+import math
+
+import known
+import numpy as np
+
+from mr_damper_ros.estimation.between_motions import discrepancy_between, motion_numbers
+from mr_damper_ros.estimation.covariance import least_squares_covariance
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
+from mr_damper_ros.interface.estimates import Estimate, text_table
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.signals.arrays import Array
+
+N, MOTIONS, TRIALS = 100, 20, 200
+
+SCATTER = (0.8, 1.25)
+"""Of a standard deviation from 200 trials (5 %); each estimate is from twenty motions (16 %)."""
+
+CHANCE = 0.05
+"""Part of the trials that may show a discrepancy where there is none: four errors are rare."""
+
+LEVELS = 0.25
+"""Relative scatter of the strength from motion to motion."""
+
+
+def trial(bend: float, seed: int) -> tuple[Array, Array, Array, Array]:
+    """Jacobian (n, 2), residual (n,), motions (n,), and the fit (2,) whose truth is (3, 1)."""
+    rng = np.random.default_rng(seed)
+    columns, measured = [], []
+    for _ in range(MOTIONS):
+        angle = np.linspace(0.0, 2.0 * np.pi, N) * rng.uniform(1.0, 3.0)
+        own = np.column_stack((np.sin(angle), np.cos(angle) ** 2))
+        truth = np.array([3.0, 1.0]) + bend * rng.standard_normal(2)
+        columns.append(own)
+        measured.append(own @ truth + 0.1 * rng.standard_normal(N))
+    jacobian, force = np.concatenate(columns), np.concatenate(measured)
+    fit = np.linalg.lstsq(jacobian, force, rcond=None)[0]
+    return jacobian, jacobian @ fit - force, np.repeat(np.arange(MOTIONS), N), fit
+
+
+def test_the_error_covers_what_other_motions_would_say() -> None:
+    fits, claimed = [], []
+    for seed in range(TRIALS):
+        jacobian, residual, motions, fit = trial(LEVELS, seed)
+        noise = least_squares_covariance(jacobian, residual)
+        found = discrepancy_between(jacobian, residual, motions, noise)
+        fits.append(fit)
+        claimed.append(np.diag(noise + found))
+    ratio = np.sqrt(np.mean(claimed, axis=0)) / np.std(fits, axis=0)
+    assert np.all((ratio > SCATTER[0]) & (ratio < SCATTER[1]))
+
+
+def test_noise_alone_is_no_discrepancy() -> None:
+    seen = 0
+    for seed in range(TRIALS):
+        jacobian, residual, motions, _ = trial(0.0, seed)
+        noise = least_squares_covariance(jacobian, residual)
+        seen += bool(np.any(discrepancy_between(jacobian, residual, motions, noise) != 0.0))
+    assert seen <= CHANCE * TRIALS
+
+
+def test_two_motions_tell_no_scatter() -> None:
+    jacobian, residual, motions, _ = trial(LEVELS, 1)
+    few = motions < 2
+    found = discrepancy_between(jacobian[few], residual[few], motions[few], np.eye(2))
+    assert np.isnan(found).all()
+
+
+def test_what_one_motion_alone_determines_is_unknown_and_leaves_the_others_alone() -> None:
+    jacobian, residual, motions, _ = trial(LEVELS, 1)
+    alone = np.where(motions == 0, jacobian[:, 0], 0.0)
+    wider = np.column_stack((jacobian, alone * np.linspace(0.0, 1.0, alone.size)))
+    found = discrepancy_between(wider, residual, motions, np.eye(3) * 1e-6)
+    assert np.isnan(np.diag(found)).tolist() == [False, False, True]
+
+
+def sine(
+    amplitude: float, *, strength: float = 1.0, samples: int = 500, start: float = 0.0
+) -> Window:
+    """A steady run of the known damper at 2 Hz and 1 A, with another strength."""
+    run = known.run(amplitude=amplitude, frequency=2.0, samples=samples, start=start, period=2e-3)
+    return Window.from_samples(run.displacement, strength * run.force, run.current, run.period)
+
+
+def test_windows_of_one_motion_count_once() -> None:
+    windows = [sine(5e-3), sine(5e-3, start=0.1), sine(8e-3), sine(5e-3)]
+    assert motion_numbers(windows).tolist() == [0, 0, 1, 0]
+
+
+def test_a_set_tells_of_motions_that_disagree_and_of_none_that_agree() -> None:
+    rng = np.random.default_rng(3)
+    found = []
+    for spread in (0.0, LEVELS):
+        windows = [
+            sine(amplitude, strength=1.0 + spread * rng.standard_normal())
+            for amplitude in np.geomspace(2e-3, 12e-3, 8)
+        ]
+        law = MODELS["bingham"]
+        start = law.initial_values()[0]
+        fit = identify_global(law, windows, start, EvolutionSettings(generations=20, population=8))
+        place = law.parameter_names.index("f_y")
+        found.append(fit.parameter_set.discrepancies[place] / abs(fit.parameter_set.values[place]))
+    assert found[1] > LEVELS / math.sqrt(8) / 2.0 > found[0]
+
+
+def test_a_record_with_a_level_of_its_own_keeps_its_rows() -> None:
+    windows = [sine(4e-3), sine(5e-3, samples=300), sine(6e-3)]
+    pooled = PooledMisfit(windows, [5.0, 5.0, 5.0])
+    levelled = LevelledProblem(pooled, LevelPrior((0, 1, 1), 0.1))
+    rows = levelled.row_windows
+    assert rows.size == levelled.residual(known.PLAUSIBLE).size
+    assert np.bincount(rows).tolist() == [502, 300, 502]
+
+
+def test_the_terminal_tells_both_errors() -> None:
+    estimate = Estimate(2.0, 0.5, "N", discrepancy=0.4)
+    line = text_table("parameter", {"f0": estimate}).splitlines()[1]
+    assert line.split() == ["f0", "2", "0.5", "0.4", "N"]
