@@ -18,6 +18,9 @@ from mr_damper_ros.signals.arrays import Array
 
 _HIGHEST_ORDER = 24
 
+_PATIENCE = 8
+"""So many higher orders are tried in vain before the search ends."""
+
 _SAMPLES_PER_ORDER = 10
 """An autoregression of n samples has at most the n-th part of this as its order."""
 
@@ -60,6 +63,8 @@ class NoiseModel:
             criterion = count * math.log(innovation) + order * math.log(max(count, 2))
             if criterion < chosen:
                 chosen, best, least = criterion, coefficients, innovation
+            elif order > best.size + _PATIENCE:
+                break
         return cls(best, least, variance)
 
     @property

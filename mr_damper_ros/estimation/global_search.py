@@ -91,6 +91,7 @@ class GlobalSearch:
         self._names = model.parameter_names
         top_current = max(float(np.max(np.abs(window.current))) for window in windows)
         self._neutral = model.without_dependence(start, top_current)
+        self._own_neutral = model.without_dependence(model.initial_values()[0], top_current)
         self._varied = varied_parameters(model, *operating_points_within(windows))
         self._bounds = parameter_ranges(model, windows)
         self._ranges = {name: high - low for name, (low, high) in self._bounds.items()}
@@ -307,12 +308,13 @@ class GlobalSearch:
         """Fit the windows with what was found for all of them, and see what they determine now.
 
         Before, what a lag, for one, or a varying current does to the force stood for noise, in
-        which much is lost.
+        which much is lost. The fits begin with the model's own initial set: the noise that weighs
+        the windows must not depend on where this search began.
         """
         places = self.model.places(self._common)
         for _ in range(_MOST_ROUNDS):
             before = self.free
-            neutral = self._neutral.copy()
+            neutral = self._own_neutral.copy()
             neutral[places] = self.best[places]
             self._separate.fit(neutral, self.best)
             self.free = self._determined(self.best)
