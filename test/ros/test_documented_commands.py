@@ -26,6 +26,7 @@ from mr_damper_ros.nodes.quality import OVERRIDES, objection
 from mr_damper_ros.nodes.replay_node import ReplayParameters
 from mr_damper_ros.nodes.supply_node import SupplyParameters
 from mr_damper_ros.nodes.suspension_node import SuspensionParameters
+from mr_damper_ros.processes.hosting import hosting
 from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]
@@ -64,6 +65,10 @@ def commands(page: Path) -> list[str]:
 ALL = [(page, line) for page in PAGES for line in commands(page)]
 
 
+HOSTED = ("identifier", "model")
+"""Programs that may hold a node in each of several namespaces."""
+
+
 def words_of(line: str) -> list[str]:
     return shlex.split(re.sub(r"^(\w+=\S+ )+", "", line.replace(SHARE, "")))
 
@@ -76,6 +81,8 @@ def check_path(path: str) -> None:
 
 def check_node(node: str, arguments: list[str]) -> None:
     known = {item.name: item for item in options(TABLES[node])}
+    if node in HOSTED:
+        arguments = list(hosting(arguments).rest)
     assert arguments[:1] in ([], ["--ros-args"])
     for flag, value in zip(arguments[1::2], arguments[2::2], strict=True):
         assert flag in ("-p", "-r", "--params-file", "--enclave"), flag
