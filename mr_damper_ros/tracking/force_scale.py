@@ -17,6 +17,9 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.reservoir import OperatingPoint, nearest_same
 
+_MOST_POWER = 1e100
+"""Sum of squared forces [N²] beyond any damper's, far below where its square overflows."""
+
 _REMEMBERED = 40
 _FEWEST_PAIRS = 5
 
@@ -160,7 +163,7 @@ def force_scale(model: Model, window: Window, fit: WindowFit, baselines: Baselin
 def _measured_scale(reference: Array, measured: Array) -> ForceScale:
     """Scale that maps the force (n,) [N] of a baseline onto the measured one, in least squares."""
     power = float(reference @ reference)
-    if not 0.0 < power < math.inf:
+    if not 0.0 < power < _MOST_POWER:
         return ForceScale()
     value = float(measured @ reference) / power
     noise = NoiseModel.of(measured - value * reference)

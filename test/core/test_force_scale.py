@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import known
@@ -10,6 +11,7 @@ import pytest
 from known import SIGMOID
 
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale
 
@@ -121,3 +123,16 @@ def test_an_operating_point_at_the_edge_of_a_cell_has_one_baseline(what: str) ->
         scale = scale_of(baselines, run)
         baselines.add(fit_of(run))
     assert scale.value == pytest.approx(0.9, rel=ACROSS_THE_EDGE)
+
+
+def test_a_baseline_beyond_all_measure_tells_no_scale() -> None:
+    run = known.run(frequency=2.0)
+    displacement = run.displacement + 2e-3 * np.sin(9.1 * np.arange(2000) * run.period)
+    window = Window.from_samples(displacement, run.force, run.current, run.period)
+    fit = fit_window(SIGMOID, window, known.PLAUSIBLE, method="least_squares")
+    absurd = fit.parameters.copy()
+    absurd[SIGMOID.strength_indices] *= 1e100
+    baselines = Baselines()
+    baselines.add(dataclasses.replace(fit, parameters=absurd))
+    assert window.motion.sine is None
+    assert math.isnan(force_scale(SIGMOID, window, fit, baselines).value)
