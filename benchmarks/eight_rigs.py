@@ -9,14 +9,15 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
 
 from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import FitReport
 
 from benchmarks.figure import Figure
 from benchmarks.processes import ProfiledDomain, start_node
+from benchmarks.side_by_side import on_cores
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.processes.programs import PATIENCE, Program, cpu_seconds
@@ -114,7 +115,7 @@ def measure(rigs: int, duration: float) -> tuple[list[str], Fleet, dict[str, flo
     dampers = [f"damper_{number}" for number in range(1, rigs + 1)]
     places = [text for damper in dampers for text in ("--namespace", damper)]
     with ExitStack() as stack:
-        stack.enter_context(_two_cores())
+        stack.enter_context(on_cores(sorted(os.sched_getaffinity(0))[:CORES]))
         domain = stack.enter_context(closing(ProfiledDomain()))
         hosts = {
             name: stack.enter_context(closing(start_node(name, domain, *places)))
@@ -172,17 +173,6 @@ def _used(hosts: dict[str, Program], bridges: Sequence[Program]) -> dict[str, fl
         "models": hosts["model"].cpu_seconds,
         "bridges": sum(bridge.cpu_seconds for bridge in bridges),
     }
-
-
-@contextmanager
-def _two_cores() -> Iterator[None]:
-    """Keep this process, and what it starts meanwhile, on two cores."""
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, sorted(cores)[:CORES])
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
 
 
 def figures(duration: float = DURATION, rigs: int = RIGS) -> list[Figure]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from mr_damper_msgs.msg import FitReport, MtsSamples, PredictedForce
 
 from benchmarks.figure import Figure
 from benchmarks.processes import ProfiledDomain, start_node
-from benchmarks.side_by_side import CURRENT, SideBySide, blocks_of
+from benchmarks.side_by_side import CURRENT, SideBySide, blocks_of, on_cores
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.nodes import quality
@@ -121,7 +121,7 @@ def measure_load(
     Returns what became of the samples, and the processor time of each node [s/s].
     """
     with ExitStack() as stack:
-        stack.enter_context(_two_cores())
+        stack.enter_context(on_cores(sorted(os.sched_getaffinity(0))[:CORES]))
         domain = stack.enter_context(closing(ProfiledDomain()))
         nodes = {
             name: stack.enter_context(closing(start_node(name, domain)))
@@ -159,17 +159,6 @@ def _losses(message: DiagnosticArray) -> Iterator[tuple[str, int]]:
 
 def _cpu(nodes: dict[str, Program]) -> dict[str, float]:
     return {name: node.cpu_seconds for name, node in nodes.items()}
-
-
-@contextmanager
-def _two_cores() -> Iterator[None]:
-    """Keep this process, and what it starts meanwhile, on two cores."""
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, sorted(cores)[:CORES])
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
 
 
 # -- latency ---------------------------------------------------------------------------------

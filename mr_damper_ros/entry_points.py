@@ -17,6 +17,11 @@ import signal
 import sys
 from importlib import import_module
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mr_damper_ros.processes.worker import Worker
+    from mr_damper_ros.processes.worker_pool import WorkerPool
 
 _WORK = {
     "identifier": "mr_damper_ros.tracking.worker_preload",
@@ -50,11 +55,7 @@ def campaign() -> int:
     _hear_signals()
     from mr_damper_ros.processes.worker import Worker
 
-    worker = Worker(_WORK["campaign"])
-    try:
-        return _run("campaign", worker)
-    finally:
-        worker.close()
+    return _run_with("campaign", Worker(_WORK["campaign"]))
 
 
 def identifier() -> int:
@@ -63,11 +64,8 @@ def identifier() -> int:
     from mr_damper_ros.processes.hosting import worker_count
     from mr_damper_ros.processes.worker_pool import WorkerPool
 
-    pool = WorkerPool(_WORK["identifier"], worker_count(sys.argv[1:]))
-    try:
-        return _run("identifier", pool)
-    finally:
-        pool.close()
+    workers = worker_count(sys.argv[1:])
+    return _run_with("identifier", WorkerPool(_WORK["identifier"], workers))
 
 
 def live() -> int:
@@ -119,6 +117,13 @@ def tool(name: str) -> int:
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     return code
+
+
+def _run_with(name: str, processes: Worker | WorkerPool) -> int:
+    try:
+        return _run(name, processes)
+    finally:
+        processes.close()
 
 
 def _run(name: str, *arguments: object) -> int:

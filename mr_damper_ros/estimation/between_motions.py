@@ -94,7 +94,8 @@ def discrepancy_between(
         scatter += np.outer(axes @ scores, axes @ scores)
         chance += 2.0 * float(np.sum(shares**2))
     white = float(residual @ residual) / residual.size
-    excess = to_parameters @ _beyond(scatter, noise, white, math.sqrt(chance)) @ to_parameters.T
+    factor = to_parameters @ _beyond(scatter, noise, white, math.sqrt(chance))
+    excess = factor @ factor.T
     excess[alone, :] = math.nan
     excess[:, alone] = math.nan
     unknown[block] = excess
@@ -102,7 +103,7 @@ def discrepancy_between(
 
 
 def _beyond(scatter: Array, noise: Array, white: float, chance: float) -> Array:
-    """The part of a covariance that exceeds another, zero where all of it may be chance.
+    """Root (f, f) of what a covariance exceeds another by, zero where all of it may be chance.
 
     ``white`` is the variance of the noise were it white; ``chance`` the standard deviation of the
     sum of the scatter's variances over the noise's.
@@ -114,4 +115,4 @@ def _beyond(scatter: Array, noise: Array, white: float, chance: float) -> Array:
     if float(np.sum(times)) < times.size + _SURE * chance:
         return np.zeros_like(noise)
     directions = root @ axes
-    return np.asarray((directions * np.maximum(times - 1.0, 0.0)) @ directions.T)
+    return np.asarray(directions * np.sqrt(np.maximum(times - 1.0, 0.0)))

@@ -102,3 +102,16 @@ def correlation_length(residual: Array) -> int:
     below = np.flatnonzero(correlation < 0.05)
     first = int(below[0]) if below.size else correlation.size
     return int(min(4 * first, n // 4))
+
+
+def without_negative_variance(covariance: Array) -> Array:
+    """A covariance (f, f) in whose variances rounding has left no less than nothing.
+
+    Where unknowns are known to very different parts of their sizes, it does.
+    """
+    variances = np.diagonal(covariance)
+    if not np.any(variances < 0.0):
+        return covariance
+    result = covariance.copy()
+    np.fill_diagonal(result, np.where(variances < 0.0, 0.0, variances))
+    return result

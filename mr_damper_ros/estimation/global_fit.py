@@ -9,7 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.estimation.between_motions import discrepancy_between, motion_numbers
-from mr_damper_ros.estimation.covariance import least_squares_covariance
+from mr_damper_ros.estimation.covariance import (
+    least_squares_covariance,
+    without_negative_variance,
+)
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     ProgressClock,
@@ -171,7 +174,8 @@ def _errors(misfit: PooledProblem, best: Array, places: Sequence[int]) -> tuple[
     jacobian, residual = misfit.jacobian(best, places), misfit.residual(best)
     if len(misfit.windows) == 1:
         errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
-        return errors.repeatability + errors.discrepancy, errors.discrepancy
+        discrepancy = without_negative_variance(errors.discrepancy)
+        return without_negative_variance(errors.repeatability) + discrepancy, discrepancy
     covariance = least_squares_covariance(jacobian, residual)
     motions = motion_numbers(misfit.windows)[misfit.row_windows]
     discrepancy = discrepancy_between(jacobian, residual, motions, covariance)

@@ -38,7 +38,7 @@ from mr_damper_ros.signals.arrays import Array
 _AS_GOOD = 1.01
 """Searches that end with a cost up to this times the best have found as good a set."""
 
-_VERSION = 3
+_VERSION = 2
 
 
 class SearchRecordError(ValueError):
@@ -249,7 +249,10 @@ def _to_document(fit: GlobalFit) -> dict[str, Any]:
     return {
         "set": fit.parameter_set.to_yaml(),
         "covariance": fit.covariance.tolist(),
-        "discrepancy": fit.discrepancy.tolist(),
+        "discrepancy": [
+            [None if math.isnan(value) else value for value in row]
+            for row in fit.discrepancy.tolist()
+        ],
         "nrmse": fit.nrmse.tolist(),
         "evaluations": fit.evaluations,
         "success": fit.success,
@@ -265,10 +268,12 @@ def _to_document(fit: GlobalFit) -> dict[str, Any]:
 
 
 def _from_document(document: dict[str, Any]) -> GlobalFit:
+    covariance = np.array(document["covariance"])
+    unknown = np.full_like(covariance, math.nan)  # before there was any
     return GlobalFit(
         parameter_set=ParameterSet.from_yaml(document["set"]),
-        covariance=np.array(document["covariance"]),
-        discrepancy=np.array(document["discrepancy"]),
+        covariance=covariance,
+        discrepancy=np.array(document.get("discrepancy", unknown), dtype=float),
         nrmse=np.array(document["nrmse"]),
         evaluations=int(document["evaluations"]),
         success=bool(document["success"]),

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.estimation.covariance import without_negative_variance
 from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.repeatability import error_covariances, samples_per_cycle
 from mr_damper_ros.kinematics.window import Window
@@ -139,11 +140,11 @@ def fit_of(
     window = problem.window
     residual = problem.residual(unknowns)[problem.settled]
     rmse = math.sqrt(float(np.mean(residual**2)))
-    covariance = _without_negative_variance(covariance)
+    covariance = without_negative_variance(covariance)
     coefficients, coefficient_covariance = problem.coefficients(unknowns, covariance)
     by_discrepancy = None
     if discrepancy is not None:
-        discrepancy = _without_negative_variance(discrepancy)
+        discrepancy = without_negative_variance(discrepancy)
         _, by_discrepancy = problem.coefficients(unknowns, discrepancy)
     return WindowFit(
         scales=unknowns,
@@ -162,19 +163,6 @@ def fit_of(
         discrepancy=discrepancy,
         coefficient_discrepancy=by_discrepancy,
     )
-
-
-def _without_negative_variance(covariance: Array) -> Array:
-    """A covariance (f, f) in whose variances rounding has left no less than nothing.
-
-    Where unknowns are known to very different parts of their sizes, it does.
-    """
-    variances = np.diagonal(covariance)
-    if not np.any(variances < 0.0):
-        return covariance
-    result = covariance.copy()
-    np.fill_diagonal(result, np.where(variances < 0.0, 0.0, variances))
-    return result
 
 
 class _Contest:

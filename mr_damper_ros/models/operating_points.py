@@ -87,3 +87,8 @@ def window_weights(windows: Sequence[Window], noise: Sequence[float]) -> list[fl
         float(np.sqrt(share / window.sample_count)) / max(sigma, 1e-12)
         for window, sigma in zip(windows, noise, strict=True)
     ]
+
+
+def windows_of_samples(windows: Sequence[Window]) -> np.ndarray:
+    """The place of the window that each sample belongs to, of all windows in turn: shape (n,)."""
+    return np.repeat(np.arange(len(windows)), [window.sample_count for window in windows])

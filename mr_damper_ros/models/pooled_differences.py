@@ -9,7 +9,7 @@ import numpy as np
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.differences import moved_sets
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import window_weights
+from mr_damper_ros.models.operating_points import window_weights, windows_of_samples
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -45,7 +45,7 @@ class PooledDifferences:
     @property
     def row_windows(self) -> np.ndarray:
         """The place of the window that each row (n,) of the residual belongs to."""
-        return np.repeat(np.arange(len(self.windows)), [w.sample_count for w in self.windows])
+        return windows_of_samples(self.windows)
 
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""

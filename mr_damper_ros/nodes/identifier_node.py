@@ -33,7 +33,7 @@ from mr_damper_ros.nodes.results import (
 )
 from mr_damper_ros.nodes.search_goals import SearchGoals
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.hosting import HELP, WORKERS_HELP
+from mr_damper_ros.processes.hosting import HELP
 from mr_damper_ros.processes.worker_pool import PooledWorker, WorkerPool
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.acceptance import Verdict
@@ -274,5 +274,6 @@ def main(pool: WorkerPool) -> int:
         node,
         IdentifierParameters,
         between=IdentifierNode.attend_in_time,
-        hosted=HELP + WORKERS_HELP,
+        hosted=HELP,
+        shared_workers=True,
     )

@@ -28,7 +28,7 @@ from rclpy.utilities import remove_ros_args
 
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.nodes.quality import OVERRIDES
-from mr_damper_ros.processes.hosting import Place, hosting
+from mr_damper_ros.processes.hosting import WORKERS_HELP, Place, hosting
 from mr_damper_ros.settings.option_table import ParameterTable, describe
 
 SUCCESS = 0
@@ -53,11 +53,13 @@ def run(
     ended: Callable[[N], int | None] = lambda _: None,
     between: Callable[[N], float] = lambda _: _WAKE_UP,
     hosted: str = "",
+    shared_workers: bool = False,
 ) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its work; returns the exit code.
 
     With ``hosted``, the help on it, it may be a node in each of several namespaces: the factory is
-    then called with ``cli_args`` for each, as rclpy's Node takes them.
+    then called with ``cli_args`` for each, as rclpy's Node takes them. ``shared_workers``: these
+    share worker processes, whose number may be given.
 
     ``ended`` is the exit code once the node's work is over, None as long as it is not. ``between``
     is called between two callbacks, for what need not be done in one; it returns after how many
@@ -72,12 +74,12 @@ def run(
     if "-h" in others or "--help" in others:
         print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
         print(describe(parameters))
-        print(hosted, end="")
+        print(hosted + (WORKERS_HELP if shared_workers else ""), end="")
         return SUCCESS
     places: tuple[Place, ...] = ()
     if hosted:
         try:
-            found = hosting(others)
+            found = hosting(others, shared_workers=shared_workers)
         except ValueError as error:
             return _reject(str(error))
         places, others = found.places, list(found.rest)

@@ -46,8 +46,10 @@ class Hosting:
     rest: tuple[str, ...]
 
 
-def hosting(arguments: Sequence[str]) -> Hosting:
+def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting:
     """Read the arguments of a program, without its name and those for ROS.
+
+    Where its nodes share no workers, a number of these stays with the rest.
 
     Raises ValueError, with a sentence, where they cannot be used.
     """
@@ -63,7 +65,7 @@ def hosting(arguments: Sequence[str]) -> Hosting:
                     f"{_NAMESPACE} needs a name of letters, digits and underscores, not {name!r}"
                 )
             places.append(Place(name.lstrip("/"), file))
-        elif argument == _WORKERS:
+        elif argument == _WORKERS and shared_workers:
             given = next(left, "")
             if not given.isdecimal() or int(given) < 1:
                 raise ValueError(f"{_WORKERS} needs a number of at least 1, not {given!r}")

@@ -112,7 +112,7 @@ class ForceWatch:
         ``forces`` [N], predicted and measured; ``velocity`` [m/s]; ``half_cycle`` [s] of the
         motion, NaN before it is known; ``steady``: whether that is a sine that goes on.
         """
-        self._recent.add(forces[::-1], velocity, half_cycle, steady=steady)
+        self._recent.add(forces, velocity, half_cycle, steady=steady)
         if not math.isnan(half_cycle):
             self._time = min(max(half_cycle, _SHORTEST), _LONGEST)
 

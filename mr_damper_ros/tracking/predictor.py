@@ -81,7 +81,7 @@ class ForcePredictor:
         self._verdicts = VerdictWatch()
         self._watch: ForceWatch | None = None
         # What the watch has yet to learn from: predicted and measured force, velocity.
-        self._unlearned: tuple[Array, Array, Array] | None = None
+        self._unlearned: tuple[tuple[Array, Array], Array] | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
 
@@ -156,9 +156,8 @@ class ForcePredictor:
     def _learn(self) -> None:
         unlearned, self._unlearned = self._unlearned, None
         if unlearned is not None and self._watch is not None and self._motion is not None:
-            predicted, measured, velocity = unlearned
             half_cycle, steady = self._motion.half_cycle, self._motion.steady
-            self._watch.learn((predicted, measured), velocity, half_cycle, steady=steady)
+            self._watch.learn(*unlearned, half_cycle, steady=steady)
             if self._newest_doubt.kind in _OF_THE_SET and self._known.search_is_due():
                 self._take_another(self._watch)
 
@@ -301,9 +300,9 @@ class ForcePredictor:
             self._watch.forget_moment()
             self._known.forget_samples()
             if settling.kind is not DoubtKind.AT_REST:
-                self._unlearned = (reckoned.force, block.force, motion.velocity)
+                self._unlearned = ((reckoned.force, block.force), motion.velocity)
             return settling
-        self._unlearned = (reckoned.force, block.force, motion.velocity)
+        self._unlearned = ((reckoned.force, block.force), motion.velocity)
         measured = self._watch.judge(reckoned.force, block.force)
         self._known.follow(
             motion,

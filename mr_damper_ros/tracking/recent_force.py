@@ -80,7 +80,7 @@ class RecentForce:
         *,
         steady: bool,
     ) -> None:
-        """Add samples of the measured and the predicted force [N] and the velocity [m/s], (n,).
+        """Add samples of the predicted and the measured force [N] and the velocity [m/s], (n,).
 
         ``half_cycle`` [s] is that of the motion, NaN before it is known; ``steady``: whether it is
         a sine that goes on.
@@ -93,12 +93,12 @@ class RecentForce:
     def forget_predicted(self) -> None:
         """The predicted forces so far were those of other parameters."""
         self.predicted_drives = False
-        self._parts = [(f, np.zeros(f.size), v) for f, _, v in self._parts]
+        self._parts = [(np.zeros(f.size), f, v) for _, f, v in self._parts]
         for stretch in self._past:
             stretch.sums[2] = stretch.sums[:, 3] = 0.0
 
     def _finish(self, half_cycle: float, steady: bool) -> None:
-        measured, predicted, velocity = (
+        predicted, measured, velocity = (
             np.concatenate(rows) for rows in zip(*self._parts, strict=True)
         )
         count, self._count = self._count, 0

@@ -12,7 +12,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.first_order_lag import SETTLING
-from mr_damper_ros.models.operating_points import window_weights
+from mr_damper_ros.models.operating_points import window_weights, windows_of_samples
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     Extension,
@@ -78,7 +78,7 @@ class PooledMisfit:
     @property
     def row_windows(self) -> np.ndarray:
         """The place of the window that each row (n,) of the residual belongs to."""
-        return np.repeat(np.arange(len(self.windows)), [w.sample_count for w in self.windows])
+        return windows_of_samples(self.windows)
 
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
