@@ -98,7 +98,8 @@ class LocalSearch(Generic[P]):
     def try_out(self, unknowns: Array) -> float:
         """Sum of squares; becomes the best if it is."""
         residual = self.residual(unknowns)
-        cost = float(residual @ residual)
+        with np.errstate(over="ignore"):  # beyond all numbers is never the best
+            cost = float(residual @ residual)
         if cost < self.best_cost:
             self.best, self.best_cost = unknowns, cost
         return cost

@@ -194,12 +194,19 @@ def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:
     page.resize(1280, 900)
 
 
+def by_suffix(folder: Path) -> dict[str, Path]:
+    """The files of a folder that hold something, each under its suffix."""
+    files = [path for path in folder.glob("damper-force-*") if path.stat().st_size]
+    return {path.suffix: path for path in files}
+
+
 def test_figures_and_tables_are_saved(page: Browser, tmp_path: Path) -> None:
     page.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     page.press("p")
     page.press("c")
+    saved = (".png", ".csv")  # while it is still coming, a download has another suffix
     deadline = time.monotonic() + PATIENCE
-    while len(found := {path.suffix: path for path in tmp_path.glob("damper-force-*.[pc]*")}) < 2:
+    while not all(suffix in (found := by_suffix(tmp_path)) for suffix in saved):
         assert time.monotonic() < deadline
         time.sleep(0.05)
     assert found[".png"].read_bytes().startswith(b"\x89PNG")
