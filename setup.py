@@ -44,7 +44,9 @@ import sys
 
 from {package}.entry_points import {function}
 
-sys.exit({function}({arguments}))
+# Processes that a program starts read this file too.
+if __name__ == "__main__":
+    sys.exit({function}({arguments}))
 """
 
 

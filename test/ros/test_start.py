@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,15 @@ import pytest
 from support import assert_one_sentence, installed_programs
 
 NODES = ("bridge", "controller", "identifier", "live", "model", "replay")
-TOOLS = ("demo", "identify", "import_record", "reproduce", "thesis_bags", "validate")
+TOOLS = (
+    "control_study",
+    "demo",
+    "identify",
+    "import_record",
+    "reproduce",
+    "thesis_bags",
+    "validate",
+)
 
 WITHOUT = """
 import sys
@@ -78,6 +87,12 @@ def test_a_tool_that_is_interrupted_while_it_loads_says_so_and_no_more() -> None
 def test_signals_are_held_back_from_the_first_moment(program: str) -> None:
     first_line = (installed_programs() / program).read_text(encoding="utf-8").splitlines()[0]
     assert first_line == f"#!/usr/bin/env -S --block-signal=INT,TERM {sys.executable}"
+
+
+@pytest.mark.parametrize("program", NODES + TOOLS)
+def test_a_process_that_a_program_starts_does_not_run_it_again(program: str) -> None:
+    # This is how multiprocessing reads the program in a new process.
+    runpy.run_path(str(installed_programs() / program), run_name="__mp_main__")
 
 
 @pytest.mark.parametrize("node", NODES)
