@@ -52,6 +52,23 @@ def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     return np.asarray(line + place * (1.0 - place) * (start * (1.0 - place) - end * place))
 
 
+def between_uneven(wanted: Array, places: Array, values: Array) -> Array:
+    """The ``values`` (m,) of samples that were taken at rising ``places`` (m,), ``wanted`` (n,).
+
+    On the straight lines between the samples, and the bend that they have together besides: where
+    two lie far apart, the error of the line alone is a kick to the acceleration. For the
+    displacement.
+    """
+    found = np.interp(wanted, places, values)
+    if places.size < _FEWEST or places[-1] == places[0]:
+        return np.asarray(found)
+    time = places - places.mean()
+    columns = np.stack([np.ones(time.size), time, time * time], axis=1)
+    weights, *_ = np.linalg.lstsq(columns, values, rcond=None)
+    after = np.searchsorted(places, wanted).clip(1, places.size - 1)
+    return np.asarray(found + weights[2] * (wanted - places[after]) * (wanted - places[after - 1]))
+
+
 def _end_slope(values: Array) -> float:
     """Slope per sample at the last of some values, of the parabola that fits them best."""
     time = np.arange(1.0 - values.size, 1.0)

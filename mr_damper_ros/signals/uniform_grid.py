@@ -25,7 +25,12 @@ import numpy as np
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.signals.resampling import UnevenSampling, on_a_cubic, on_a_line
+from mr_damper_ros.signals.resampling import (
+    UnevenSampling,
+    between_uneven,
+    on_a_cubic,
+    on_a_line,
+)
 from mr_damper_ros.signals.stamp_clock import StampClock
 
 _REPEAT_HORIZON_NS = NANOSECONDS
@@ -280,7 +285,7 @@ class UniformGrid:
         )
 
     def _between(self, block: SampleBlock, late: float, lost: int) -> tuple[SampleBlock, Array]:
-        """The block interpolated on straight lines between the samples, where they were taken.
+        """The block interpolated between the samples, where they were taken.
 
         And how many sample periods after each of its places the sample of that index was taken.
         """
@@ -300,7 +305,7 @@ class UniformGrid:
             block,
             start_ns=self._clock.at(first) - round(float(delays[0]) * block.period * NANOSECONDS),
             sequence=first,
-            displacement=np.interp(
+            displacement=between_uneven(
                 wanted, places, np.concatenate([displacement, block.displacement])
             ),
             force=np.interp(wanted, places, np.concatenate([force, block.force])),

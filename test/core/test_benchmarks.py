@@ -66,7 +66,7 @@ KEYS = [
     *("earthquake_online_fit", "earthquake_online_sixteen_fit", "earthquake_online_springs_fit"),
     "earthquake_static_springs_fit",
     *("earthquake_static_fit", "earthquake_static_mean", "earthquake_static_sixteen_fit"),
-    *("stream_nrmse_ratio", "jitter_valid", "jitter_nrmse_ratio"),
+    *("stream_nrmse_ratio", "jitter_valid", "jitter_valid_of_clean", "jitter_nrmse_ratio"),
     *("fault_cases", "wrong_valid_s", "wrong_valid_longest_s", "recovery_windows"),
     *("misfit_error_ratio", "scale_chi2", "ar1_error_ratio", "needless_exchanges"),
     *("switched_accepted", "switched_nrmse", "switched_nrmse_ratio"),
