@@ -37,6 +37,9 @@ _DRAWS = 200
 _SMALLEST_SHARE = 0.1
 """A scale parameter may be wrong by itself, and by what makes this part of the force."""
 
+_ROUNDING = 1e-15
+"""Eigenvalues of a balanced matrix are not known better, relative to the largest."""
+
 _AMPLITUDE = 0.01
 """Amplitude [m] of the cycles of a goal, unless it says another."""
 
@@ -151,7 +154,9 @@ def point_errors(goal: ForceGoal, gradient: Array, information: Array) -> PointE
     flat = gradient.reshape(-1, gradient.shape[-1])
     draws = np.random.default_rng(0).standard_normal((_DRAWS, flat.shape[1]))
     scale = 1.0 / np.sqrt(np.diagonal(information))
-    root = np.linalg.cholesky(np.linalg.inv(information * np.outer(scale, scale)))
+    # Rounding may take a little from what is hardly known, so that no Cholesky factor exists.
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    root = vectors / np.sqrt(np.maximum(values, _ROUNDING * values[-1]))
     missed = np.abs((draws @ root.T * scale) @ flat.T)
     worst = float(np.median(np.max(missed, axis=1)))
     return PointErrors(goal.points, cycle_errors(gradient, information[None])[0], worst)

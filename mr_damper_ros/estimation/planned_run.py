@@ -1,39 +1,32 @@
-"""Runs of a test machine: what it may do, what it can do, and the first one.
+"""Runs of a test machine, and what it may do.
 
-A run is a sine, at one current or at a staircase of currents.
+A run is a sine, a swept sine or random motion, at one current or at a staircase of currents.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
-_SPEEDS = 6
-_CURRENTS = 6
-"""Peak velocities and currents of the candidates."""
-
-_AMPLITUDES = (1.0, 0.5, 0.25)
-"""Parts of the largest amplitude."""
-
-_STAIRS = (2, 3, 4, 6)
-"""Currents of a staircase."""
+_MOST_HARMONICS = 100.0
+"""Random motion has no more of them: where the run lasts longer, it repeats."""
 
 SETTLING = 0.1
 """Seconds after a step of the current that tell nothing: coil and force follow."""
 
 _CURRENT_STEP = 0.05
 """A current that is so far [A] from that of its stretch has not been stepped yet."""
-
-_LEAST_CYCLES = 1.0
-"""A stretch at one current holds so many cycles at the least."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +36,7 @@ class MachineLimits:
     ``amplitude`` [m] about the centre, ``peak_velocity`` [m/s], ``force`` [N], ``current`` [A],
     ``duration`` [s], ``heat`` [J] that the damper may take up, frequencies (low, high) [Hz],
     ``sample_rate`` [Hz]. ``steps``: whether the current can change within a run, which nobody does
-    by hand.
+    by hand. ``motions``: how it can move; a press that is set by hand makes sines alone.
 
     Raises ValueError for values that no machine has.
     """
@@ -57,8 +50,14 @@ class MachineLimits:
     frequency: tuple[float, float] = (0.1, 20.0)
     sample_rate: float = 1000.0
     steps: bool = True
+    motions: tuple[MotionKind, ...] = (MotionKind.SINE,)
 
     def __post_init__(self) -> None:
+        if MotionKind.SINE not in self.motions:
+            raise ValueError(
+                f"the machine's motions are {', '.join(kind.value for kind in self.motions)}: "
+                "sine must be one of them"
+            )
         for name in ("amplitude", "peak_velocity", "force", "duration", "heat", "sample_rate"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(
@@ -76,20 +75,42 @@ class MachineLimits:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """A sine of ``amplitude`` [m] and ``frequency`` [Hz] for ``duration`` [s].
+    """A motion of ``amplitude`` [m] for ``duration`` [s].
 
-    The current goes through ``currents`` [A], each for the same time.
+    The current goes through ``currents`` [A], each for the same time. ``kind`` tells the motion: a
+    sine of ``frequency`` [Hz], or a swept sine or random motion (of this ``seed``) from
+    ``frequency`` to ``highest_frequency`` [Hz].
     """
 
     amplitude: float
     frequency: float
     currents: tuple[float, ...]
     duration: float
+    kind: MotionKind = MotionKind.SINE
+    highest_frequency: float = 0.0
+    seed: int = 0
+
+    @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> PlannedRun:
+        """The run that ``asdict`` wrote, as JSON gives it back. Raises ValueError or TypeError."""
+        given = dict(document)
+        kind = MotionKind(given.pop("kind", MotionKind.SINE))
+        return cls(**given | {"currents": tuple(given["currents"]), "kind": kind})
+
+    @property
+    def motion(self) -> PeriodicMotion:
+        """How the machine moves. Raises ValueError where that makes no sense."""
+        return _motion(replace(self, currents=()))
 
     @property
     def peak_velocity(self) -> float:
-        """[m/s]."""
-        return 2.0 * math.pi * self.frequency * self.amplitude
+        """Largest speed [m/s]."""
+        return self.motion.peak_velocity
+
+    @property
+    def span(self) -> float:
+        """Half the way [m] from the lowest to the highest displacement."""
+        return self.motion.span
 
     @property
     def stretch(self) -> float:
@@ -101,9 +122,14 @@ class PlannedRun:
         """What to set, in words."""
         amperes = ", ".join(f"{current:.3g}" for current in self.currents)
         each = f", {self.stretch:.3g} s each" if len(self.currents) > 1 else ""
+        band = f"{self.frequency:.3g} to {self.highest_frequency:.3g} Hz"
+        how = {
+            MotionKind.SINE: f"at {self.frequency:.3g} Hz",
+            MotionKind.SWEEP: f"swept from {band} and back",
+            MotionKind.RANDOM: f"at most, random from {band} (number {self.seed}),",
+        }[self.kind]
         return (
-            f"{1e3 * self.amplitude:.3g} mm at {self.frequency:.3g} Hz for {self.duration:.3g} s "
-            f"with {amperes} A{each}"
+            f"{1e3 * self.amplitude:.3g} mm {how} for {self.duration:.3g} s with {amperes} A{each}"
         )
 
     def current_at(self, time: Array) -> Array:
@@ -122,18 +148,38 @@ class PlannedRun:
 
     def windows(self, recording: Recording) -> list[Window]:
         """A window of each stretch of a recording of the run, at the current measured there."""
-        found = []
-        for part in self.parts(recording.period):
-            chosen = _settled(part, recording)
-            found.append(
-                Window.from_samples(
-                    recording.displacement[chosen],
-                    recording.force[chosen],
-                    float(np.median(recording.current[chosen])),
-                    recording.period,
-                )
-            )
-        return found
+        parts = [_settled(part, recording) for part in self.parts(recording.period)]
+        currents = [float(np.median(recording.current[part])) for part in parts]
+        displacement, force = recording.displacement, recording.force
+        if self.kind is MotionKind.SINE:
+            return [
+                Window.from_samples(displacement[part], force[part], current, recording.period)
+                for part, current in zip(parts, currents, strict=True)
+            ]
+        amperes = np.array(recording.current)
+        for part, current in zip(parts, currents, strict=True):
+            amperes[part] = current
+        whole = Window.from_samples(displacement, force, amperes, recording.period)
+        return [with_motion_before(whole).part(part) for part in parts]
+
+
+def with_motion_before(period: Window) -> Window:
+    """A window of one period of a motion that had gone on before, as its peak velocity shows."""
+    motion = period.motion
+    if motion.sine is not None:
+        return period
+    peak = peak_velocity_of_period(motion.velocity, motion.acceleration, period.period)
+    return replace(period, motion=replace(motion, peak_velocity=peak))
+
+
+@lru_cache(maxsize=256)
+def _motion(run: PlannedRun) -> PeriodicMotion:
+    period = run.duration
+    if run.kind is MotionKind.RANDOM:
+        period /= math.ceil(run.duration * run.highest_frequency / _MOST_HARMONICS)
+    return PeriodicMotion(
+        run.kind, run.amplitude, run.frequency, run.highest_frequency, period, run.seed
+    )
 
 
 def _settled(part: slice, recording: Recording) -> slice:
@@ -144,72 +190,3 @@ def _settled(part: slice, recording: Recording) -> slice:
     if not late.size:
         return part
     return slice(part.start + int(late[-1]) + 1 + round(SETTLING / recording.period), part.stop)
-
-
-def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
-    """The run of a damper of which nothing is known: the gentlest, at two currents.
-
-    Raises ValueError where the machine cannot make it.
-    """
-    low, high = goal.current
-    half = 0.5 * (low + min(high, limits.current))
-    currents = (low, half) if limits.steps and half > low else (low,)
-    runs = [
-        run
-        for part in _AMPLITUDES
-        for run in _runs(limits, part, goal.peak_velocity[0], [currents, currents[:1]])
-    ]
-    if not runs:
-        raise ValueError(
-            f"the machine cannot make a run of {limits.duration:g} s at a peak velocity of "
-            f"{goal.peak_velocity[0]:g} m/s that holds a cycle: allow longer runs"
-        )
-    return max(runs, key=lambda run: len(run.currents))
-
-
-def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
-    """All runs that the machine can make within a goal, from which a plan chooses."""
-    low, high = goal.peak_velocity
-    speeds = np.unique(np.geomspace(low, min(high, limits.peak_velocity), _SPEEDS))
-    bottom, top = goal.current[0], min(goal.current[1], limits.current)
-    currents = np.unique(np.linspace(bottom, top, _CURRENTS)).tolist()
-    stairs: list[tuple[float, ...]] = [(current,) for current in currents]
-    for count in _STAIRS if limits.steps else ():
-        for start in range(len(currents)):
-            for stride in range(1, len(currents)):
-                chosen = tuple(currents[start::stride][:count])
-                if len(chosen) == count and chosen not in stairs:
-                    stairs.append(chosen)
-    found: dict[PlannedRun, None] = {}
-    for speed in speeds.tolist():
-        for part in _AMPLITUDES:
-            found.update(dict.fromkeys(_runs(limits, part, speed, stairs)))
-    return list(found)
-
-
-def _runs(
-    limits: MachineLimits, part: float, speed: float, stairs: Sequence[tuple[float, ...]]
-) -> list[PlannedRun]:
-    """Runs of an amplitude and a peak velocity that the machine can make, in round numbers."""
-    amplitude = _round_down(part * limits.amplitude)
-    frequency = _round_down(speed / (2.0 * math.pi * amplitude))
-    if not limits.frequency[0] <= frequency <= limits.frequency[1]:
-        return []
-    runs = [
-        PlannedRun(amplitude, frequency, tuple(map(_round, s)), limits.duration) for s in stairs
-    ]
-    return [
-        run
-        for run in runs
-        if (run.stretch - SETTLING * (len(run.currents) > 1)) * frequency >= _LEAST_CYCLES
-    ]
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.3g}")
-
-
-def _round_down(value: float) -> float:
-    """Two digits, never more than the value: limits hold."""
-    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return float(f"{math.floor(value / unit + 1e-9) * unit:.6g}")

@@ -1,10 +1,11 @@
 """Which run of the test machine comes next, so that the force is soon known well enough.
 
 Of all runs within the limits of the machine, that one is chosen after which the force is expected
-to be known best where it is known worst. A run is a sine, at one current or at a staircase of
-currents. The law is not linear, so what a run is worth is averaged over sets that fit the present
-data equally and differ in what these leave open; the worst point is softened to a high norm, since
-one run alone often does nothing for the very worst.
+to be known best where it is known worst. A run is a sine, a swept sine or random motion, at one
+current or at a staircase of currents. All last equally long, so that the fewest runs are the least
+time of the machine. The law is not linear, so what a run is worth is averaged over sets that fit
+the present data equally and differ in what these leave open; the worst point is softened to a high
+norm, since one run alone often does nothing for the very worst.
 
 See Pukelsheim, "Optimal design of experiments", 1993 (G-optimality), and Chaloner and Verdinelli,
 "Bayesian experimental design: a review", Statistical Science 10, 1995.
@@ -20,9 +21,9 @@ from enum import Enum
 import numpy as np
 
 from mr_damper_ros.estimation.adaptation import adapted
+from mr_damper_ros.estimation.candidate_runs import CandidateRuns, candidate_runs
 from mr_damper_ros.estimation.force_knowledge import (
     FEW,
-    PHASES,
     Cycles,
     ForceGoal,
     PointErrors,
@@ -33,15 +34,9 @@ from mr_damper_ros.estimation.force_knowledge import (
     prior_information,
     relative_gradient,
     repeated_error,
-    steady_cycle,
     window_information,
 )
-from mr_damper_ros.estimation.planned_run import (
-    SETTLING,
-    MachineLimits,
-    PlannedRun,
-    candidate_runs,
-)
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
@@ -109,14 +104,7 @@ class RunPlanner:
         self.limits = limits
         self._goal_cycles = Cycles(model, goal.cycles())
         self.candidates = candidate_runs(goal, limits)
-        # What a stretch tells depends on its motion and its current: each pair is looked at once.
-        pairs = dict.fromkeys(
-            (run.amplitude, run.frequency, current)
-            for run in self.candidates
-            for current in run.currents
-        )
-        self._pairs = {pair: place for place, pair in enumerate(pairs)}
-        self._pair_cycles = Cycles(model, [steady_cycle(*pair) for pair in pairs])
+        self._candidates = CandidateRuns(model, self.candidates, limits.sample_rate)
 
     def shortcoming(self) -> str:
         """Why the goal lies beyond the machine, in words; empty where it does not."""
@@ -153,51 +141,53 @@ class RunPlanner:
         noise = [noise_of(self.model, window, parameters) for window in windows]
         return self._errors(parameters, self._information(windows, noise, parameters))
 
-    def runs_until_known(
-        self, parameters: Array, noise: float, runs: Sequence[PlannedRun]
-    ) -> float:
-        """How many of these runs meet the goal for a damper of these parameters; infinite if not.
-
-        ``noise`` [N] is white. Nothing is identified: the parameters are those of the damper.
-        """
-        gradient = relative_gradient(self._goal_cycles, parameters)
-        information = prior_information(self.model, self._goal_cycles, parameters, self.goal)
-        for count, gain in enumerate(self._gains(parameters, noise, runs), start=1):
-            information = information + gain
-            if point_errors(self.goal, gradient, information).worst <= self.goal.error:
-                return count
-        return math.inf
+    def knowledge(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
+        """As :meth:`errors`; where the goal seems to be met, that is made sure of."""
+        noise = [noise_of(self.model, window, parameters) for window in windows]
+        now = self._errors(parameters, self._information(windows, noise, parameters))
+        if now.worst <= self.goal.error:
+            return self._confirmed(now, windows, noise, parameters)
+        return now
 
     def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:
         """What to do next; ``observable`` (p,) tells which parameters the windows determine."""
-        noise = [noise_of(self.model, window, parameters) for window in windows]
-        present = self._information(windows, noise, parameters)
-        now = self._errors(parameters, present)
-        if now.worst <= self.goal.error:
-            now = self._confirmed(now, windows, noise, parameters)
+        now = self.knowledge(windows, parameters)
         if now.worst <= self.goal.error:
             return Plan(PlanState.MET, now, reason="the goal is met")
+        return self.plan_on(windows, parameters, observable, now)
+
+    def plan_on(
+        self,
+        windows: Sequence[Window],
+        parameters: Array,
+        observable: np.ndarray,
+        now: PointErrors,
+    ) -> Plan:
+        """The plan as :meth:`next` has it, as if the goal were not met; ``now``: what is known."""
         beyond = self.shortcoming()
         if beyond:
             return Plan(PlanState.OUT_OF_REACH, now, runs_left=None, reason=beyond)
-        sets = [parameters, *self._open_sets(windows, parameters, observable)]
-        allowed = self._allowed(windows, sets)
-        if not allowed:
+        sets = self.possible_sets(windows, parameters, observable)
+        allowed = self.allowed(windows, sets)
+        if not allowed.any():
             return Plan(
                 PlanState.OUT_OF_REACH,
                 now,
                 runs_left=None,
                 reason="every run that would help may leave the limits of force or heat",
             )
-        sigma = float(np.median(noise))
-        scores = np.zeros(len(allowed))
+        noise = [noise_of(self.model, window, parameters) for window in windows]
+        present = self._information(windows, noise, parameters)
+        sigma = _noise_by_motion(windows, noise)
+        scores = np.where(allowed, 0.0, math.inf)
         for values in sets:
             before = present if values is parameters else self._information(windows, noise, values)
             gradient = relative_gradient(self._goal_cycles, values)[:, ::_FEW_PHASES]
-            after = before + self._gains(values, sigma, allowed)
-            scores += np.log(_soft_worst(cycle_errors(gradient, after)))
-        best = allowed[int(np.argmin(scores))]
-        left, expected, reached = self._look_ahead(parameters, present, sigma, best)
+            after = before + self._candidates.gains(values, *sigma)[allowed]
+            scores[allowed] += np.log(_soft_worst(cycle_errors(gradient, after)))
+        place = int(np.argmin(scores))
+        best = self.candidates[place]
+        left, expected, reached = self._look_ahead(parameters, present, sigma, place)
         # As long as a law is open, what it will cost to know it cannot be told.
         if left is None and len(sets) == 1:
             return Plan(
@@ -233,54 +223,33 @@ class RunPlanner:
         prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
         return prior + window_information(self.model, windows, noise, parameters)
 
-    def _gains(self, parameters: Array, sigma: float, runs: Sequence[PlannedRun]) -> Array:
-        """Information (m, p, p) that each run would add."""
-        jacobian = self._pair_cycles.gradient(parameters) / sigma
-        of_sample = np.einsum("knp,knq->kpq", jacobian, jacobian) / PHASES
-        return np.stack(
-            [
-                sum(
-                    self._samples(run, place)
-                    * of_sample[self._pairs[run.amplitude, run.frequency, current]]
-                    for place, current in enumerate(run.currents)
-                )
-                for run in runs
-            ]
-        )
+    def possible_sets(
+        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
+    ) -> list[Array]:
+        """Sets that may be true: that identified, and others where something is open."""
+        return [parameters, *self._open_sets(windows, parameters, observable)]
 
-    def _samples(self, run: PlannedRun, place: int) -> float:
-        return (run.stretch - SETTLING * (place > 0)) * self.limits.sample_rate
-
-    def _allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> list[PlannedRun]:
-        """Candidates that stay within the limits whichever set is true, and are no leap."""
+    def allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
+        """Candidates (m,) that stay within the limits whichever set is true, and are no leap."""
         fastest = max(window.motion.peak_velocity.max() for window in windows)
         highest = max(window.current.max() for window in windows)
         low, high = self.goal.current
-        top = highest + _CURRENT_STEP * (high - low)
-        forces = np.stack([self._pair_cycles.force(values) for values in sets])
-        largest = _MARGIN * np.max(np.abs(forces), axis=(0, 2))
-        angle = 2.0 * math.pi * (np.arange(PHASES) + 0.5) / PHASES
-        power = _MARGIN * np.max(np.mean(forces * np.cos(angle), axis=2), axis=0)
-        allowed = []
-        for run in self.candidates:
-            places = [self._pairs[run.amplitude, run.frequency, i] for i in run.currents]
-            heat = run.peak_velocity * run.stretch * float(np.sum(power[places]))
-            if (
-                run.peak_velocity <= _FASTER * fastest
-                and max(run.currents) <= top + 1e-9
-                and np.max(largest[places]) <= self.limits.force
-                and heat <= self.limits.heat
-            ):
-                allowed.append(run)
-        return allowed
+        top = highest + _CURRENT_STEP * (high - low) + 1e-9
+        gentle = [
+            run.peak_velocity <= _FASTER * fastest and max(run.currents) <= top
+            for run in self.candidates
+        ]
+        force, heat = self._candidates.demands(sets)
+        within = (_MARGIN * force <= self.limits.force) & (_MARGIN * heat <= self.limits.heat)
+        return np.asarray(gentle & within)
 
     def _look_ahead(
-        self, parameters: Array, present: Array, sigma: float, first: PlannedRun
+        self, parameters: Array, present: Array, sigma: tuple[float, float], first: int
     ) -> tuple[int | None, float, float]:
         """Runs until the goal is met, the worst error after the first, and after the last."""
         gradient = relative_gradient(self._goal_cycles, parameters)
-        gains = self._gains(parameters, sigma, self.candidates)
-        information = present + self._gains(parameters, sigma, [first])[0]
+        gains = self._candidates.gains(parameters, *sigma)
+        information = present + gains[first]
         expected = worst = point_errors(self.goal, gradient, information).worst
         for count in range(1, _LOOK_AHEAD + 1):
             if worst <= self.goal.error:
@@ -313,6 +282,13 @@ class RunPlanner:
                     values[self.model.parameter_names.index(name)] = value
             sets.append(adapted(self.model, windows, parameters, values, solved))
         return sets
+
+
+def _noise_by_motion(windows: Sequence[Window], noise: Sequence[float]) -> tuple[float, float]:
+    """Noise [N] of a run that is a sine, and of any other, which a law may follow less well."""
+    steady = [sigma for w, sigma in zip(windows, noise, strict=True) if w.motion.sine is not None]
+    broad = [sigma for w, sigma in zip(windows, noise, strict=True) if w.motion.sine is None]
+    return float(np.median(steady or broad)), float(np.median(broad or steady))
 
 
 def _soft_worst(errors: Array) -> Array:

@@ -7,8 +7,9 @@ from enum import IntEnum
 
 import numpy as np
 
+from mr_damper_ros.estimation.candidate_runs import first_run
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.planned_run import PlannedRun, first_run
+from mr_damper_ros.estimation.planned_run import PlannedRun
 from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
 from mr_damper_ros.interface.campaign_folder import (
     CampaignFolder,
@@ -19,6 +20,8 @@ from mr_damper_ros.interface.campaign_folder import (
 )
 from mr_damper_ros.interface.measured_runs import measured_run
 from mr_damper_ros.interface.run_advice import planned
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
+from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.models.parameter_set import known_model
 from mr_damper_ros.signals.recording import Recording
 
@@ -33,6 +36,9 @@ _CURRENT_SHARE = 0.05
 
 _AMPLITUDE_SHARE = 0.3
 """The amplitude of a run may differ by this part of the one wanted."""
+
+_MOTION_SHARE = 0.5
+"""A motion that is no sine leaves no more of that measured than this (root mean square)."""
 
 
 class CampaignOutcome(IntEnum):
@@ -186,15 +192,23 @@ def fault_of_run(run: PlannedRun, recording: Recording) -> str:
     needed = round(run.duration / recording.period)
     if recording.sample_count < needed:
         return f"the recording lasts {recording.duration:.3g} s, the run {run.duration:.3g} s"
-    for place, (current, part) in enumerate(
-        zip(run.currents, run.parts(recording.period), strict=True)
-    ):
+    parts = run.parts(recording.period)
+    # Of a motion that is no sine a part may be any part.
+    for part in parts if run.kind is MotionKind.SINE else [slice(needed)]:
         amplitude = 0.5 * float(np.ptp(recording.displacement[part]))
-        if abs(amplitude - run.amplitude) > _AMPLITUDE_SHARE * run.amplitude:
+        if abs(amplitude - run.span) > _AMPLITUDE_SHARE * run.span:
             return (
-                f"the amplitude is {1e3 * amplitude:.3g} mm, where {1e3 * run.amplitude:.3g} mm "
+                f"the amplitude is {1e3 * amplitude:.3g} mm, where {1e3 * run.span:.3g} mm "
                 "were wanted: does the machine follow?"
             )
+    if run.kind is not MotionKind.SINE:
+        left = RepeatedMatch(run.motion, recording.period).left_of(recording.displacement[:needed])
+        if left > _MOTION_SHARE:
+            return (
+                f"the motion is not the one wanted, which leaves {left:.0%} of it: can the machine "
+                f"make {run.kind.description}?"
+            )
+    for place, (current, part) in enumerate(zip(run.currents, parts, strict=True)):
         measured = float(np.median(recording.current[part]))
         if abs(measured - current) > max(_CURRENT_TOLERANCE, _CURRENT_SHARE * current):
             return (

@@ -21,6 +21,7 @@ from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
 from mr_damper_ros.estimation.run_planner import Plan, PlanState
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
 from mr_damper_ros.processes.whole_files import write_text
@@ -140,6 +141,8 @@ def read_task(folder: Path) -> CampaignTask:
         for name in ("peak_velocity", "current"):
             goal[name] = tuple(goal[name])
         limits["frequency"] = tuple(limits["frequency"])
+        # Campaigns of before had sines alone.
+        limits["motions"] = tuple(map(MotionKind, limits.get("motions", ("sine",))))
         limits["heat"] = math.inf if limits["heat"] is None else limits["heat"]
         return CampaignTask(ForceGoal(**goal), MachineLimits(**limits), found["model"])
     except (ValueError, TypeError, KeyError) as error:
@@ -169,8 +172,7 @@ def _read_run(path: Path) -> tuple[PlannedRun, Recording]:
 def planned_run_of(recording: Recording) -> PlannedRun | None:
     """The run that a recording was made of, None where it does not say."""
     try:
-        found = json.loads(recording.details[_RUN])
-        return PlannedRun(**found | {"currents": tuple(found["currents"])})
+        return PlannedRun.from_document(json.loads(recording.details[_RUN]))
     except (KeyError, ValueError, TypeError):
         return None
 
@@ -219,18 +221,16 @@ def _step(document: dict[str, Any], goal: ForceGoal) -> CampaignStep:
     plan = Plan(
         PlanState(found["state"]),
         PointErrors(points, errors, _read(found["worst"])),
-        None if found["run"] is None else _run(found["run"]),
+        None if found["run"] is None else PlannedRun.from_document(found["run"]),
         _read(found["expected"]),
         found["runs_left"],
         found["reason"],
     )
     return CampaignStep(
-        _run(document["run"]), ParameterSet.from_yaml(document["parameter_set"]), plan
+        PlannedRun.from_document(document["run"]),
+        ParameterSet.from_yaml(document["parameter_set"]),
+        plan,
     )
-
-
-def _run(document: dict[str, Any]) -> PlannedRun:
-    return PlannedRun(**document | {"currents": tuple(document["currents"])})
 
 
 def _written(value: Any) -> Any:

@@ -28,6 +28,7 @@ from mr_damper_ros.interface.report_page import (
     with_error,
     write_report,
 )
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 from mr_damper_ros.signals.recording import Recording
@@ -141,6 +142,8 @@ def _plan(campaign: _Campaign) -> list[Block]:
                 number,
                 1e3 * run.amplitude,
                 run.frequency,
+                "–" if run.kind is MotionKind.SINE else run.highest_frequency,
+                run.kind.description,
                 run.peak_velocity,
                 ", ".join(f"{current:g}" for current in run.currents),
                 _percent(expected),
@@ -153,7 +156,15 @@ def _plan(campaign: _Campaign) -> list[Block]:
         "plan",
         "Each run was chosen after those before it. Expected: the worst error that the plan "
         "foresaw for after the run. Left: runs that were then expected to be needed still.",
-        ("run", "amplitude [mm]", "frequency [Hz]", "peak velocity [m/s]", "currents [A]")
+        (
+            "run",
+            "amplitude [mm]",
+            "frequency [Hz]",
+            "up to [Hz]",
+            "motion",
+            "peak velocity [m/s]",
+            "currents [A]",
+        )
         + ("expected", "worst error", "left"),
         rows,
     )
@@ -161,6 +172,12 @@ def _plan(campaign: _Campaign) -> list[Block]:
         return [table]
     names = ", ".join(campaign.refused)
     return [table, Text(f"Refused, kept as bags and made again: {names}.")]
+
+
+def _frequency(run: PlannedRun) -> str:
+    if run.kind is MotionKind.SINE:
+        return f"{run.frequency:g}"
+    return f"{run.frequency:g} to {run.highest_frequency:g}"
 
 
 def _percent(value: float) -> str:
@@ -260,7 +277,7 @@ def _loops(campaign: _Campaign) -> list[Block]:
                 linestyle=DASHES[place % len(DASHES)],
                 linewidth=0.9,
             )
-        axis.set_title(f"{number}: {1e3 * run.amplitude:g} mm, {run.frequency:g} Hz")
+        axis.set_title(f"{number}: {1e3 * run.amplitude:g} mm, {_frequency(run)} Hz")
         axis.set_xlabel("velocity [m/s]")
         axis.set_ylabel("force [kN]")
     caption = (
@@ -343,8 +360,8 @@ def _unknown(campaign: _Campaign) -> list[Block]:
         blocks.append(Text(f"The next run would be {plan.run.sentence}."))
     blocks.append(
         Text(
-            "Not looked at: other motions than steady ones, other temperatures than those of the "
-            "runs, and whatever lies outside the range of the goal."
+            "Not looked at: other motions and other temperatures than those of the runs, and "
+            "whatever lies outside the range of the goal."
         )
     )
     return blocks

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from mr_damper_ros.estimation.planned_run import PlannedRun
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
+from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.rig.run_driver import STEADY, DriveSettings, sine_of_cycle
 from mr_damper_ros.signals.recording import Recording
 
 _PLACES = 8
 """In every cycle, the run may begin at so many places."""
+
+_MOST_PLACES = 2000
+"""No more places are looked at in a long recording."""
 
 _SETTINGS = DriveSettings()
 """A run is as wanted where it would be on a machine that is driven."""
@@ -25,8 +31,10 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
     """The part of a recording in which a run was made, without what was before and after.
 
     Where the current is stepped, its first step tells where the run begins; else it is the part in
-    which the motion is steadiest. Raises RunNotFoundError where there is none.
+    which the motion is steadiest, or most as wanted. Raises RunNotFoundError where there is none.
     """
+    if len(run.currents) == 1 and run.kind is not MotionKind.SINE:
+        return _most_as_wanted(run, recording)
     return _from_step(run, recording) if len(run.currents) > 1 else _steadiest(run, recording)
 
 
@@ -55,6 +63,31 @@ def _steadiest(run: PlannedRun, recording: Recording) -> Recording:
             f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of steady "
             f"motion of {1e3 * run.amplitude:.3g} mm at {run.currents[0]:g} A, and the largest "
             f"there lasts for less, or has {1e3 * seen:.3g} mm, or another current"
+        )
+    return _part(recording, best, count)
+
+
+def _most_as_wanted(run: PlannedRun, recording: Recording) -> Recording:
+    match = RepeatedMatch(run.motion, recording.period)
+    count = max(round(run.duration / recording.period), match.count)
+    stride = max(round(1.0 / (_PLACES * run.highest_frequency * recording.period)), 1)
+    stride = max(stride, recording.sample_count // _MOST_PLACES)
+    best, least, seen = None, _SETTINGS.amplitude_tolerance, math.inf
+    for begin in range(0, recording.sample_count - count + 1, stride):
+        part = slice(begin, begin + count)
+        left = match.left_of(recording.displacement[part])
+        seen = min(seen, left)
+        off = abs(float(np.median(recording.current[part])) - run.currents[0])
+        if off <= _SETTINGS.current_tolerance and left < least:
+            best, least = begin, left
+    if best is None:
+        nearest = (
+            f"the nearest leaves {seen:.0%} of it" if math.isfinite(seen) else "it is too short"
+        )
+        raise RunNotFoundError(
+            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of "
+            f"{run.kind.description} as wanted at {run.currents[0]:g} A, and {nearest}, or the "
+            "current is another"
         )
     return _part(recording, best, count)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from pathlib import Path
 
 import numpy as np
@@ -16,23 +15,21 @@ from mr_damper_ros.signals.arrays import Array
 COLUMNS = ("time:s", "displacement:m", "current:A")
 """Head of the file, as ``import_record`` takes it."""
 
-_CYCLES = 2.0
-"""The motion grows and fades within so many cycles."""
-
 
 def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
     """Time [s], displacement [m] and current [A] of a run, each of shape (n,).
 
-    It starts and ends at rest: the motion grows smoothly within two cycles, at the first current,
-    then comes the run itself, and it fades as it grew.
+    It starts and ends at rest: the motion grows smoothly within two cycles, or a length of a motion
+    that is no sine, at the first current, then comes the run itself, and it fades as it grew.
     """
-    grow = _CYCLES / run.frequency
+    motion = run.motion
+    grow = motion.growth
     count = round((run.duration + 2.0 * grow) * sample_rate) + 1
     time = np.arange(count) / sample_rate
     within = np.clip(np.minimum(time, run.duration + 2.0 * grow - time) / grow, 0.0, 1.0)
     envelope = within**3 * (10.0 - 15.0 * within + 6.0 * within**2)
-    angle = 2.0 * math.pi * run.frequency * (time - grow)
-    return time, run.amplitude * envelope * np.sin(angle), run.current_at(time - grow)
+    displacement, _, _ = motion.at(time - grow)
+    return time, envelope * displacement, run.current_at(time - grow)
 
 
 def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> None:

@@ -252,3 +252,10 @@ def peak_velocity_of_window(velocity: Array, acceleration: Array, period: float)
     known = velocity.size - 1 if follower.known_from is None else follower.known_from
     time_scale[:known] = time_scale[min(known, velocity.size - 1)]
     return np.hypot(velocity, acceleration * time_scale)
+
+
+def peak_velocity_of_period(velocity: Array, acceleration: Array, period: float) -> Array:
+    """As :func:`peak_velocity_of_window`, of one period of a motion that had gone on before."""
+    follower = PeakVelocity(period)
+    follower.follow_time_scale(velocity, acceleration)
+    return np.hypot(velocity, acceleration * follower.follow_time_scale(velocity, acceleration))

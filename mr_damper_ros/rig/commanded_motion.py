@@ -7,7 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mr_damper_ros.rig.excitation import EnvelopedMotion, Excitation, Kinematics, SineMotion
+from mr_damper_ros.rig.excitation import (
+    EnvelopedMotion,
+    Excitation,
+    Kinematics,
+    RepeatedMotion,
+    SineMotion,
+)
 from mr_damper_ros.signals.arrays import Array
 
 CYCLES = 2.0
@@ -99,3 +105,11 @@ class CommandedMotion:
         for sine in self._sines:
             total += np.stack(sine.at(time))
         return Kinematics(*total)
+
+
+def is_sine(excitation: Excitation) -> bool:
+    """Whether the peak velocity is known at every sample, and need not be waited for."""
+    if isinstance(excitation, RepeatedMotion):
+        return excitation.is_sine
+    plain = isinstance(excitation, SineMotion) and excitation.triangularity == 0.0
+    return plain or isinstance(excitation, CommandedMotion)

@@ -23,8 +23,8 @@ from mr_damper_ros.models.sigmoid.law import (
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.rig.commanded_motion import CommandedMotion
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.rig.commanded_motion import is_sine
+from mr_damper_ros.rig.excitation import Excitation
 from mr_damper_ros.rig.faults.fault import Fault
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
@@ -221,12 +221,6 @@ class RigSettings:
         return 1.0 / self.sample_rate
 
 
-def _is_sine(excitation: Excitation) -> bool:
-    """Whether the peak velocity is known at every sample, and need not be waited for."""
-    plain = isinstance(excitation, SineMotion) and excitation.triangularity == 0.0
-    return plain or isinstance(excitation, CommandedMotion)
-
-
 class EmulatedRig:
     """A damper in a test machine, sample by sample.
 
@@ -296,7 +290,7 @@ class EmulatedRig:
         before = self._excitation
         for fault in faults:
             excitation = fault.moved(excitation)
-        if _is_sine(excitation):
+        if is_sine(excitation):
             self._peak = None
         elif self._peak is None:
             self._peak = self._peak_so_far(before)

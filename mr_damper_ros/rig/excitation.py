@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -88,6 +89,24 @@ class SineMotion:
             scale * rate * s * cosine / root,
             -scale * rate**2 * s * (1.0 - s * s) * sine / root**3,
         )
+
+
+@dataclass(frozen=True)
+class RepeatedMotion:
+    """A motion that repeats, about ``centre`` [m]."""
+
+    motion: PeriodicMotion
+    centre: float = 0.0
+
+    @property
+    def is_sine(self) -> bool:
+        """Whether it is a plain sine."""
+        return self.motion.kind is MotionKind.SINE
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        displacement, velocity, acceleration = self.motion.at(time)
+        return Kinematics(self.centre + displacement, velocity, acceleration)
 
 
 class SampledMotion:

@@ -1,0 +1,198 @@
+"""Motions that a test machine can repeat: a sine, a swept sine, random motion with a spectrum.
+
+All of them are plain functions of time, known exactly, so that it can be told before whether a
+machine may make them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+
+_GROWTH_CYCLES = 2.0
+"""A sine grows within so many of its cycles: its velocity never exceeds that of the sine itself."""
+
+_STEEPEST = 1.875
+"""Largest slope of the smooth step with which a motion grows."""
+
+_FEWEST = 4
+"""Harmonics of a random motion, at the least."""
+
+_GRID = 64
+"""Samples of the shortest cycle at which the largest values of a random motion are looked for."""
+
+_BETWEEN = 1.0 / (1.0 - (math.pi / _GRID) ** 2 / 2.0)
+"""No value between those samples is larger by more than this factor (Bernstein)."""
+
+_GOLDEN = 0.6180339887498949
+"""The phase of harmonic k is the fractional part of (k + seed)³ times this, in turns."""
+
+
+class MotionKind(str, Enum):
+    """How a machine moves."""
+
+    SINE = "sine"
+    SWEEP = "sweep"
+    RANDOM = "random"
+
+    @property
+    def description(self) -> str:
+        """In words."""
+        return {"sine": "a sine", "sweep": "a swept sine", "random": "random motion"}[self.value]
+
+
+@dataclass(frozen=True)
+class PeriodicMotion:
+    """A motion about zero that repeats, as a function of time.
+
+    ``amplitude`` [m] is its largest displacement.
+
+    - A sine of ``frequency`` [Hz].
+    - A swept sine, whose frequency goes smoothly from ``frequency`` to ``highest_frequency`` and
+      back within ``period`` [s], as a cosine of time. That the period holds whole cycles, the
+      highest frequency is a little lower where it must be.
+    - Random motion: the multiples of 1/``period`` from ``frequency`` to ``highest_frequency``,
+      each with as much velocity. ``seed`` chooses their phases. It repeats after the period
+      ("random-phase multisine", Pintelon and Schoukens, "System identification", 2012).
+
+    Raises ValueError where a value is out of range, or no multiple lies within the band.
+    """
+
+    kind: MotionKind
+    amplitude: float
+    frequency: float
+    highest_frequency: float = 0.0
+    period: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        needed = ["amplitude", "frequency"]
+        if self.kind is not MotionKind.SINE:
+            needed += ["highest_frequency", "period"]
+        for name in needed:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"the {name.replace('_', ' ')} is {value}: it must be positive")
+        if self.kind is MotionKind.SINE:
+            return
+        if not self.highest_frequency > self.frequency:
+            raise ValueError(
+                f"the motion goes from {self.frequency:g} to {self.highest_frequency:g} Hz: the "
+                "highest frequency must be above the lowest"
+            )
+        empty = (
+            self._mean_frequency <= self.frequency
+            if self.kind is MotionKind.SWEEP
+            else self._harmonics.size < _FEWEST
+        )
+        if empty:
+            raise ValueError(
+                f"{self.period:g} s are too short for a motion from {self.frequency:g} to "
+                f"{self.highest_frequency:g} Hz: allow more time, or a wider band"
+            )
+
+    @property
+    def peak_velocity(self) -> float:
+        """No speed is larger [m/s]."""
+        if self.kind is MotionKind.RANDOM:
+            return self._random_peak_velocity
+        return 2.0 * math.pi * self.amplitude * self._top_frequency
+
+    @property
+    def length(self) -> float:
+        """Time [s] after which it repeats."""
+        return 1.0 / self.frequency if self.kind is MotionKind.SINE else self.period
+
+    @property
+    def span(self) -> float:
+        """Half the way [m] from the lowest to the highest displacement."""
+        if self.kind is not MotionKind.RANDOM:
+            return self.amplitude
+        return self._random_span
+
+    @property
+    def growth(self) -> float:
+        """Time [s] in which it grows from rest, and fades."""
+        if self.kind is MotionKind.SINE:
+            return _GROWTH_CYCLES / self.frequency
+        return self.period
+
+    @property
+    def growing_velocity(self) -> float:
+        """No speed is larger [m/s], also while it grows and fades."""
+        if self.kind is MotionKind.SINE:
+            return self.peak_velocity
+        return self.peak_velocity + _STEEPEST * self.amplitude / self.growth
+
+    def at(self, time: Array) -> tuple[Array, Array, Array]:
+        """Displacement [m], velocity [m/s] and acceleration [m/s²] at the times [s], shape (n,)."""
+        if self.kind is MotionKind.RANDOM:
+            return self._random_at(time, self._sizes)
+        angle, rate, bend = self._phase(time)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        a = self.amplitude
+        return a * sine, a * rate * cosine, a * (bend * cosine - rate**2 * sine)
+
+    def _phase(self, time: Array) -> tuple[Array, Array | float, Array | float]:
+        """Angle [rad], its rate and the rate of that."""
+        if self.kind is MotionKind.SINE:
+            rate = 2.0 * math.pi * self.frequency
+            return rate * time, rate, 0.0
+        mean = 2.0 * math.pi * self._mean_frequency
+        half = mean - 2.0 * math.pi * self.frequency
+        turn = 2.0 * math.pi / self.period
+        # Whole periods leave the sine as it is: the angle stays small.
+        within = np.mod(time, self.period)
+        angle = mean * within - half / turn * np.sin(turn * within)
+        return angle, mean - half * np.cos(turn * within), half * turn * np.sin(turn * within)
+
+    @property
+    def _mean_frequency(self) -> float:
+        cycles = math.floor(0.5 * (self.frequency + self.highest_frequency) * self.period + 1e-9)
+        return cycles / self.period
+
+    @property
+    def _top_frequency(self) -> float:
+        if self.kind is MotionKind.SINE:
+            return self.frequency
+        return 2.0 * self._mean_frequency - self.frequency
+
+    @cached_property
+    def _harmonics(self) -> Array:
+        first = math.ceil(self.frequency * self.period - 1e-9)
+        last = math.floor(self.highest_frequency * self.period + 1e-9)
+        return np.arange(max(first, 1), last + 1, dtype=np.float64)
+
+    @cached_property
+    def _sizes(self) -> Array:
+        """Amplitudes [m] of the harmonics."""
+        plain = 1.0 / self._harmonics
+        largest = _BETWEEN * float(np.max(np.abs(self._random_at(self._grid, plain)[0])))
+        return plain * (self.amplitude / largest)
+
+    @cached_property
+    def _random_peak_velocity(self) -> float:
+        speed = np.abs(self._random_at(self._grid, self._sizes)[1])
+        return _BETWEEN * float(np.max(speed))
+
+    @cached_property
+    def _random_span(self) -> float:
+        return 0.5 * float(np.ptp(self._random_at(self._grid, self._sizes)[0]))
+
+    @property
+    def _grid(self) -> Array:
+        count = _GRID * int(self._harmonics[-1])
+        return np.arange(count, dtype=np.float64) * (self.period / count)
+
+    def _random_at(self, time: Array, sizes: Array) -> tuple[Array, Array, Array]:
+        rates = 2.0 * math.pi / self.period * self._harmonics
+        turns = np.mod(_GOLDEN * (self._harmonics + self.seed) ** 3, 1.0)
+        angles = np.multiply.outer(np.mod(time, self.period), rates) + 2.0 * math.pi * turns
+        sines, cosines = np.sin(angles), np.cos(angles)
+        return sines @ sizes, cosines @ (sizes * rates), -sines @ (sizes * rates**2)
