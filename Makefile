@@ -11,7 +11,7 @@ TESTED := pytest -n 2 --dist loadfile
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
-.PHONY: help setup demo live thesis control doc bench soak test test-noble lint format clean distclean
+.PHONY: help setup demo live thesis control truth doc bench soak test test-noble lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -36,6 +36,10 @@ thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (AR
 control: setup ## Compare controllers of the damper in car and buildings: build/control/report.html
 	@. ./env.bash
 	exec $(PROGRAMS)/control_study $(ARGS)
+
+truth: setup ## Judge every force law on recordings and a benchmark: build/truth/report.html
+	@. ./env.bash
+	exec $(PROGRAMS)/truth_study $(ARGS)
 
 doc: ## Build the documentation into build/doc/index.html; warnings are errors
 	@scripts/setup.bash doc

@@ -30,7 +30,7 @@ TOOLS = (
         "thesis_bags",
         "validate",
     ),
-    "watch",
+    *("truth_study", "watch"),
 )
 
 

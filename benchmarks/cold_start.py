@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import earthquake, recordings
 from benchmarks.figure import Figure
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.study import earthquake, recordings
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.tracker import WindowTracker

@@ -7,15 +7,8 @@ from mr_damper_ros.models.published_conditions import CONDITIONS, Condition, is_
 from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.study.recordings import window_of
 from mr_damper_ros.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise
-
-
-def window_of(recording: Recording) -> Window:
-    """A whole recording as one window."""
-    return Window.from_samples(
-        recording.displacement, recording.force, recording.current, recording.period
-    )
 
 
 def steady_window(parameters: Array, condition: Condition, *, samples: int, seed: int) -> Window:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from benchmarks import earthquake, recordings
-from benchmarks.earthquake import Following
 from benchmarks.figure import Figure
 from benchmarks.state_law import STATE_LAW
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.study import earthquake, recordings
+from mr_damper_ros.study.earthquake import Following
 
 LAWS = {"fit": "sigmoid_lag", "springs_fit": STATE_LAW, "sixteen_fit": "sigmoid"}
 """The laws by the end of their keys."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks import recordings
 from benchmarks.figure import Figure
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
@@ -18,6 +17,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.study import recordings
 
 LAWS = ("sigmoid", EXTENDED_MODEL)
 STARTS = 20

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks import recordings
 from benchmarks.figure import Figure
 from benchmarks.timing import cpu_seconds
 from mr_damper_ros.control.inverse_model import InverseModel
@@ -18,6 +17,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.models.published_conditions import CONDITIONS, PUBLISHED_METHODS, parameters
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.study import recordings
 
 POINTS = 100_000
 BLOCK = 10

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import savgol_coeffs
 
-from benchmarks import recordings
-from benchmarks.earthquake import records
 from benchmarks.figure import Figure
 from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
@@ -22,6 +20,8 @@ from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.study import recordings
+from mr_damper_ros.study.earthquake import records
 from mr_damper_ros.thesis import published_runs
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import earthquake, recordings
 from benchmarks.figure import Figure
 from mr_damper_ros.io.records import read_runs
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.study import earthquake, recordings
 
 LAWS = ("sigmoid", "sigmoid_lag")
 

@@ -15,8 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import earthquake, recordings
-from benchmarks.earthquake import Following
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS
 from benchmarks.stream_trial import StreamTrial, TrialSettings
@@ -25,6 +23,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.emulator import CurrentSchedule
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.study import earthquake, recordings
+from mr_damper_ros.study.earthquake import Following
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 
 LEARNT = (0.2, 0.8, 1.4, 0.5, 1.1, 0.2, 1.4, 0.8)

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.dampers import window_of
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS, random_motion
 from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
@@ -29,6 +28,7 @@ from mr_damper_ros.rig.excitation import Excitation, SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.study.recordings import window_of
 from mr_damper_ros.tracking.current_parts import parts_by_current
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.screening import Screening

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from benchmarks import recordings
 from benchmarks.figure import Figure
 from benchmarks.utfsm_sixteen import median_nrmse_percent
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
+from mr_damper_ros.study import recordings
 
 
 def figures() -> list[Figure]:

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import recordings
 from benchmarks.figure import Figure
 from benchmarks.state_law import STATE_LAW
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
+from mr_damper_ros.study import recordings
+from mr_damper_ros.study.record_trials import error_of, set_without
 
 
 def left_out_nrmse(utfsm: Path, law: str) -> list[float]:
@@ -21,17 +20,11 @@ def left_out_nrmse(utfsm: Path, law: str) -> list[float]:
     One amplitude and frequency is left out at a time, at all its currents, and predicted as the
     model node does: with the peak velocity held within the range of the other records.
     """
-    model = MODELS[law]
-    start = model.initial_values()[0]
     motions = recordings.processed_motions(utfsm)
     errors = []
     for left_out, records in motions.items():
-        others = [w for name, windows in motions.items() if name != left_out for w in windows]
-        found = identify_global(model, others, start, EvolutionSettings()).parameter_set
-        for window in records:
-            held = window.held_within(*found.peak_velocity_range)
-            residual = model.window_force(held, found.values) - window.force
-            errors.append(100.0 * float(np.sqrt(np.mean(residual**2)) / np.std(window.force)))
+        found = set_without(motions, law, left_out)
+        errors += [100.0 * error_of(found, window) for window in records]
     return [float(np.median(errors)), float(np.mean(errors))]
 
 

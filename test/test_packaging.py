@@ -31,7 +31,7 @@ TOOLS = (
         "thesis_bags",
         "validate",
     ),
-    "watch",
+    *("truth_study", "watch"),
 )
 MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
 

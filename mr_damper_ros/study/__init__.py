@@ -1,1 +1,1 @@
-"""The control study: controllers side by side on emulated plants; see ``make control``."""
+"""Studies that end in a report: controllers (``make control``), force laws (``make truth``)."""

@@ -6,11 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 from mr_damper_ros.interface.figure_style import styled
 from mr_damper_ros.interface.report_page import Chapter, write_report
-from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.study import building_chapter, car_chapters, hybrid_chapter
 from mr_damper_ros.study.building_runs import WEIGHTED, simulate
 from mr_damper_ros.study.car_chapters import Drives
@@ -27,6 +26,7 @@ from mr_damper_ros.study.car_drives import (
 from mr_damper_ros.study.heated_chapter import growth, heated_chapter
 from mr_damper_ros.study.heated_drive import HeatedDrive, drive_heated
 from mr_damper_ros.study.hybrid_run import hybrid, missed
+from mr_damper_ros.study.task_results import Say, each_result
 
 PARTS = ("roads", "heated", "buildings", "hybrid")
 
@@ -37,10 +37,6 @@ _NOTICE = (
     "on hardware. The damper is commanded through the inverse of its identified law, by the code "
     "that the controller node runs. All random numbers have fixed seeds."
 )
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -81,7 +77,9 @@ def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], 
     tasks += [(strategy, road, 0.0) for road in ("A", "C", "E") for strategy in CONTROLLERS]
     tasks += [(name, "C", 0.0) for name in (*STRATEGIES[:2], *CONSTANTS)]
     drives = Drives(
-        _each(pool, drive, [Drive(*task, duration=extent.drive) for task in tasks], "drives", say),
+        each_result(
+            pool, drive, [Drive(*task, duration=extent.drive) for task in tasks], "drives", say
+        ),
         extent.drive,
     )
     best = car_chapters.best_on(drives, "C")
@@ -111,7 +109,7 @@ def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], 
 
 def _heated(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
     tasks = [HeatedDrive(learns, duration=extent.heated) for learns in (False, True)]
-    results = _each(pool, drive_heated, tasks, "heated drives", say)
+    results = each_result(pool, drive_heated, tasks, "heated drives", say)
     found = {task.learns: result for task, result in results.items()}
     with styled():
         chapter = heated_chapter(found, tasks[0])
@@ -124,7 +122,7 @@ def _heated(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter],
 
 def _buildings(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
     longest = extent.earthquake
-    results = _each(pool, simulate, building_chapter.tasks(longest), "earthquakes", say)
+    results = each_result(pool, simulate, building_chapter.tasks(longest), "earthquakes", say)
     found = building_chapter.Buildings(results, longest)
     won = building_chapter.cases_won(found)
     fastest = max(
@@ -141,7 +139,7 @@ def _buildings(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapte
 
 def _hybrid(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
     tasks = [replace(task, duration=extent.hybrid) for task in hybrid_chapter.TASKS]
-    results = _each(pool, hybrid, tasks, "hybrid simulations", say)
+    results = each_result(pool, hybrid, tasks, "hybrid simulations", say)
     found = dict(zip(hybrid_chapter.TASKS, results.values(), strict=True))
     reference = found[hybrid_chapter.REFERENCE]
     late, ahead = (
@@ -162,28 +160,3 @@ _PARTS: dict[str, Callable[[ProcessPool, Extent, Say], tuple[list[Chapter], list
     "buildings": _buildings,
     "hybrid": _hybrid,
 }
-
-
-def _each(
-    pool: ProcessPool,
-    function: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    name: str,
-    say: Say,
-) -> dict[Task, Result]:
-    """Results by their tasks."""
-    count = 0
-
-    def done(_: int, __: Result) -> None:
-        nonlocal count
-        count += 1
-        say(f"{name}: {count} of {len(tasks)}")
-
-    work = [(function, task) for task in tasks]
-    results = pool.map(_call, work, done=done)
-    return {task: result for task, result in zip(tasks, results, strict=True) if result is not None}
-
-
-def _call(work: tuple[Callable[[Task], Result], Task], tell: Tell) -> Result:
-    function, task = work
-    return function(task)

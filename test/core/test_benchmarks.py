@@ -25,7 +25,6 @@ from benchmarks import (
     many_recordings,
     noise_limit,
     planned_runs,
-    recordings,
     repeated_evolution,
     rig_troubles,
     step_current,
@@ -45,6 +44,7 @@ from mr_damper_ros.interface.rig_trouble import Trouble
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import scaled
+from mr_damper_ros.study import recordings
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.trackers import TRACKERS
 

@@ -6,7 +6,6 @@ import os
 import re
 from pathlib import Path
 
-from benchmarks.dampers import window_of
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.recording import Recording
@@ -14,6 +13,13 @@ from mr_damper_ros.signals.recording import Recording
 NONE = "MR_DAMPER_DATA is not set to a folder that holds utfsm."
 _COLUMNS = "time:s,displacement:mm,velocity:mm/s,force:N"
 _NAME = re.compile(r"(.+Hz)(\d+(?:x\d+)?)A$")
+
+
+def window_of(recording: Recording) -> Window:
+    """A whole recording as one window."""
+    return Window.from_samples(
+        recording.displacement, recording.force, recording.current, recording.period
+    )
 
 
 def folder() -> Path | None:

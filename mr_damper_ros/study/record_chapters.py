@@ -1,0 +1,288 @@
+"""Chapters of the report on the recordings: sinusoids, earthquakes, parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mr_damper_ros.interface.estimates import as_json, parameter_estimates
+from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, MARKS, legend_above, panels
+from mr_damper_ros.interface.report_page import Cell, Chapter, Picture, Table, Text, with_error
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.study.record_trials import EarthquakeResult, RecordResult
+
+_SOURCE = (
+    "Recordings of an MR damper in a test machine, UTFSM, Chile, 2022 "
+    "(github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, MIT licence, © 2022 mequiroz)."
+)
+_SHOWN = (10.0, 14.0)
+"""Seconds of an earthquake that are drawn."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Results by law; earthquakes by law, current [A] and whether the identifier ran."""
+
+    one_set: Mapping[str, RecordResult]
+    left_out: Mapping[str, Mapping[str, float]]
+    earthquakes: Mapping[tuple[str, float, bool], EarthquakeResult]
+    microseconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def currents(self) -> list[float]:
+        """Currents [A] of the earthquakes."""
+        return sorted({current for _, current, _ in self.earthquakes})
+
+    def fits(self, law: str, follows: bool) -> list[float | None]:
+        """Fit [%] of each earthquake; None where it was not tried."""
+        found = (self.earthquakes.get((law, current, follows)) for current in self.currents)
+        return [None if result is None else result.fit for result in found]
+
+    def static_mean(self, law: str) -> float:
+        """Mean fit [%] of the earthquakes by the sinusoid set alone; NaN where one is missing."""
+        fits = [math.nan if fit is None else fit for fit in self.fits(law, follows=False)]
+        return float(np.mean(fits)) if fits else math.nan
+
+
+def headlines(found: Recorded) -> list[str]:
+    """A sentence for each of the chapters below."""
+    alone = {law: _median(result.nrmse) for law, result in found.one_set.items()}
+    unseen = {law: _median(errors) for law, errors in found.left_out.items()}
+    shaken = {law: found.static_mean(law) for law in found.one_set}
+    best, safest, steadiest = (
+        min(alone, key=lambda law: alone[law]),
+        min(unseen, key=lambda law: unseen[law]),
+        max(shaken, key=lambda law: shaken[law]),
+    )
+    return [
+        f"one set leaves {alone[best]:.1%} of the force ({best}, median over the records), and "
+        f"{unseen[safest]:.1%} of motions that it has not seen ({safest}).",
+        f"the set of the sinusoids alone fits the earthquakes to {shaken[steadiest]:.1f} % in the "
+        f"mean ({steadiest}).",
+        "those of each law, with their errors.",
+    ]
+
+
+def sinusoid_chapter(found: Recorded) -> Chapter:
+    """Every law on the sinusoid records."""
+    rows: list[Sequence[Cell]] = []
+    for law, result in found.one_set.items():
+        errors, unseen = list(result.nrmse.values()), list(found.left_out[law].values())
+        rows.append(
+            (
+                law,
+                len(MODELS[law].parameters),
+                *(100.0 * float(of(errors)) for of in (np.median, np.max)),
+                *(100.0 * float(of(unseen)) for of in (np.median, np.mean)),
+                100.0 * _median(result.raw),
+                result.seconds,
+                found.microseconds.get(law),
+            )
+        )
+    motions = list(dict.fromkeys(name.rpartition(",")[0] for name in _records(found)))
+    figure, axes = panels(2, 1, 6.8, 5.2, sharex=True)
+    places = np.arange(len(_records(found)))
+    for row, (title, errors_of) in enumerate(
+        (
+            ("one set for all", {law: result.nrmse for law, result in found.one_set.items()}),
+            ("its motion left out", found.left_out),
+        )
+    ):
+        for number, (law, errors_by_name) in enumerate(errors_of.items()):
+            values = [100.0 * errors_by_name.get(name, math.nan) for name in _records(found)]
+            axes[row, 0].plot(
+                places,
+                values,
+                color=INK[number % len(INK)],
+                marker=MARKS[number % len(MARKS)],
+                linestyle="none",
+                label=law,
+            )
+        axes[row, 0].set(ylabel=f"NRMSE (%), {title}", yscale="log")
+        axes[row, 0].yaxis.set_major_formatter("{x:g}")
+        axes[row, 0].yaxis.set_minor_formatter("{x:g}")
+    currents = [name.rpartition(",")[2].removesuffix(" A").strip() for name in _records(found)]
+    axes[1, 0].set_xticks(places, currents)
+    axes[1, 0].set_xlabel("current (A), motion by motion: " + ", ".join(map(_motion, motions)))
+    for edge in np.flatnonzero(np.diff([motions.index(_of(n)) for n in _records(found)])):
+        for row in (0, 1):
+            axes[row, 0].axvline(edge + 0.5, color=GREY, linewidth=0.6)
+    legend_above(figure, axes[0, 0], 4)
+    return Chapter(
+        "sinusoids",
+        "Sinusoid records",
+        [
+            Text(
+                f"{_SOURCE} {len(places)} records at constant currents, ramps included. Each law "
+                "is identified with one set for all of them, and again without one motion (an "
+                "amplitude and frequency, at all its currents), which it then predicts, the peak "
+                "velocity held in the range of the others. The processed records are moving "
+                "averages over a tenth of a cycle, made so by their makers; the raw ones are the "
+                "logger's own, of two of the motions, whose force has no zero: its mean is taken "
+                "off."
+            ),
+            Table(
+                "sinusoids",
+                "NRMSE is RMSE over the standard deviation of the force, in percent: median and "
+                "largest of one set, median and mean of the motions left out, median of the raw "
+                "records. Identification: processor time of one set. Streaming: processor time "
+                "of a sample in blocks of ten. Both are those of the machine that made the report.",
+                (
+                    *("law", "parameters", "one set", "largest", "left out", "left out, mean"),
+                    *("raw", "identified in (s)", "streaming (µs)"),
+                ),
+                rows,
+            ),
+            Picture("sinusoids", "Error of every record, by law.", figure),
+        ],
+    )
+
+
+def earthquake_chapter(found: Recorded) -> Chapter:
+    """Every law on the earthquakes."""
+    currents = found.currents
+    rows: list[Sequence[Cell]] = [
+        (
+            law,
+            *found.fits(law, follows=False),
+            as_json(found.static_mean(law)),
+            *found.fits(law, follows=True),
+        )
+        for law in found.one_set
+    ]
+    middle = currents[len(currents) // 2]
+    best = max(found.one_set, key=lambda law: found.earthquakes[law, middle, False].fit)
+    static = found.earthquakes[best, middle, False]
+    online = found.earthquakes.get((best, middle, True))
+    figure, axes = panels(2, 1, 6.8, 4.2, sharex=True)
+    chosen = (static.time >= _SHOWN[0]) & (static.time < _SHOWN[1])
+    time = static.time[chosen]
+    axes[0, 0].plot(time, static.measured[chosen], color=GREY, linewidth=2.0, label="measured")
+    for place, (result, name) in enumerate(
+        ((static, "sinusoid set"), (online, "identifier running"))
+    ):
+        if result is not None:
+            style = {"color": INK[place], "linestyle": DASHES[place]}
+            axes[0, 0].plot(time, result.predicted[chosen], label=name, **style)
+            left = result.predicted - result.measured
+            axes[1, 0].plot(time, left[chosen], **style)
+    axes[0, 0].set(ylabel="force (N)")
+    axes[1, 0].set(ylabel="left (N)", xlabel="time (s)")
+    legend_above(figure, axes[0, 0], 3)
+    heads = [f"{current:g} A" for current in currents]
+    return Chapter(
+        "earthquakes",
+        "Earthquake records",
+        [
+            Text(
+                "One earthquake motion at each of the currents. As delivered, displacement and "
+                "force are averages over 0.3 s, between which no nonlinear law can hold; the "
+                "average is exactly reversible and was undone. The force of every block of 20 "
+                "samples is predicted before it is used, by the set of the sinusoid records alone "
+                "(static), or with the identifier running from that set on at the nodes' defaults "
+                "(on-line). The first five seconds of motion do not count."
+            ),
+            Table(
+                "earthquakes",
+                "Fit 1 − NRMSE in percent. –: not tried.",
+                (
+                    "law",
+                    *(f"static, {head}" for head in heads),
+                    "mean",
+                    *(f"on-line, {head}" for head in heads),
+                ),
+                rows,
+            ),
+            Picture(
+                "earthquakes",
+                f"Force at {middle:g} A, {best}: measured, predicted, and what is left.",
+                figure,
+            ),
+        ],
+    )
+
+
+def parameter_chapter(found: Recorded) -> Chapter:
+    """The set of every law."""
+    blocks: list[Text | Table] = [
+        Text(
+            "The sets that were identified from the sinusoid records. The standard errors contain "
+            "what another motion would say, since no law follows the damper exactly (the "
+            "discrepancy); –: what these data do not determine, which kept the value of its start. "
+            "The records tell nothing of the coil's lag, since each is of one current."
+        )
+    ]
+    for law, result in found.one_set.items():
+        rows = [
+            (
+                name,
+                with_error(entry.value, entry.standard_error)
+                if _known(entry.observable, entry.standard_error)
+                else None,
+                entry.unit,
+                f"{entry.value:.6g}",
+            )
+            for name, entry in parameter_estimates(result.parameter_set).items()
+        ]
+        blocks.append(
+            Table(
+                f"parameters_{law}",
+                f"{MODELS[law].title} ({law}).",
+                ("parameter", "value ± standard error", "unit", "in the set"),
+                rows,
+            )
+        )
+    return Chapter("parameters", "Parameters", blocks)
+
+
+def record_document(found: Recorded) -> dict[str, object]:
+    """The figures of the recordings for the JSON file, law by law; NRMSE [1], fits [%]."""
+    return {
+        law: {
+            "one_set_nrmse": dict(result.nrmse),
+            "one_set_median": _median(result.nrmse),
+            "left_out_nrmse": dict(found.left_out[law]),
+            "left_out_median": _median(found.left_out[law]),
+            "raw_nrmse": dict(result.raw),
+            "earthquake_currents": found.currents,
+            "earthquake_static_fit": found.fits(law, follows=False),
+            "earthquake_online_fit": found.fits(law, follows=True),
+            "identification_s": result.seconds,
+            "us_per_sample": found.microseconds.get(law),
+            "parameters": {
+                name: {
+                    "value": entry.value,
+                    "standard_error": as_json(entry.standard_error),
+                    "discrepancy": as_json(entry.discrepancy),
+                    "unit": entry.unit,
+                    "observable": entry.observable,
+                }
+                for name, entry in parameter_estimates(result.parameter_set).items()
+            },
+        }
+        for law, result in found.one_set.items()
+    }
+
+
+def _known(observable: bool, error: float) -> bool:
+    return observable and math.isfinite(error) and error > 0.0
+
+
+def _records(found: Recorded) -> list[str]:
+    return list(next(iter(found.one_set.values())).nrmse)
+
+
+def _of(name: str) -> str:
+    return name.rpartition(",")[0]
+
+
+def _motion(name: str) -> str:
+    """``25mm0x1Hz`` as ``25 mm 0.1 Hz``."""
+    return name.replace("x", ".").replace("mm", " mm ").replace("Hz", " Hz")
+
+
+def _median(errors: Mapping[str, float]) -> float:
+    return float(np.median(list(errors.values()))) if errors else math.nan

@@ -1,0 +1,159 @@
+"""The report on the force laws, and the hysteretic benchmark that it re-creates."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.io import savemat
+from scipy.signal import lfilter
+
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.study import truth_report
+from mr_damper_ros.study.hysteretic_oscillator import (
+    COUNT,
+    FORCE_RMS,
+    PERIOD,
+    STEPS,
+    TRUTH,
+    multisine,
+    settled,
+    sine_sweep,
+)
+from mr_damper_ros.study.oscillator_trials import EstimationTrial, estimate_oscillator
+from mr_damper_ros.study.truth_report import TruthExtent
+from mr_damper_ros.tools import truth_study
+
+SECOND_ORDER = 2e-4
+"""Of the span: (omega h)² / 12 of a period at the highest frequency, 150 Hz, and 15 kHz."""
+
+STANDARD_ERRORS = 4.0
+"""Of six numbers; the steps of the estimation, four times as long, add up to two."""
+
+TINY = TruthExtent(
+    laws=("bingham", "hyperbolic_tangent"),
+    online=("bingham",),
+    currents=(0.6,),
+    count=128,
+    steps=5,
+    sweep=0.5,
+)
+
+
+def test_the_steps_follow_the_equations() -> None:
+    step, count = PERIOD / STEPS, 3000
+    force = multisine(3, 512)[:count]
+    time = step * np.arange(count)
+
+    def right(t: float, state: np.ndarray) -> list[float]:
+        y, v, z = state
+        u = np.interp(t, time, force)
+        # As published, with the three constants and not their products.
+        rate = 5e4 * v - 1e3 * (0.8 * abs(v) * z - 1.1 * v * abs(z))
+        return [v, (u - 10.0 * v - 5e4 * y - z) / 2.0, rate]
+
+    exact = solve_ivp(
+        right, (0.0, time[-1]), [0.0, 0.0, 0.0], t_eval=time, rtol=1e-8, atol=1e-10, max_step=step
+    ).y
+    found = TRUTH.simulate(force, step)
+    for simulated, expected in zip((found.displacement, found.hysteretic), exact[::2], strict=True):
+        off = np.max(np.abs(simulated - expected)) / np.ptp(expected)
+        assert off < SECOND_ORDER
+
+
+def test_the_multisine_is_the_published_one() -> None:
+    period = multisine(0)
+    assert period.size == COUNT * STEPS
+    assert np.sqrt(np.mean(period**2)) == pytest.approx(FORCE_RMS)
+    spectrum = np.abs(np.fft.rfft(period))
+    lines = np.fft.rfftfreq(period.size, PERIOD / STEPS)
+    inside = (lines >= 5.0) & (lines <= 150.0)
+    assert np.max(spectrum[~inside]) < 1e-9 * np.min(spectrum[inside])
+    assert spectrum[inside] == pytest.approx(spectrum[inside][0])
+
+
+def test_the_sweep_lasts_three_minutes() -> None:
+    assert sine_sweep(steps=1).size == pytest.approx(180.0 / PERIOD)
+
+
+def test_a_force_that_goes_on_for_ever_gives_a_motion_that_repeats() -> None:
+    period = multisine(1, 256)
+    answer = settled(TRUTH, period)
+    later = settled(TRUTH, np.tile(period, 2))
+    assert later.displacement[-256:] == pytest.approx(
+        answer.displacement, abs=1e-3 * np.ptp(answer.displacement)
+    )
+
+
+def test_the_benchmark_is_found_in_its_own_form() -> None:
+    result = estimate_oscillator(EstimationTrial(count=128, steps=5, sweep=0.5))
+    truth = np.array([2.0, 10.0, 5e4, 5e4, 800.0, -1100.0])
+    found = np.array(list(vars(result.found).values()))
+    assert np.all(np.abs(found - truth) < STANDARD_ERRORS * result.standard_errors)
+    assert result.multisine_error < 0.05 * result.linear_error
+
+
+def write_recordings(folder: Path) -> None:
+    """Six short records of a viscous damper with friction, and an earthquake of seven seconds."""
+    processed = folder / "utfsm" / "processed"
+    processed.mkdir(parents=True)
+    time = 5e-3 * np.arange(600)
+    for motion, amplitude, frequency in (("5mm1Hz", 5.0, 1.0), ("2mm2Hz", 2.0, 2.0)):
+        for current in ("0", "0x5", "1"):
+            w = 2.0 * np.pi * frequency
+            u, v = amplitude * np.sin(w * time), amplitude * w * np.cos(w * time)
+            force = 5.0 * v + (100.0 + 300.0 * float(current.replace("x", "."))) * np.tanh(v)
+            np.savetxt(processed / f"{motion}{current}A.txt", np.stack([time, u, v, force], axis=1))
+    time = 1e-3 * np.arange(7000)
+    # At rest before, so that the average can be undone.
+    motion = 4.0 * np.sin(9.0 * time) * np.clip(time - 0.5, 0.0, 1.0)
+    columns = [motion] + [(k + 1.0) * np.gradient(motion, 1e-3) for k in range(3)]
+    columns = [lfilter(np.full(300, 1.0 / 300.0), [1.0], column) for column in columns]
+    savemat(folder / "utfsm" / "earthquake.mat", {"data": np.stack(columns, axis=1)})
+
+
+@pytest.fixture
+def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(truth_report, "SHORT", TINY)
+    monkeypatch.setattr(truth_study, "SHORT", TINY)
+
+
+@pytest.mark.usefixtures("tiny")
+def test_the_report_holds_every_law_and_figure(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    write_recordings(tmp_path)
+    monkeypatch.setenv("MR_DAMPER_DATA", str(tmp_path))
+    out = tmp_path / "out"
+    assert truth_study.main(["--quick", "--workers", "1", "--output", str(out)]) == 0
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for chapter in ("sinusoids", "earthquakes", "parameters", "oscillator"):
+        assert f'<section id="{chapter}">' in page
+    assert "Quick variant" in page
+    assert len(list((out / "figures").glob("*.svg"))) == 3
+    figures = json.loads((out / "truth.json").read_text(encoding="utf-8"))
+    assert set(figures["recordings"]) == set(TINY.laws) == set(figures["oscillator"]["laws"])
+    law = figures["recordings"]["hyperbolic_tangent"]
+    assert len(law["one_set_nrmse"]) == len(law["left_out_nrmse"]) == 6
+    assert law["us_per_sample"] > 0.0
+    assert set(law["parameters"]) == set(MODELS["hyperbolic_tangent"].parameter_names)
+    assert None not in law["earthquake_static_fit"]
+    assert law["earthquake_online_fit"] == [None]
+    assert None not in figures["recordings"]["bingham"]["earthquake_online_fit"]
+
+
+@pytest.mark.usefixtures("tiny")
+def test_without_recordings_the_report_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv("MR_DAMPER_DATA", raising=False)
+    words = ["--quick", "--workers", "1", "--output", str(tmp_path)]
+    assert truth_study.main(words) == 0
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "The recordings were not at hand" in page
+    assert '<section id="oscillator">' in page
+    assert '<section id="sinusoids">' not in page
+    assert "recordings" not in json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
