@@ -125,11 +125,12 @@ class MotionFollower:
             self._foresee(end)
         if self.foreseen is not None:
             motion = self.foreseen.part(slice(self.came, end))
-            self._steady = self._sine.holds(motion.displacement, displacement)
-            if self._steady:
+            if self._sine.holds(motion.displacement, displacement):
+                self._steady = True
                 self._unlearned.append(displacement)
                 self.came = end
                 return motion
+        # Before it is said that the sine is over: the observer has not seen the last of it.
         self._learn()
         self._steady = False
         self._unlearned.append(displacement)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import known
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
@@ -28,6 +30,9 @@ def predictor() -> ForcePredictor:
     made.add_current(known.T0, 1.0)
     return made
 
+
+ROUNDING = 1e-12
+"""[m/s]."""
 
 FITTED_LATER = 1e-9
 """[m/s]; the samples that a sine without noise was fitted to do not matter."""
@@ -103,6 +108,24 @@ def test_a_block_that_leaves_the_sine_is_followed_as_it_is() -> None:
     motion = follower.follow(last.displacement + np.linspace(0.0, 1e-3, 10))
     assert not follower.steady
     assert motion.velocity[-1] > follower.follow(last.displacement).velocity[0]
+
+
+@pytest.mark.parametrize("size", [1, 10])
+@pytest.mark.parametrize("end", [2003, 2017, 2030])
+def test_what_comes_after_a_sine_is_followed_as_if_there_had_been_none(size: int, end: int) -> None:
+    motion = STEADY.copy()
+    motion[end:] *= np.linspace(1.0, 3.0, motion.size - end)
+    follower, observer = MotionFollower(PERIOD, 40.0, 10.0), CausalDifferentiator(PERIOD, 40.0)
+    was_steady = 0
+    for first in range(0, 2500, size):
+        block = motion[first : first + size]
+        found, (_, velocity, _) = follower.follow(block), observer.follow(block)
+        follower.catch_up()
+        was_steady += follower.steady
+        if first > end and not follower.steady:
+            np.testing.assert_allclose(found.velocity, velocity, atol=ROUNDING)
+    assert was_steady > 100 // size
+    assert not follower.steady
 
 
 def test_single_samples_are_followed_as_blocks_are() -> None:
