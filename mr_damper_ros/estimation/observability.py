@@ -24,6 +24,9 @@ _DIFFERENT_VELOCITY = 1.2
 _DIFFERENT_CURRENT = 0.02
 """Currents [A] count as different where they are this far apart."""
 
+_SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+"""A current that varies in a window is looked at after these parts of the way."""
+
 SURE = 0.25
 """A shape parameter is determined where its standard error is below this part of its range."""
 
@@ -73,6 +76,11 @@ def operating_points_within(windows: Sequence[Window]) -> tuple[list[float], lis
         travelled = np.cumsum(np.abs(window.motion.velocity[order]))
         places = np.searchsorted(travelled, np.array([0.1, 0.5, 0.9]) * travelled[-1])
         speeds += peak_velocity[order[np.minimum(places, order.size - 1)]].tolist()
+        if current_varies(window):
+            order = np.argsort(window.current)
+            travelled = np.cumsum(np.abs(window.motion.velocity[order]))
+            places = np.searchsorted(travelled, _SHARES * travelled[-1])
+            currents += window.current[order[np.minimum(places, order.size - 1)]].tolist()
         currents += [float(window.current.min()), float(window.current.max())]
     return speeds, currents
 

@@ -26,6 +26,7 @@ from mr_damper_ros.estimation.observability import (
     varied_parameters,
 )
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
@@ -165,6 +166,25 @@ def test_a_weak_combination_has_the_standard_error_of_its_parameter() -> None:
     (combination,) = determination(SIGMOID, columns * sizes, np.ones(16), np.ones(16)).open
     assert combination.words == "k0"
     assert combination.standard_error == pytest.approx(2.0)
+
+
+# -- currents within a window ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("levels", "most"),
+    [((1.0,), 1), ((0.2, 1.2), 2), ((0.0, 0.4, 1.1), 3), ((0.1, 0.5, 0.9, 1.3, 0.3, 0.7), 5)],
+)
+def test_every_current_that_a_window_passes_through_counts(
+    levels: tuple[float, ...], most: int
+) -> None:
+    whole = window(5e-3, 1.0, 1.0)
+    held = np.repeat(levels, -(-whole.sample_count // len(levels)))[: whole.sample_count]
+    springs = MODELS["series_springs"]
+    names = varied_parameters(springs, *operating_points_within([replace(whole, current=held)]))
+    # The yield force is a polynomial of the third order: each coefficient asks for one more.
+    terms = [name for name in ("f_y", "f_y_1", "f_y_2", "f_y_3") if name in names]
+    assert len(terms) == min(most, 4)
 
 
 # -- advice ----------------------------------------------------------------------------------
