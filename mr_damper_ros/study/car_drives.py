@@ -81,13 +81,23 @@ LAG = 0.01
 
 @dataclass(frozen=True)
 class Drive:
-    """A controller on a road, with a coil that lags by so many seconds."""
+    """A controller on a road, with a coil that lags by so many seconds.
+
+    Raises ValueError for a drive of which nothing would count.
+    """
 
     strategy: str
     road: str
     coil_time_constant: float
     duration: float = 12.0
     seed: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.duration > SETTLED:
+            raise ValueError(
+                f"the drive is {self.duration:g} s long: it must be longer than the {SETTLED:g} s "
+                "after which it counts"
+            )
 
 
 @dataclass(frozen=True)

@@ -114,8 +114,8 @@ def _heated(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter],
     with styled():
         chapter = heated_chapter(found, tasks[0])
     return [chapter], [
-        f"the force is missed by {growth(found[False]):.1f} times as much at the end as at the "
-        f"beginning with the set of 28 °C, {growth(found[True]):.1f} times with the set identified "
+        f"the force is missed by {growth(found[False]):.2f} times as much at the end as at the "
+        f"beginning with the set of 28 °C, {growth(found[True]):.2f} times with the set identified "
         "on line."
     ]
 

@@ -202,6 +202,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         # These need ROS: test/ros/test_node_benchmarks.py.
         "streaming_load": list,
+        "command_latency": list,
         "single_sample": list,
         "live_page": list,
         "lossy_link": list,

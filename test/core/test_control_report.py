@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,14 @@ def heated(task: HeatedDrive) -> HeatedResult:
     time = 5.0 * np.arange(1, 9)
     missed_force = np.linspace(50.0, 50.0 if task.learns else 150.0, time.size)
     return HeatedResult(
-        time, 28.0 + time, missed_force, np.full(8, 500.0), np.ones(8), 0.2 * np.ones(8), 7
+        time,
+        28.0 + time,
+        missed_force,
+        wanted=np.full(8, 500.0),
+        share=np.ones(8),
+        comfort=np.ones(8),
+        holding=0.2 * np.ones(8),
+        accepted=7,
     )
 
 
@@ -92,7 +100,7 @@ def test_the_report_holds_all_chapters_figures_and_tables(report: Path) -> None:
         assert f'<section id="{chapter}">' in page
     assert "Quick variant" in page
     assert "9 of 9 cases" in page
-    assert "1.0 times with the set identified on line" in page
+    assert "1.00 times with the set identified on line" in page
     assert len(list((report / "figures").glob("*.svg"))) == 9
     with (report / "tables" / "buildings.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -117,3 +125,24 @@ def test_what_is_missing_at_the_end_is_missed() -> None:
     reference = np.ones(100)
     assert missed(np.ones(100), reference) == 0.0
     assert missed(np.ones(75), reference) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("begin", "least"),
+    [
+        (lambda duration: Drive("skyhook", "C", 0.01, duration=duration), 2.0),
+        (lambda duration: HeatedDrive(learns=False, duration=duration), 4.9),
+    ],
+)
+def test_a_drive_of_which_nothing_would_count_is_refused(
+    begin: Callable[[float], object], least: float
+) -> None:
+    with pytest.raises(ValueError, match="the drive is"):
+        begin(least)
+
+
+def test_what_came_of_a_force_counts_by_its_size() -> None:
+    time = 5.0 * np.arange(1, 4)
+    wanted, ones = np.array([100.0, 100.0, 300.0]), np.ones(3)
+    result = HeatedResult(time, ones, ones, wanted, np.array([0.0, 1.0, 0.5]), ones, ones, 0)
+    assert result.share_between(5.0, 15.0) == pytest.approx((1.0 + 9.0 * 0.5) / 10.0)

@@ -11,6 +11,7 @@ from contextlib import closing
 import pytest
 
 from benchmarks import (
+    command_latency,
     eight_rigs,
     live_page,
     lossy_link,
@@ -32,6 +33,14 @@ def test_every_key_of_the_load_is_measured_once() -> None:
         *("cpu_model_percent", "cpu_identifier_percent"),
     ]
     assert all(isinstance(figure.value, (int, float)) for figure in figures)
+
+
+def test_every_key_of_the_commands_is_measured_once() -> None:
+    figures = command_latency.figures(duration=4.0)
+    assert [figure.key for figure in figures] == [
+        *("command_latency_ratio_p50", "command_latency_ratio_p99")
+    ]
+    assert all(isinstance(figure.value, float) for figure in figures)
 
 
 def test_every_key_of_single_samples_is_measured_once() -> None:
