@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import (
@@ -16,6 +17,14 @@ from mr_damper_ros.models.hysteresis import (
     hysteresis_step,
     integrated,
     memory_length,
+    step_derivatives,
+)
+from mr_damper_ros.models.known_derivatives import (
+    KnownDerivatives,
+    PooledDerivatives,
+    accumulated,
+    along,
+    at_samples,
 )
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
@@ -52,6 +61,31 @@ class BoucWen(CurrentDependentModel):
     def memory_length(self, parameters: Array, current: float) -> float:
         """Some ways to the yield."""
         return memory_length(self, parameters, current)
+
+    def window_problem(self, window: Window, parameters: Array) -> KnownDerivatives:
+        """What one current determines, with its derivatives."""
+        return KnownDerivatives(self, window, parameters, self)
+
+    def pooled_problem(
+        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
+    ) -> PooledDerivatives:
+        """All windows, with their derivatives."""
+        return PooledDerivatives(self, windows, noise, known, self)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def window_derivatives(self, window: Window, parameters: Array) -> Array:
+        """Derivatives (n, p) of :meth:`window_force` by all parameters (p,)."""
+        motion, period, values, chain = along(self, window, parameters)
+        strength, length, share, power = values[3:]
+        z = _yielded([length, share, power], motion, period, [math.nan, math.nan])
+        steps = step_derivatives(z, motion.velocity, length, share, power, period)
+        driven = sum(
+            by[:, np.newaxis] * chain[place] for place, by in enumerate(steps[1:], start=4)
+        )
+        result = chain[2] + strength[:, np.newaxis] * accumulated(steps.kept, np.asarray(driven))
+        for place, by in ((0, motion.velocity), (1, motion.displacement), (3, z)):
+            result += by[:, np.newaxis] * chain[place]
+        return at_samples(window, result)
 
     def starts_at_one_current(self, reading: LoopReading) -> Array:
         """Mostly yield, after a twentieth or a fifth of the amplitude."""

@@ -198,6 +198,10 @@ class CurrentDependentModel(Model):
             current = current[..., :1]
         return [self._at(parameters, place, current) for place in range(len(self.at_one_current))]
 
+    def coefficients_along(self, parameters: Array, current: Array) -> list[Array]:
+        """The coefficients of one set (p,) at currents (n,), each (n,)."""
+        return [np.broadcast_to(c, current.shape) for c in self._all_at(parameters, current)]
+
     def _at(self, parameters: Array, place: int, current: Array) -> Array:
         """One coefficient (..., n) at currents (..., n)."""
         coefficient = self.at_one_current[place]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,7 @@ _YIELDS = 10.0
 """So many times the way to the yield, and a hysteresis has forgotten where it began."""
 
 _STEEPEST = 60.0
+_SMALL_RATE = 1e-4
 
 
 def memory_length(model: Model, parameters: Array, current: float) -> float:
@@ -80,6 +82,62 @@ def hysteresis_step(
     moved = z + period * gain * w * (math.expm1(x) / x if x != 0.0 else 1.0)
     # The exact solution never leaves this range, which a step much longer than the yield could.
     return 1.0 if moved > 1.0 else -1.0 if moved < -1.0 else moved
+
+
+class StepDerivatives(NamedTuple):
+    """What a step keeps of z, and what it adds by the way to the yield, the share and the power.
+
+    Each of shape (n,); the first belongs to the start, which is at rest.
+    """
+
+    kept: Array
+    by_length: Array
+    by_share: Array
+    by_power: Array
+
+
+def step_derivatives(
+    z: Array, velocity: Array, length: Array, share: Array, power: Array, period: float
+) -> StepDerivatives:
+    """Derivatives of :func:`hysteresis_step` along the states z (n,), each after its step.
+
+    The driving velocity is the mean of two samples, and does not depend on z.
+    """
+    before = np.concatenate(([0.0], z[:-1]))
+    w = np.concatenate(([0.0], 0.5 * (velocity[1:] + velocity[:-1])))
+    size, sign = np.abs(before), np.sign(before)
+    along = sign * np.sign(w)
+    towards = share + (1.0 - share) * along
+    # At z = 0 nothing bends; its logarithm would be none.
+    some = np.where(size > 0.0, size, 1.0)
+    here = np.where(size > 0.0, 1.0, 0.0)
+    raised, less, log = size**power, here * some ** (power - 1.0), here * np.log(some)
+    gain = (1.0 - raised * towards) / length
+    slope = power * less * sign / length
+    x = -period * slope * towards * w
+    inside = (x > -_STEEPEST) & (x < 1.0)
+    x = np.clip(x, -_STEEPEST, 1.0)
+    small = np.abs(x) < _SMALL_RATE
+    safe = np.where(small, 1.0, x)
+    eased = np.where(small, 1.0 + 0.5 * x, np.expm1(x) / safe)
+    bends = np.where(small, 0.5 + x / 3.0, (np.exp(x) - eased) / safe) * inside
+
+    def change(of_gain: Array, of_x: Array) -> Array:
+        return np.asarray(period * w * (of_gain * eased + gain * bends * of_x))
+
+    bent = power * (power - 1.0) * here * some ** (power - 2.0) * towards / length
+    kept = 1.0 + change(-slope * towards, -period * w * bent)
+    by_length = change(-gain / length, -x / length)
+    other = 1.0 - along
+    by_share = change(-raised * other / length, -period * w * slope * other)
+    by_power = change(
+        -raised * log * towards / length,
+        -period * w * less * (1.0 + power * log) * sign * towards / length,
+    )
+    # Where the step was held at full yield nothing moves it.
+    moves = np.abs(z) < 1.0
+    moves[0] = False
+    return StepDerivatives(*(moves * part for part in (kept, by_length, by_share, by_power)))
 
 
 def integrated(

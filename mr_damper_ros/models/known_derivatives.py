@@ -7,15 +7,66 @@ would take as many times as long as there are parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.coil import coil_current
+from mr_damper_ros.models.current_dependence import CurrentDependentModel
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.pooled_differences import PooledDifferences
 from mr_damper_ros.models.window_problem import DifferenceProblem
 from mr_damper_ros.signals.arrays import Array
+
+_STEP_OF_COIL = 1e-6
+"""[s], of a difference by the coil's time constant."""
+
+
+class Along(NamedTuple):
+    """What a law is differentiated along: the motion, coefficients (n,) each, and their chain.
+
+    ``chain`` (c, n, p): derivatives of the coefficients by the parameters.
+    """
+
+    motion: Motion
+    period: float
+    coefficients: list[Array]
+    chain: Array
+
+
+def along(model: CurrentDependentModel, window: Window, parameters: Array) -> Along:
+    """The history of a window at its own pace; of a cycle that has always gone on, two."""
+    history = window.history.coarse
+    motion, current, count = history.motion, history.current, history.current.size
+    if history.periodic:
+        twice = np.concatenate((np.arange(count), np.arange(count)))
+        motion, current = motion.part(twice), current[twice]
+    tau, late = float(parameters[-1]), current
+    by_coil = np.zeros(current.size)
+    if float(np.ptp(current)) > 0.0:
+        constants = np.array([tau, tau + _STEP_OF_COIL])
+        late, later = coil_current(current, constants, history.period, None)
+        by_coil = (later - late) / _STEP_OF_COIL
+    values = model.coefficients_along(parameters, late)
+    chain = model.dependences(parameters, late, by_coil)
+    return Along(motion, history.period, values, chain)
+
+
+def at_samples(window: Window, derivatives: Array) -> Array:
+    """Derivatives (m, p) along the history of a window at its samples (n, p)."""
+    history = window.history.coarse
+    return history.at_samples(derivatives[-history.current.size :])
+
+
+def accumulated(kept: Array, driven: Array) -> Array:
+    """Solve y[k] = kept[k] y[k-1] + driven[k] for columns (n, p)."""
+    from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
+
+    bands = np.ones((2, kept.size))
+    bands[1, :-1] = -kept[1:]
+    return np.asarray(dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape))
 
 
 class DerivativeModel(Protocol):

@@ -25,12 +25,18 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.coil import coil_current, coil_unsettled
+from mr_damper_ros.models.coil import coil_unsettled
 from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
 from mr_damper_ros.models.first_order_lag import one_sample_later
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import each_sample, integrated
-from mr_damper_ros.models.known_derivatives import KnownDerivatives, PooledDerivatives
+from mr_damper_ros.models.known_derivatives import (
+    KnownDerivatives,
+    PooledDerivatives,
+    accumulated,
+    along,
+    at_samples,
+)
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
@@ -41,9 +47,6 @@ _CLOSE = 1e-5
 would change it by a part of the order of this one's square."""
 
 _MOST_STEPS = 60
-_STEP_OF_COIL = 1e-6
-"""[s], of a difference by the coil's time constant."""
-
 _FORGOTTEN = 0.01
 """A past is forgotten where it changes the force by less than this part of its span."""
 
@@ -199,29 +202,14 @@ class SeriesSprings(CurrentDependentModel):
     @np.errstate(over="ignore", invalid="ignore")
     def window_derivatives(self, window: Window, parameters: Array) -> Array:
         """Derivatives (n, p) of :meth:`window_force` by all parameters (p,)."""
-        history = window.history.coarse
-        motion, current, count = history.motion, history.current, history.current.size
-        if history.periodic:
-            # A cycle that has always gone on before: the second of two.
-            twice = np.concatenate((np.arange(count), np.arange(count)))
-            motion, current = motion.part(twice), current[twice]
-        tau, late = float(parameters[-1]), current
-        by_coil = np.zeros(current.size)
-        if float(np.ptp(current)) > 0.0:
-            constants = np.array([tau, tau + _STEP_OF_COIL])
-            late, later = coil_current(current, constants, history.period, None)
-            by_coil = (later - late) / _STEP_OF_COIL
-        values = [np.broadcast_to(c, current.shape) for c in self._all_at(parameters, late)]
-        along = self._derivatives_along(values, motion, history.period)
-        chain = self.dependences(parameters, late, by_coil)
-        result = np.zeros((current.size, parameters.size))
-        for path, recursion in along:
+        motion, period, values, chain = along(self, window, parameters)
+        result = motion.displacement[:, np.newaxis] * chain[6] + chain[7]
+        for path, recursion in self._derivatives_along(values, motion, period):
             driven = np.zeros(result.shape)
             for place, by_coefficient in path.items():
                 driven += by_coefficient[:, np.newaxis] * chain[place]
-            result += _accumulated(recursion, driven)
-        result += motion.displacement[:, np.newaxis] * chain[6] + chain[7]
-        return history.at_samples(result[-count:])
+            result += accumulated(recursion, driven)
+        return at_samples(window, result)
 
     def _derivatives_along(
         self, values: Sequence[Array], motion: Motion, period: float
@@ -368,12 +356,3 @@ def _flow(strength: float, width: float, held: float, load: float, guess: float)
         elif -_CLOSE * width < step < _CLOSE * width:
             break
     return flow
-
-
-def _accumulated(kept: Array, driven: Array) -> Array:
-    """Solve y[k] = kept[k] y[k-1] + driven[k] for columns (n, p)."""
-    from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
-
-    bands = np.ones((2, kept.size))
-    bands[1, :-1] = -kept[1:]
-    return np.asarray(dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape))

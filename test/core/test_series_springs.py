@@ -123,21 +123,23 @@ def test_cut_into_blocks_and_in_many_sets_it_is_the_same(coil: float) -> None:
 
 @pytest.mark.parametrize("current", ["constant", "switched"])
 @pytest.mark.parametrize("coil", [0.0, 0.02])
-def test_the_derivatives_are_those_of_differences(current: str, coil: float) -> None:
+@pytest.mark.parametrize("name", ["series_springs", "bouc_wen"])
+def test_the_derivatives_are_those_of_differences(name: str, current: str, coil: float) -> None:
+    law = MODELS[name]
     time = np.arange(1500) * 1e-3
     amperes = np.where(time // 0.3 % 2, 1.2, 0.2) if current == "switched" else np.ones(1500)
     displacement = BandLimitedRandom(5e-3, 0.5, 3.0, seed=3).at(time).displacement
     window = Window.from_samples(displacement, np.ones(1500), amperes, 1e-3)
-    values = truth("series_springs")
+    values = truth(name)
     values[-1] = coil
-    pooled = LAW.pooled_problem([window], [1.0])
+    pooled = law.pooled_problem([window], [1.0])
     every = pooled.jacobian(values)
-    problem = LAW.window_problem(window, values)
+    problem = law.window_problem(window, values)
     settled = problem.settled
     own = problem.jacobian(problem.start)[settled]
-    np.testing.assert_allclose(own, every[settled][:, LAW.free_indices])
-    for place, parameter in enumerate(LAW.parameters):
-        if parameter.name == LAW.parameter_names[-1] and coil == 0.0:
+    np.testing.assert_allclose(own, every[settled][:, law.free_indices])
+    for place, parameter in enumerate(law.parameters):
+        if parameter.name == law.parameter_names[-1] and coil == 0.0:
             continue  # a lag cannot be less than none
         size = max(abs(float(values[place])), 1e-3 if "A" in parameter.unit else 1e-12)
         step = 1e-5 * size * np.eye(values.size)[place]
