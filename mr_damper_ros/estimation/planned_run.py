@@ -6,7 +6,7 @@ A run is a sine, a swept sine or random motion, at one current or at a staircase
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -73,6 +73,16 @@ class MachineLimits:
             )
 
 
+def motions_of(words: Iterable[str]) -> tuple[MotionKind, ...]:
+    """The motions named, each once. Raises ValueError for a word that is none."""
+    known = {kind.value: kind for kind in MotionKind}
+    found = dict.fromkeys(words)
+    for word in found:
+        if word not in known:
+            raise ValueError(f"the motion '{word}' is unknown: use {', '.join(known)}")
+    return tuple(kind for kind in MotionKind if kind.value in found)
+
+
 @dataclass(frozen=True)
 class PlannedRun:
     """A motion of ``amplitude`` [m] for ``duration`` [s].
@@ -122,15 +132,7 @@ class PlannedRun:
         """What to set, in words."""
         amperes = ", ".join(f"{current:.3g}" for current in self.currents)
         each = f", {self.stretch:.3g} s each" if len(self.currents) > 1 else ""
-        band = f"{self.frequency:.3g} to {self.highest_frequency:.3g} Hz"
-        how = {
-            MotionKind.SINE: f"at {self.frequency:.3g} Hz",
-            MotionKind.SWEEP: f"swept from {band} and back",
-            MotionKind.RANDOM: f"at most, random from {band} (number {self.seed}),",
-        }[self.kind]
-        return (
-            f"{1e3 * self.amplitude:.3g} mm {how} for {self.duration:.3g} s with {amperes} A{each}"
-        )
+        return f"{self.motion.sentence} for {self.duration:.3g} s with {amperes} A{each}"
 
     def current_at(self, time: Array) -> Array:
         """Current [A] at the times [s], shape (n,)."""

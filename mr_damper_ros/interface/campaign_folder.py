@@ -10,18 +10,17 @@ import json
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, motions_of
 from mr_damper_ros.estimation.run_planner import Plan, PlanState
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
 from mr_damper_ros.processes.whole_files import write_text
@@ -86,6 +85,9 @@ class CampaignFolder:
             write_text(path, json.dumps(_written(asdict(task)), indent=2) + "\n")
             return
         before = read_task(self.path)
+        # What was made holds, however the machine can move from now on.
+        same = replace(before.limits, motions=task.limits.motions)
+        before = replace(before, limits=same)
         for part in ("goal", "limits", "model"):
             if getattr(before, part) != getattr(task, part):
                 raise ValueError(
@@ -142,7 +144,7 @@ def read_task(folder: Path) -> CampaignTask:
             goal[name] = tuple(goal[name])
         limits["frequency"] = tuple(limits["frequency"])
         # Campaigns of before had sines alone.
-        limits["motions"] = tuple(map(MotionKind, limits.get("motions", ("sine",))))
+        limits["motions"] = motions_of(limits.get("motions", ("sine",)))
         limits["heat"] = math.inf if limits["heat"] is None else limits["heat"]
         return CampaignTask(ForceGoal(**goal), MachineLimits(**limits), found["model"])
     except (ValueError, TypeError, KeyError) as error:

@@ -24,6 +24,15 @@ _STEEPEST = 1.875
 _FEWEST = 4
 """Harmonics of a random motion, at the least."""
 
+_MOST_CYCLES = 10_000.0
+"""A period holds no more of them: nobody is kept waiting by a motion that cannot be meant."""
+
+_MOST_HARMONICS = 1000
+"""Nor has random motion more sines."""
+
+_MOST_SEED = 9999
+"""Largest number of a random motion; its third power is still exact."""
+
 _GRID = 64
 """Samples of the shortest cycle at which the largest values of a random motion are looked for."""
 
@@ -86,6 +95,14 @@ class PeriodicMotion:
                 f"the motion goes from {self.frequency:g} to {self.highest_frequency:g} Hz: the "
                 "highest frequency must be above the lowest"
             )
+        cycles = self.highest_frequency * self.period
+        if cycles > _MOST_CYCLES or (self.kind is MotionKind.RANDOM and self._too_many):
+            raise ValueError(
+                f"a motion of up to {self.highest_frequency:g} Hz that repeats after "
+                f"{self.period:g} s has too many parts: let it repeat sooner"
+            )
+        if not 0 <= self.seed <= _MOST_SEED:
+            raise ValueError(f"the seed is {self.seed}: give 0 to {_MOST_SEED}")
         empty = (
             self._mean_frequency <= self.frequency
             if self.kind is MotionKind.SWEEP
@@ -96,6 +113,21 @@ class PeriodicMotion:
                 f"{self.period:g} s are too short for a motion from {self.frequency:g} to "
                 f"{self.highest_frequency:g} Hz: allow more time, or a wider band"
             )
+
+    @property
+    def _too_many(self) -> bool:
+        return (self.highest_frequency - self.frequency) * self.period > _MOST_HARMONICS
+
+    @property
+    def sentence(self) -> str:
+        """What it is, in words."""
+        band = f"{self.frequency:.3g} to {self.highest_frequency:.3g} Hz"
+        how = {
+            MotionKind.SINE: f"at {self.frequency:.3g} Hz",
+            MotionKind.SWEEP: f"swept from {band} and back within {self.period:.3g} s",
+            MotionKind.RANDOM: f"at most, random from {band} (number {self.seed}),",
+        }[self.kind]
+        return f"{1e3 * self.amplitude:.3g} mm {how}"
 
     @property
     def peak_velocity(self) -> float:

@@ -30,7 +30,7 @@ from mr_damper_ros.nodes.current_commands import COMMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
 from mr_damper_ros.nodes.messages import header
-from mr_damper_ros.nodes.motion_commands import EXCITATION_TOPIC
+from mr_damper_ros.nodes.motion_commands import EXCITATION_TOPIC, command_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import parameters_message
 from mr_damper_ros.nodes.spinning import run
@@ -164,11 +164,7 @@ class CampaignNode(Node):
 
     def _publish(self, command: MachineCommand) -> None:
         stamp = header(self.get_clock().now().nanoseconds, self._options.frame_id)
-        self._motion_publisher.publish(
-            ExcitationCommand(
-                header=stamp, amplitude=command.amplitude, frequency=command.frequency
-            )
-        )
+        self._motion_publisher.publish(command_message(stamp, command.motion))
         self._current_publisher.publish(CurrentCommand(header=stamp, current=command.current))
 
     def _attend(self) -> None:

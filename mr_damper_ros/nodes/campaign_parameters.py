@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import MachineLimits
+from mr_damper_ros.estimation.planned_run import MachineLimits, motions_of
 from mr_damper_ros.interface.campaign_conductor import ConductSettings
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
@@ -80,8 +81,17 @@ class MachineOptions(ParameterTable):
         maximum=100_000.0,
     )
 
+    motions: str = option(
+        " ".join(kind.value for kind in MotionKind),
+        "How the machine can move, one or more words: sine, sweep (a swept sine), random (with a "
+        "spectrum). By hand there are sines alone.",
+    )
+
     def limits(self, *, manual: bool) -> MachineLimits:
-        """The limits; nobody steps a current by hand within a run. Raises ValueError."""
+        """The limits; by hand nobody steps a current within a run, or makes more than sines.
+
+        Raises ValueError.
+        """
         return MachineLimits(
             amplitude=self.amplitude,
             peak_velocity=self.peak_velocity,
@@ -92,6 +102,7 @@ class MachineOptions(ParameterTable):
             frequency=(self.lowest_frequency, self.highest_frequency),
             sample_rate=self.sample_rate,
             steps=not manual,
+            motions=motions_of(["sine"] if manual else self.motions.split()),
         )
 
 

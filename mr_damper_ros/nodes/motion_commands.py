@@ -6,7 +6,9 @@ import time
 
 from mr_damper_msgs.msg import ExcitationCommand
 from rclpy.node import Node
+from std_msgs.msg import Header
 
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import to_nanoseconds
@@ -14,6 +16,9 @@ from mr_damper_ros.rig.motion_commander import MotionCommander
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 EXCITATION_TOPIC = "rig/excitation_command"
+
+_KINDS = (MotionKind.SINE, MotionKind.SWEEP, MotionKind.RANDOM)
+"""In the order of their numbers in ExcitationCommand.msg."""
 
 _DEPTH = 10
 """Commands that may wait: only the newest matters."""
@@ -42,9 +47,12 @@ class MotionCommands:
     def _take(self, message: ExcitationCommand) -> None:
         stamp_ns = to_nanoseconds(message.header.stamp)
         age = (self._node.get_clock().now().nanoseconds - stamp_ns) / NANOSECONDS
-        refusal = self._commander.command(
-            message.amplitude, message.frequency, stamp_ns, age, time.monotonic()
-        )
+        try:
+            motion = _motion(message)
+        except ValueError as error:
+            refusal = self._commander.refuse(str(error))
+        else:
+            refusal = self._commander.command(motion, stamp_ns, age, time.monotonic())
         if refusal:
             self._refusal = refusal
             self._node.get_logger().warning(
@@ -65,7 +73,41 @@ class MotionCommands:
             )
         if not commander.commanded:
             return Finding(OK, "the machine moves by itself until a command comes", values)
-        amplitude, frequency = commander.wanted(time.monotonic())
-        if amplitude == 0.0:
+        motion = commander.wanted(time.monotonic())
+        if motion is None:
             return Finding(OK, "the machine rests", values)
-        return Finding(OK, f"{1e3 * amplitude:g} mm at {frequency:g} Hz, commanded", values)
+        return Finding(OK, f"{motion.sentence} commanded", values)
+
+
+def command_message(header: Header, motion: PeriodicMotion | None) -> ExcitationCommand:
+    """The command of a motion, None for rest."""
+    if motion is None:
+        return ExcitationCommand(header=header)
+    return ExcitationCommand(
+        header=header,
+        amplitude=motion.amplitude,
+        frequency=motion.frequency,
+        motion=_KINDS.index(motion.kind),
+        highest_frequency=motion.highest_frequency,
+        period=motion.period,
+        seed=motion.seed,
+    )
+
+
+def _motion(message: ExcitationCommand) -> PeriodicMotion | None:
+    """The motion of a command, None for rest. Raises ValueError where it makes no sense."""
+    if message.amplitude == 0.0:
+        return None
+    if message.motion >= len(_KINDS):
+        raise ValueError(f"the motion {message.motion} is unknown")
+    kind = _KINDS[message.motion]
+    if kind is MotionKind.SINE:
+        return PeriodicMotion(kind, message.amplitude, message.frequency)
+    return PeriodicMotion(
+        kind,
+        message.amplitude,
+        message.frequency,
+        message.highest_frequency,
+        message.period,
+        message.seed,
+    )

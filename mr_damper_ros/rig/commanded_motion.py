@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.rig.excitation import (
     EnvelopedMotion,
     Excitation,
@@ -16,27 +17,22 @@ from mr_damper_ros.rig.excitation import (
 )
 from mr_damper_ros.signals.arrays import Array
 
-CYCLES = 2.0
-"""A sine grows within so many of its cycles, and fades as it grew: its velocity never exceeds that
-of the sine itself."""
-
 _SURRENDER = 2.0
 """Seconds within which a motion that is no sine fades when the first command comes."""
 
 
 @dataclass(frozen=True)
-class _Sine:
-    """A sine that begins to grow and to fade at these times [s]."""
+class _Stretch:
+    """A motion that begins to grow and to fade at these times [s]."""
 
-    amplitude: float
-    frequency: float
+    motion: PeriodicMotion
     begin: float
     end: float = math.inf
 
     @property
     def change(self) -> float:
         """Time [s] in which it grows, and fades."""
-        return CYCLES / self.frequency
+        return self.motion.growth
 
     @property
     def over(self) -> float:
@@ -45,9 +41,9 @@ class _Sine:
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,), zero before the beginning."""
-        sine = SineMotion(self.amplitude, self.frequency)
         # It has been let fade for ever, and comes back at the beginning.
-        grown = EnvelopedMotion(sine, 0.0, -math.inf, self.begin, self.change)
+        whole = RepeatedMotion(self.motion)
+        grown = EnvelopedMotion(whole, 0.0, -math.inf, self.begin, self.change)
         return _faded(grown, self.end, self.change).at(time)
 
 
@@ -66,34 +62,41 @@ class CommandedMotion:
 
     def __init__(self, before: Excitation, time: float) -> None:
         self.centre = before.centre
-        duration = CYCLES / before.frequency if isinstance(before, SineMotion) else _SURRENDER
+        duration = _SURRENDER
+        if isinstance(before, SineMotion):
+            duration = PeriodicMotion(MotionKind.SINE, before.amplitude, before.frequency).growth
         self._before: Excitation | None = _faded(before, time, duration)
         self._free = time + duration
-        self._sines: list[_Sine] = []
-        self._wanted = (0.0, 0.0)
+        self._stretches: list[_Stretch] = []
+        self._wanted: PeriodicMotion | None = None
 
-    def command(self, amplitude: float, frequency: float, time: float) -> None:
-        """Make a sine of ``amplitude`` [m] and ``frequency`` [Hz] from ``time`` [s] on; 0: rest.
+    @property
+    def is_sine(self) -> bool:
+        """Whether nothing but sines is under way, or to come."""
+        return all(one.motion.kind is MotionKind.SINE for one in self._stretches)
+
+    def command(self, motion: PeriodicMotion | None, time: float) -> bool:
+        """Make a motion from ``time`` [s] on, None for rest; returns whether it is another.
 
         The times of commands rise, and no sample after this one has been asked for yet.
         """
-        wanted = (amplitude, frequency if amplitude > 0.0 else 0.0)
         if self._before is not None and time >= self._free:
             self._before = None
-        self._sines = [sine for sine in self._sines if sine.over > time]
-        if wanted == self._wanted:
-            return
-        self._wanted = wanted
-        self._sines = [sine for sine in self._sines if sine.begin <= time]
+        self._stretches = [one for one in self._stretches if one.over > time]
+        if motion == self._wanted:
+            return False
+        self._wanted = motion
+        self._stretches = [one for one in self._stretches if one.begin <= time]
         free = max(time, self._free)
-        if self._sines:
-            moving = self._sines[-1]
+        if self._stretches:
+            moving = self._stretches[-1]
             if math.isinf(moving.end):
                 moving = replace(moving, end=max(time, moving.begin + moving.change))
-                self._sines[-1] = moving
+                self._stretches[-1] = moving
             free = max(free, moving.over)
-        if amplitude > 0.0:
-            self._sines.append(_Sine(amplitude, frequency, free))
+        if motion is not None:
+            self._stretches.append(_Stretch(motion, free))
+        return True
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""
@@ -102,14 +105,13 @@ class CommandedMotion:
             total += np.stack(self._before.at(time))
         else:
             total[0] = self.centre
-        for sine in self._sines:
-            total += np.stack(sine.at(time))
+        for one in self._stretches:
+            total += np.stack(one.at(time))
         return Kinematics(*total)
 
 
 def is_sine(excitation: Excitation) -> bool:
     """Whether the peak velocity is known at every sample, and need not be waited for."""
-    if isinstance(excitation, RepeatedMotion):
+    if isinstance(excitation, (RepeatedMotion, CommandedMotion)):
         return excitation.is_sine
-    plain = isinstance(excitation, SineMotion) and excitation.triangularity == 0.0
-    return plain or isinstance(excitation, CommandedMotion)
+    return isinstance(excitation, SineMotion) and excitation.triangularity == 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-_REST = (0.0, 0.0)
+from mr_damper_ros.kinematics.periodic_motion import PeriodicMotion
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class MotionLimits:
 
 
 class MotionCommander:
-    """A sine that is commanded, amplitude [m] and frequency [Hz], each command for a while.
+    """A motion that is commanded, each command for a while.
 
     Times are seconds of one steady clock, which nobody sets. When the commands stop, the machine
     comes to rest. ``commanded``: whether there ever was a command; before, it moves by itself.
@@ -29,35 +29,37 @@ class MotionCommander:
         self.limits = limits
         self.refused = 0
         self.commanded = False
-        self._wanted = _REST
+        self._wanted: PeriodicMotion | None = None
         self._stamp_ns: int | None = None
         self._until = -math.inf
 
-    def command(
-        self, amplitude: float, frequency: float, stamp_ns: int, age: float, now: float
-    ) -> str:
+    def command(self, motion: PeriodicMotion | None, stamp_ns: int, age: float, now: float) -> str:
         """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
 
-        ``stamp_ns`` is the time of the decision: a command that was overtaken is refused.
+        None stands for rest. ``stamp_ns`` is the time of the decision: a command that was
+        overtaken is refused.
         """
-        refusal = self._refusal(amplitude, frequency, stamp_ns, age, now)
+        refusal = self._refusal(motion, stamp_ns, age, now)
         if refusal:
             self.refused += 1
             return refusal
         self._stamp_ns = stamp_ns
         # Another thread may ask in between: what is wanted is there before it holds.
-        self._wanted = (amplitude, frequency) if amplitude > 0.0 else _REST
+        self._wanted = motion
         self._until = now + self.limits.command_timeout - max(age, 0.0)
         self.commanded = True
         return ""
 
-    def wanted(self, now: float) -> tuple[float, float]:
-        """Amplitude [m] and frequency [Hz] to move with now; zeros for rest."""
-        return self._wanted if now < self._until else _REST
+    def refuse(self, reason: str) -> str:
+        """Count a command that is no motion at all; returns the reason."""
+        self.refused += 1
+        return reason
 
-    def _refusal(
-        self, amplitude: float, frequency: float, stamp_ns: int, age: float, now: float
-    ) -> str:
+    def wanted(self, now: float) -> PeriodicMotion | None:
+        """The motion to make now; None for rest."""
+        return self._wanted if now < self._until else None
+
+    def _refusal(self, motion: PeriodicMotion | None, stamp_ns: int, age: float, now: float) -> str:
         limits = self.limits
         timeout = limits.command_timeout
         if not -timeout <= age <= timeout:
@@ -68,18 +70,11 @@ class MotionCommander:
             )
         if self._stamp_ns is not None and stamp_ns < self._stamp_ns and now < self._until:
             return "the command came after a newer one"
-        if not (math.isfinite(amplitude) and amplitude >= 0.0):
-            return f"the commanded amplitude is {amplitude} m: it must be a size"
-        if amplitude == 0.0:
+        if motion is None:
             return ""
-        if amplitude > limits.amplitude:
-            return f"the amplitude of {amplitude:g} m is beyond {limits.amplitude:g} m"
-        if not (math.isfinite(frequency) and frequency > 0.0):
-            return f"the commanded frequency is {frequency} Hz: it must be positive"
-        velocity = 2.0 * math.pi * frequency * amplitude
+        if motion.amplitude > limits.amplitude:
+            return f"the amplitude of {motion.amplitude:g} m is beyond {limits.amplitude:g} m"
+        velocity = motion.growing_velocity
         if velocity > limits.velocity:
-            return (
-                f"{amplitude:g} m at {frequency:g} Hz moves at {velocity:.3g} m/s, beyond "
-                f"{limits.velocity:g} m/s"
-            )
+            return f"{motion.sentence} moves at {velocity:.3g} m/s, beyond {limits.velocity:g} m/s"
         return ""

@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -44,7 +46,8 @@ class DriveSettings(CheckedSettings):
     settle_timeout: float = option(
         60.0,
         "Longest time [s] until the machine moves steadily as commanded, besides ten cycles of "
-        "the motion; a machine that is set by hand is waited for without end.",
+        "a sine or ten times the length of another motion; a machine that is set by hand is waited "
+        "for without end.",
         minimum=1.0,
         maximum=3600.0,
     )
@@ -64,14 +67,13 @@ class DriveSettings(CheckedSettings):
 
 
 class MachineCommand(NamedTuple):
-    """A sine of ``amplitude`` [m] and ``frequency`` [Hz], 0 for rest, at a ``current`` [A]."""
+    """A motion, None for rest, at a ``current`` [A]."""
 
-    amplitude: float
-    frequency: float
+    motion: PeriodicMotion | None
     current: float
 
 
-REST = MachineCommand(0.0, 0.0, 0.0)
+REST = MachineCommand(None, 0.0)
 
 
 class DriveStage(IntEnum):
@@ -105,7 +107,10 @@ class RunDriver:
         self.recording: Recording | None = None
         self._limits = limits
         self._settings = settings
-        self._patience = math.inf if by_hand else settings.settle_timeout + 10.0 / run.frequency
+        self._motion = run.motion
+        self._match: RepeatedMatch | None = None
+        length = 10.0 * self._motion.length
+        self._patience = math.inf if by_hand else settings.settle_timeout + length
         self._current = ZeroOrderHold(60.0 + 2.0 * run.duration)
         self._blocks: list[SampleBlock] = []
         self._passed = 0.0
@@ -119,7 +124,7 @@ class RunDriver:
             return REST
         passed = self._passed if self.stage is DriveStage.RECORDING else 0.0
         current = float(self.run.current_at(np.array([passed]))[0])
-        return MachineCommand(self.run.amplitude, self.run.frequency, current)
+        return MachineCommand(self._motion, current)
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Take in a reading of the current [A]; raises CurrentError for one that cannot be used."""
@@ -168,7 +173,7 @@ class RunDriver:
 
     def _settle(self, block: SampleBlock) -> None:
         assert self._since_ns is not None
-        cycle = 1.0 / self.run.frequency
+        cycle = self._motion.length
         # Of what is past only what is looked at is kept.
         self._blocks = _last(self._blocks, 2.0 * cycle)
         unsettled = self._unsettled(block, cycle)
@@ -184,7 +189,7 @@ class RunDriver:
         """Why the run cannot begin yet, in words; empty where it can."""
         displacement = np.concatenate([one.displacement for one in self._blocks])
         count = round(cycle / block.period)
-        if displacement.size < 2 * count:
+        if displacement.size < self._looked_at(count):
             return "the motion grows"
         span = 0.5 * float(np.ptp(displacement))
         if span > _REACH * self._limits.amplitude:
@@ -193,6 +198,8 @@ class RunDriver:
                 f"{1e3 * self._limits.amplitude:.3g} mm"
             )
             return self.fault
+        if self.run.kind is not MotionKind.SINE:
+            return self._off_motion(displacement, block.period) or self._unsettled_current(block)
         wanted, tolerance = self.run.amplitude, self._settings.amplitude_tolerance
         before = sine_of_cycle(displacement[-2 * count : -count])
         now = sine_of_cycle(displacement[-count:])
@@ -205,6 +212,19 @@ class RunDriver:
         if abs(now.size - before.size) > STEADY * now.size or now.rest > _SINE * now.size:
             return "the motion is not steady yet"
         return self._unsettled_current(block)
+
+    def _looked_at(self, count: int) -> int:
+        """Samples to be looked at, of a motion that lasts so many."""
+        return 2 * count if self.run.kind is MotionKind.SINE else count + 1
+
+    def _off_motion(self, displacement: Array, period: float) -> str:
+        """How a motion that is no sine differs from the one wanted; empty where it does not."""
+        if self._match is None:
+            self._match = RepeatedMatch(self._motion, period)
+        left = self._match.left_of(displacement[-self._match.count :])
+        if left <= self._settings.amplitude_tolerance:
+            return ""
+        return f"the motion leaves {left:.0%} of the {self.run.kind.description} wanted"
 
     def _unsettled_current(self, block: SampleBlock) -> str:
         if not self._current.known_from(block.start_ns):

@@ -6,7 +6,8 @@ import argparse
 import math
 
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import MachineLimits
+from mr_damper_ros.estimation.planned_run import MachineLimits, motions_of
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 
@@ -59,9 +60,17 @@ def add_campaign_options(parser: argparse.ArgumentParser, *, required: bool) -> 
         "--rate", type=float, default=1000.0, metavar="HZ", help="samples (default %(default)s)"
     )
     machine.add_argument(
+        "--motions",
+        nargs="+",
+        choices=[kind.value for kind in MotionKind],
+        default=[kind.value for kind in MotionKind],
+        help="how it can move (default: all): a sine, a swept sine, random motion",
+    )
+    machine.add_argument(
         "--manual",
         action="store_true",
-        help="a person sets the press and the supply: the current stays the same within a run",
+        help="a person sets the press and the supply: sines alone, the current stays the same "
+        "within a run",
     )
     parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL)
 
@@ -88,4 +97,5 @@ def limits_of(options: argparse.Namespace) -> MachineLimits:
         frequency=tuple(options.frequency),
         sample_rate=options.rate,
         steps=not options.manual,
+        motions=motions_of(["sine"] if options.manual else options.motions),
     )

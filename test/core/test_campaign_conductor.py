@@ -26,6 +26,7 @@ from mr_damper_ros.interface.campaign_conductor import (
 )
 from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignTask, read_campaign_runs
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Done, Failed, Outcome
 from mr_damper_ros.rig.commanded_motion import CommandedMotion
@@ -92,7 +93,8 @@ class EmulatedMachine:
         self._rig.live = True
 
     def set(self, command: MachineCommand) -> None:
-        self._motion.command(command.amplitude, command.frequency, self.time)
+        if self._motion.command(command.motion, self.time):
+            self._rig.move(self._motion)
         if command.current != self._currents[-1]:
             self._times.append(self.time)
             self._currents.append(command.current)
@@ -356,7 +358,7 @@ def test_by_hand_it_says_what_to_set_and_waits(planned: list[PlannedRun], tmp_pa
     assert RUNS[1].sentence in status.state
     assert conductor.command is None
     # The person turns the knobs, not exactly.
-    machine.set(MachineCommand(0.0052, 2.9, 0.76))
+    machine.set(MachineCommand(PeriodicMotion(MotionKind.SINE, 0.0052, 2.9), 0.76))
     assert ended(machine).outcome is CampaignOutcome.MET
     (_, recording), *_ = read_campaign_runs(tmp_path)
     assert np.abs(recording.displacement).max() == pytest.approx(0.0052, rel=0.01)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock
+from dataclasses import replace
 
 import known
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.rig.commanded_motion import CYCLES, CommandedMotion
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.rig.commanded_motion import CommandedMotion, is_sine
 from mr_damper_ros.rig.excitation import Kinematics, SineMotion
 from mr_damper_ros.rig.motion_commander import MotionCommander, MotionLimits
 from mr_damper_ros.rig.sources.emulated_source import EmulatedOptions, EmulatedSource
@@ -26,35 +28,51 @@ ROUNDING = 1e-9
 """Relative."""
 
 
-def moved(commands: list[tuple[float, float, float]], duration: float) -> Kinematics:
-    """The motion with (time, amplitude, frequency) commanded in between."""
+CYCLES = 2.0
+"""A sine grows within so many."""
+
+Told = list[tuple[float, PeriodicMotion | None]]
+
+
+def sine(amplitude: float, frequency: float) -> PeriodicMotion:
+    return PeriodicMotion(MotionKind.SINE, amplitude, frequency)
+
+
+SWEEP = PeriodicMotion(MotionKind.SWEEP, 0.008, 0.6, 3.4, 2.0)
+RANDOM = PeriodicMotion(MotionKind.RANDOM, 0.008, 0.6, 3.4, 2.0, 3)
+
+
+def moved(commands: Told, duration: float) -> Kinematics:
+    """The motion with these commanded in between, at their times [s]."""
     motion = CommandedMotion(BY_ITSELF, 0.0)
     time = np.arange(round(duration / PERIOD)) * PERIOD
     parts, done = [], 0
-    for told, amplitude, frequency in sorted(commands):
+    for told, wanted in sorted(commands, key=lambda one: one[0]):
         place = int(np.searchsorted(time, told))
         parts.append(np.stack(motion.at(time[done:place])))
-        motion.command(amplitude, frequency, float(time[place]))
+        motion.command(wanted, float(time[place]))
         done = place
     parts.append(np.stack(motion.at(time[done:])))
     return Kinematics(*np.concatenate(parts, axis=1))
 
 
 @st.composite
-def commands(draw: st.DrawFn) -> list[tuple[float, float, float]]:
+def commands(draw: st.DrawFn) -> Told:
     """Commands within the limits, at any times."""
-    found = []
+    found: Told = []
     for _ in range(draw(st.integers(1, 6))):
-        amplitude = draw(st.one_of(st.just(0.0), st.floats(1e-4, AMPLITUDE)))
-        fastest = VELOCITY / (2.0 * math.pi * max(amplitude, 1e-4))
-        found.append((draw(st.floats(0.0, 8.0)), amplitude, draw(st.floats(0.5, fastest))))
+        time = draw(st.floats(0.0, 8.0))
+        amplitude = draw(st.floats(1e-4, AMPLITUDE))
+        frequency = draw(st.floats(0.5, VELOCITY / (2.0 * math.pi * amplitude)))
+        wanted = draw(st.sampled_from([None, sine(amplitude, frequency), SWEEP, RANDOM]))
+        found.append((time, wanted))
     return found
 
 
 @known.fixed(60)
 @given(commands())
 def test_no_sample_leaves_the_limits_whatever_is_commanded(
-    told: list[tuple[float, float, float]],
+    told: Told,
 ) -> None:
     u, v, _ = moved(told, 10.0)
     assert np.abs(u).max() <= AMPLITUDE * (1.0 + ROUNDING)
@@ -63,7 +81,7 @@ def test_no_sample_leaves_the_limits_whatever_is_commanded(
 
 @known.fixed(60)
 @given(commands())
-def test_the_motion_has_no_jump(told: list[tuple[float, float, float]]) -> None:
+def test_the_motion_has_no_jump(told: Told) -> None:
     u, v, a = moved(told, 10.0)
     # What the velocity makes of a displacement within a period, and the acceleration of it.
     assert np.abs(np.diff(u)).max() <= np.abs(v).max() * PERIOD * 1.01
@@ -71,14 +89,14 @@ def test_the_motion_has_no_jump(told: list[tuple[float, float, float]]) -> None:
 
 
 def test_it_moves_as_commanded_once_it_has_grown() -> None:
-    u, v, _ = moved([(0.0, 0.008, 3.0)], 4.0)
+    u, v, _ = moved([(0.0, sine(0.008, 3.0))], 4.0)
     begin = round((CYCLES / BY_ITSELF.frequency + CYCLES / 3.0) / PERIOD)
     assert np.abs(u[begin:]).max() == pytest.approx(0.008, rel=1e-3)
     assert np.abs(v[begin:]).max() == pytest.approx(2.0 * math.pi * 3.0 * 0.008, rel=1e-3)
 
 
 def test_it_comes_to_rest() -> None:
-    u, v, _ = moved([(0.0, 0.008, 3.0), (3.0, 0.0, 0.0)], 5.0)
+    u, v, _ = moved([(0.0, sine(0.008, 3.0)), (3.0, None)], 5.0)
     end = round((3.0 + CYCLES / 3.0) / PERIOD) + 1
     assert np.abs(u[end:]).max() < ROUNDING
     assert np.abs(v[end:]).max() < ROUNDING
@@ -86,38 +104,34 @@ def test_it_comes_to_rest() -> None:
 
 def test_the_machine_rests_when_the_commands_stop() -> None:
     commander = MotionCommander(LIMITS)
-    assert commander.command(0.01, 1.0, 100, 0.0, 10.0) == ""
-    assert commander.wanted(10.4) == (0.01, 1.0)
-    assert commander.wanted(10.6) == (0.0, 0.0)
+    assert commander.command(sine(0.01, 1.0), 100, 0.0, 10.0) == ""
+    assert commander.wanted(10.4) == sine(0.01, 1.0)
+    assert commander.wanted(10.6) is None
 
 
 @pytest.mark.parametrize(
-    ("amplitude", "frequency", "age", "sentence"),
+    ("wanted", "age", "sentence"),
     [
-        (0.011, 1.0, 0.0, "beyond 0.01 m"),
-        (0.01, 4.0, 0.0, "beyond 0.2 m/s"),
-        (0.01, 1.0, 0.6, "0.6 s old"),
-        (0.01, 1.0, -0.6, "in the future"),
-        (math.nan, 1.0, 0.0, "must be a size"),
-        (-0.001, 1.0, 0.0, "must be a size"),
-        (0.01, math.inf, 0.0, "must be positive"),
-        (0.01, 0.0, 0.0, "must be positive"),
+        (sine(0.011, 1.0), 0.0, "beyond 0.01 m"),
+        (sine(0.01, 4.0), 0.0, "beyond 0.2 m/s"),
+        (replace(SWEEP, highest_frequency=5.0), 0.0, "beyond 0.2 m/s"),
+        (replace(RANDOM, highest_frequency=20.0, frequency=5.0), 0.0, "beyond 0.2 m/s"),
+        (sine(0.01, 1.0), 0.6, "0.6 s old"),
+        (sine(0.01, 1.0), -0.6, "in the future"),
     ],
 )
-def test_what_cannot_be_made_is_refused(
-    amplitude: float, frequency: float, age: float, sentence: str
-) -> None:
+def test_what_cannot_be_made_is_refused(wanted: PeriodicMotion, age: float, sentence: str) -> None:
     commander = MotionCommander(LIMITS)
-    assert sentence in commander.command(amplitude, frequency, 100, age, 10.0)
+    assert sentence in commander.command(wanted, 100, age, 10.0)
     assert not commander.commanded
-    assert commander.wanted(10.0) == (0.0, 0.0)
+    assert commander.wanted(10.0) is None
 
 
 def test_a_command_that_was_overtaken_is_refused() -> None:
     commander = MotionCommander(LIMITS)
-    commander.command(0.01, 1.0, 200, 0.0, 10.0)
-    assert "after a newer one" in commander.command(0.005, 1.0, 100, 0.0, 10.1)
-    assert commander.wanted(10.1) == (0.01, 1.0)
+    commander.command(sine(0.01, 1.0), 200, 0.0, 10.0)
+    assert "after a newer one" in commander.command(sine(0.005, 1.0), 100, 0.0, 10.1)
+    assert commander.wanted(10.1) == sine(0.01, 1.0)
 
 
 def test_the_emulated_rig_moves_by_itself_until_a_command_comes() -> None:
@@ -137,8 +151,20 @@ def test_the_emulated_rig_obeys() -> None:
     assert source.mover is not None
     blocks = source.blocks(0)
     next(blocks)
-    assert source.mover.command(0.002, 4.0, 1, 0.0, clock.monotonic()) == ""
+    assert source.mover.command(sine(0.002, 4.0), 1, 0.0, clock.monotonic()) == ""
     parts = [next(blocks).displacement for _ in range(30)]
     joined = np.concatenate(parts)
     assert np.abs(np.diff(joined)).max() <= 2.0 * math.pi * 5.0 * 0.005 * 1.01e-3
     assert np.abs(joined[-1000:]).max() == pytest.approx(0.002, rel=1e-3)
+
+
+def test_the_peak_velocity_of_a_commanded_sweep_is_followed() -> None:
+    motion = CommandedMotion(BY_ITSELF, 0.0)
+    assert is_sine(motion)
+    motion.command(SWEEP, 0.0)
+    assert not is_sine(motion)
+    motion.command(sine(0.005, 2.0), 10.0)
+    assert not is_sine(motion)
+    motion.command(None, 30.0)
+    motion.command(sine(0.005, 2.0), 40.0)
+    assert is_sine(motion)

@@ -290,7 +290,9 @@ class EmulatedSource(Source):
                 if motion is None:
                     motion = CommandedMotion(self._excitation, begin)
                     rig.move(motion)
-                motion.command(*mover.wanted(now), begin)
+                if motion.command(mover.wanted(now), begin):
+                    # Another motion may need its peak velocity followed.
+                    rig.move(motion)
             made = rig.next_block(self.stream.block_size)
             deliveries = instruments.read(made)
             yield from (delivery.block for delivery in deliveries)
