@@ -34,7 +34,7 @@ _AMPLITUDE = 0.01
 _HEADROOM = 1.25
 """The machine's force limit, of the largest force of the damper within the goal."""
 
-_MOST_RUNS = 40
+_MOST_RUNS = 25
 """Of a campaign; one that needs more counts as endless."""
 
 

@@ -44,8 +44,14 @@ from mr_damper_ros.signals.arrays import Array
 _SETS = 6
 """So many sets stand for what is open."""
 
-_STARTS = 2
-"""From so many of them the most probable set is searched too."""
+_STARTS, _FITS = 3, 24
+"""From so many others the most probable set is searched too; from more, of few windows: so many
+windows are fitted."""
+
+_ROUNDS = 6
+_SETTLED = 0.01
+"""Rounds in which set and noise are found together, at most, and the fall of the noise (relative)
+that is no gain any more."""
 
 _NORM = 8.0
 """Norm over the points that stands for the worst of them."""
@@ -120,30 +126,59 @@ class RunPlanner:
             )
         return "" if self.candidates else "no run within the limits of the machine holds a cycle"
 
-    def most_probable(
-        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
-    ) -> Array:
+    def most_probable(self, windows: Sequence[Window], parameters: Array) -> Array:
         """The most probable set (p,), from the one identified.
 
-        It is looked for from a few others, too, that differ in what the windows leave open.
+        It is looked for from a few others, too, of any shape. The noise of each window is found
+        with the set: what a wrong one leaves would pass for noise, and the set stay.
         """
-        noise = [noise_of(self.model, window, parameters) for window in windows]
         prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
-        starts = [parameters, *self._open_sets(windows, parameters, observable)[:_STARTS]]
+        rng = np.random.default_rng(len(windows))
+        nothing = np.zeros(parameters.shape, dtype=bool)
+        count = max(_STARTS, _FITS // len(windows))
+        others = self._open_sets(windows, parameters, nothing, rng, count)
         few = [window.thinned(FEW) for window in windows]
-        found = [most_probable(self.model, few, noise, prior, start) for start in starts]
-        nearest = min(found, key=lambda one: one[1])[0]
+        first = self._noise(windows, parameters)
+        found = [
+            self._with_noise(windows, few, first, prior, parameters, start)
+            for start in (parameters, *others)
+        ]
+        _, values, noise = min(found, key=lambda one: one[0])
         # Few samples tell where the best set is, and only all of them how it lies exactly.
-        return most_probable(self.model, windows, noise, prior, nearest)[0]
+        return most_probable(self.model, windows, noise, prior, parameters, values)[0]
+
+    def _with_noise(
+        self,
+        windows: Sequence[Window],
+        few: Sequence[Window],
+        noise: Sequence[float],
+        prior: Array,
+        about: Array,
+        values: Array,
+    ) -> tuple[float, Array, Sequence[float]]:
+        """How much noise is left (a likelihood), and the set (p,) and its noise, from a start."""
+        sizes = np.array([window.sample_count for window in windows], dtype=float)
+        least = math.inf
+        for _ in range(_ROUNDS):
+            values, _ = most_probable(self.model, few, noise, prior, about, values)
+            noise = self._noise(windows, values)
+            left = float(sizes @ np.log(noise)) / float(sizes.sum())
+            if left > least - _SETTLED:
+                break
+            least = left
+        return left, values, noise
+
+    def _noise(self, windows: Sequence[Window], parameters: Array) -> list[float]:
+        return [noise_of(self.model, window, parameters) for window in windows]
 
     def errors(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
         """How well the force is known from windows to which ``parameters`` (p,) were fitted."""
-        noise = [noise_of(self.model, window, parameters) for window in windows]
+        noise = self._noise(windows, parameters)
         return self._errors(parameters, self._information(windows, noise, parameters))
 
     def knowledge(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
         """As :meth:`errors`; where the goal seems to be met, that is made sure of."""
-        noise = [noise_of(self.model, window, parameters) for window in windows]
+        noise = self._noise(windows, parameters)
         now = self._errors(parameters, self._information(windows, noise, parameters))
         if now.worst <= self.goal.error:
             return self._confirmed(now, windows, noise, parameters)
@@ -176,7 +211,7 @@ class RunPlanner:
                 runs_left=None,
                 reason="every run that would help may leave the limits of force or heat",
             )
-        noise = [noise_of(self.model, window, parameters) for window in windows]
+        noise = self._noise(windows, parameters)
         present = self._information(windows, noise, parameters)
         sigma = _noise_by_motion(windows, noise)
         scores = np.where(allowed, 0.0, math.inf)
@@ -227,7 +262,8 @@ class RunPlanner:
         self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
     ) -> list[Array]:
         """Sets that may be true: that identified, and others where something is open."""
-        return [parameters, *self._open_sets(windows, parameters, observable)]
+        rng = np.random.default_rng(0)
+        return [parameters, *self._open_sets(windows, parameters, observable, rng, _SETS)]
 
     def allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
         """Candidates (m,) that stay within the limits whichever set is true, and are no leap."""
@@ -261,7 +297,12 @@ class RunPlanner:
         return None, expected, worst
 
     def _open_sets(
-        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
+        self,
+        windows: Sequence[Window],
+        parameters: Array,
+        observable: np.ndarray,
+        rng: np.random.Generator,
+        count: int,
     ) -> list[Array]:
         """Sets that agree with the windows and differ in the shape parameters that are open."""
         known = {
@@ -272,9 +313,8 @@ class RunPlanner:
             return []
         solved = frozenset(self.model.linear) - open_names
         top_current = max(self.goal.current[1], 1e-6)
-        rng = np.random.default_rng(0)
         sets = []
-        for _ in range(_SETS):
+        for _ in range(count):
             values = np.array(parameters)
             drawn = self.model.draw_shape(rng, self.goal.peak_velocity[1], top_current)
             for name, value in drawn.items():

@@ -42,6 +42,6 @@ def planned(
         planner.model, windows, start, evolution or EvolutionSettings(), known=before
     )
     found = fit.parameter_set
-    values = planner.most_probable(windows, found.values, found.observable)
+    values = planner.most_probable(windows, found.values)
     found = replace(found, values=values)
     return found, planner.next(windows, values, found.observable)
