@@ -148,10 +148,10 @@ def _broad_run(
 
 def _banded(run: PlannedRun) -> PlannedRun:
     """The run with its frequencies in round numbers, a swept one with whole cycles."""
-    low, high = _round_down(run.frequency), _round_down(run.highest_frequency)
+    low, high = _round_up(run.frequency), _round_down(run.highest_frequency)
     if run.kind is MotionKind.SWEEP:
         cycles = math.ceil(0.5 * (low + high) * run.duration - 1e-9)
-        low = _round_down(max(2.0 * cycles / run.duration - high, 1e-6), 6)
+        low = _round_up(max(2.0 * cycles / run.duration - high, low), 6)
     return replace(run, frequency=low, highest_frequency=high)
 
 
@@ -170,9 +170,15 @@ def _round(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def _round_down(value: float, digits: int = 2) -> float:
-    """So many digits, never more than the value: limits hold."""
+def _round_up(value: float, digits: int = 2) -> float:
+    """So many digits, never less than the value: limits hold."""
     unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
+    return float(f"{math.ceil(value / unit - 1e-9) * unit:.6g}")
+
+
+def _round_down(value: float) -> float:
+    """Two digits, never more than the value: limits hold."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.floor(value / unit + 1e-9) * unit:.6g}")
 
 

@@ -205,8 +205,8 @@ def fault_of_run(run: PlannedRun, recording: Recording) -> str:
         left = RepeatedMatch(run.motion, recording.period).left_of(recording.displacement[:needed])
         if left > _MOTION_SHARE:
             return (
-                f"the motion is not the one wanted, which leaves {left:.0%} of it: can the machine "
-                f"make {run.kind.description}?"
+                f"the motion differs by {left:.0%} from {run.kind.description} as wanted: can the "
+                "machine make it?"
             )
     for place, (current, part) in enumerate(zip(run.currents, parts, strict=True)):
         measured = float(np.median(recording.current[part]))

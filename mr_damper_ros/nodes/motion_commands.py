@@ -48,7 +48,7 @@ class MotionCommands:
         stamp_ns = to_nanoseconds(message.header.stamp)
         age = (self._node.get_clock().now().nanoseconds - stamp_ns) / NANOSECONDS
         try:
-            motion = _motion(message)
+            motion = motion_of(message)
         except ValueError as error:
             refusal = self._commander.refuse(str(error))
         else:
@@ -94,7 +94,7 @@ def command_message(header: Header, motion: PeriodicMotion | None) -> Excitation
     )
 
 
-def _motion(message: ExcitationCommand) -> PeriodicMotion | None:
+def motion_of(message: ExcitationCommand) -> PeriodicMotion | None:
     """The motion of a command, None for rest. Raises ValueError where it makes no sense."""
     if message.amplitude == 0.0:
         return None

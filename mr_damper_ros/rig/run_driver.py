@@ -224,7 +224,7 @@ class RunDriver:
         left = self._match.left_of(displacement[-self._match.count :])
         if left <= self._settings.amplitude_tolerance:
             return ""
-        return f"the motion leaves {left:.0%} of the {self.run.kind.description} wanted"
+        return f"the motion differs by {left:.0%} from {self.run.kind.description} as wanted"
 
     def _unsettled_current(self, block: SampleBlock) -> str:
         if not self._current.known_from(block.start_ns):

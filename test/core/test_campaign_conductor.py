@@ -27,6 +27,7 @@ from mr_damper_ros.interface.campaign_conductor import (
 from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignTask, read_campaign_runs
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Done, Failed, Outcome
 from mr_damper_ros.rig.commanded_motion import CommandedMotion
@@ -40,6 +41,12 @@ GOAL = ForceGoal(0.06, (0.05, 0.2), (0.0, 1.5), speeds=3, currents=4)
 LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 1.2, sample_rate=RATE)
 TASK = CampaignTask(GOAL, LIMITS, "sigmoid")
 RUNS = [PlannedRun(0.01, 2.0, (0.3, 1.2), 1.2), PlannedRun(0.005, 3.0, (0.75,), 1.2)]
+
+BROAD = [
+    RUNS[0],
+    PlannedRun(0.005, 1.5, (0.3, 1.2), 1.2, MotionKind.SWEEP, 3.5),
+    PlannedRun(0.005, 0.9, (0.75,), 1.2, MotionKind.RANDOM, 6.0, 2),
+]
 
 STEP_DELAY = 0.1
 """[s]: what is cut off after a step of the current; commands must show within it."""
@@ -171,6 +178,35 @@ def test_a_campaign_is_made_on_a_machine(planned: list[PlannedRun], tmp_path: Pa
     assert [run for run, _ in read_campaign_runs(tmp_path)] == RUNS
     assert worker.done == ["find_step", "find_step", "report_campaign"]
     assert conductor.command is None
+
+
+def test_swept_and_random_runs_are_made_on_a_machine(
+    planned: list[PlannedRun], tmp_path: Path
+) -> None:
+    planned[:] = BROAD
+    conductor, _ = begun(tmp_path)
+    machine = EmulatedMachine(conductor)
+    assert ended(machine).outcome is CampaignOutcome.MET
+    made = read_campaign_runs(tmp_path)
+    assert [run for run, _ in made] == BROAD
+    for run, recording in made[1:]:
+        match = RepeatedMatch(run.motion, recording.period)
+        assert match.left_of(recording.displacement) < 0.01
+    velocity = np.diff(machine.seen[0]) * RATE
+    assert np.abs(machine.seen[0]).max() <= LIMITS.amplitude
+    assert np.abs(velocity).max() <= LIMITS.peak_velocity
+
+
+def test_a_machine_that_makes_sines_alone_is_told_so(
+    planned: list[PlannedRun], tmp_path: Path
+) -> None:
+    planned[:] = BROAD[1:]
+    conductor, _ = begun(tmp_path, ConductSettings(drive=DriveSettings(settle_timeout=1.0)))
+    machine = EmulatedMachine(conductor, obeys=False)
+    machine.set(MachineCommand(PeriodicMotion(MotionKind.SINE, 0.005, 2.5), 0.3))
+    end = ended(machine)
+    assert end.outcome is CampaignOutcome.FAILED
+    assert "from a swept sine as wanted" in end.reason
 
 
 def test_the_samples_are_those_of_the_run(planned: list[PlannedRun], tmp_path: Path) -> None:

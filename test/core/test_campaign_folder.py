@@ -21,6 +21,7 @@ from mr_damper_ros.interface.campaign_folder import (
     read_task,
 )
 from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.recording import Recording
 
@@ -201,6 +202,17 @@ def test_the_task_is_plain_json(tmp_path: Path) -> None:
     text = json.loads((tmp_path / "campaign.json").read_text())
     assert text["limits"]["heat"] is None
     assert text["goal"]["error"] == 0.06
+
+
+def test_a_campaign_of_before_there_were_other_motions_goes_on(tmp_path: Path) -> None:
+    CampaignFolder(tmp_path, TASK).close()
+    path = tmp_path / "campaign.json"
+    text = json.loads(path.read_text())
+    del text["limits"]["motions"]
+    path.write_text(json.dumps(text))
+    assert read_task(tmp_path) == TASK
+    broad = replace(TASK, limits=replace(LIMITS, motions=tuple(MotionKind)))
+    CampaignFolder(tmp_path, broad).close()
 
 
 @pytest.mark.parametrize("run", RUNS)

@@ -12,11 +12,14 @@ import yaml
 from mr_damper_msgs.action import RunCampaign
 from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand
 from rclpy.action import ActionClient
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
 from mr_damper_ros.interface.campaign_folder import read_campaign_runs, read_steps
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.nodes.campaign_parameters import CampaignParameters
+from mr_damper_ros.nodes.motion_commands import command_message, motion_of
 from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]
@@ -158,10 +161,30 @@ def test_without_a_folder_a_goal_is_told_so(start: Any, listener: Listener) -> N
 
 
 @pytest.mark.parametrize(
+    "motion",
+    [
+        None,
+        PeriodicMotion(MotionKind.SINE, 0.01, 2.0),
+        PeriodicMotion(MotionKind.SWEEP, 0.01, 0.5, 2.5, 4.0),
+        PeriodicMotion(MotionKind.RANDOM, 0.01, 0.5, 2.5, 4.0, 7),
+    ],
+    ids=["rest", *(kind.value for kind in MotionKind)],
+)
+def test_a_motion_is_commanded_whole(motion: PeriodicMotion | None) -> None:
+    assert motion_of(command_message(Header(), motion)) == motion
+
+
+def test_a_motion_that_nobody_knows_is_no_motion() -> None:
+    with pytest.raises(ValueError, match="the motion 3 is unknown"):
+        motion_of(ExcitationCommand(amplitude=0.01, frequency=1.0, motion=3))
+
+
+@pytest.mark.parametrize(
     ("parameters", "part"),
     [
         ({"autostart": True}, "autostart needs a folder"),
         ({"goal.lowest_current": 2.0}, "the lower comes first"),
+        ({"machine.motions": "sine square"}, "the motion 'square' is unknown"),
     ],
 )
 def test_a_wrong_configuration_is_one_sentence(

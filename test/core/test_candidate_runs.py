@@ -1,0 +1,190 @@
+"""The runs to choose from: within all limits, and worth what they will tell."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import asdict, replace
+
+import known
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mr_damper_ros.estimation.candidate_runs import CandidateRuns, candidate_runs, first_run
+from mr_damper_ros.estimation.force_knowledge import ForceGoal, window_information
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, motions_of
+from mr_damper_ros.interface.campaign_course import fault_of_run
+from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
+from mr_damper_ros.interface.signal_file import signal
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
+from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
+from mr_damper_ros.rig.excitation import RepeatedMotion, SampledMotion
+from mr_damper_ros.signals.recording import Recording
+
+EVERY_KIND = tuple(MotionKind)
+GOAL = ForceGoal(0.02, (0.02, 0.2), (0.0, 1.5))
+LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 4.0, motions=EVERY_KIND)
+SWEEP = PlannedRun(0.005, 0.8, (0.0, 0.9), 4.0, MotionKind.SWEEP, 6.2)
+RANDOM = PlannedRun(0.005, 1.0, (0.6,), 4.0, MotionKind.RANDOM, 8.0, 1)
+SINE = PlannedRun(0.005, 2.5, (0.3, 0.6, 1.2), 4.0)
+RUNS = pytest.mark.parametrize("run", [SINE, SWEEP, RANDOM], ids=lambda run: run.kind.value)
+
+ROUNDING = 1e-9
+"""Relative."""
+
+NUMERICAL = 1e-3
+"""Of the speed: a difference of samples that are close."""
+
+FEW_LOOKED_AT = 0.6
+"""Relative: of the steep parts of a loop few samples hold now more, now less than many."""
+
+
+def perform(run: PlannedRun, noise: float = 0.0) -> Recording:
+    times = [place * run.stretch for place in range(len(run.currents))]
+    rig = EmulatedRig(
+        ConstantDamper(known.PLAUSIBLE),
+        RepeatedMotion(run.motion),
+        CurrentSchedule(times, run.currents),
+        settings=RigSettings(force_noise=noise),
+    )
+    return rig.record(run.duration)
+
+
+@st.composite
+def machines(draw: st.DrawFn) -> tuple[ForceGoal, MachineLimits]:
+    speed = draw(st.floats(0.02, 0.5))
+    current = draw(st.floats(0.0, 3.0))
+    limits = MachineLimits(
+        amplitude=draw(st.floats(2e-3, 0.05)),
+        peak_velocity=speed * draw(st.floats(0.5, 2.0)),
+        force=1e4,
+        current=current * draw(st.floats(0.5, 2.0)),
+        duration=draw(st.floats(2.0, 6.0)),
+        frequency=(draw(st.floats(0.05, 0.5)), draw(st.floats(2.0, 15.0))),
+        steps=draw(st.booleans()),
+        motions=EVERY_KIND,
+    )
+    return ForceGoal(0.01, (0.1 * speed, speed), (0.0, current)), limits
+
+
+@known.fixed(8)
+@given(machines())
+def test_no_sample_of_any_run_leaves_the_limits(machine: tuple[ForceGoal, MachineLimits]) -> None:
+    goal, limits = machine
+    # Runs differ in motion and in currents, each of which is looked at once.
+    runs = candidate_runs(goal, limits)
+    by_motion = {run.motion: run for run in runs}
+    for run in by_motion.values():
+        time, displacement, _ = signal(run, 40.0 * max(run.frequency, run.highest_frequency))
+        velocity = np.diff(displacement) / np.diff(time)
+        assert np.abs(displacement).max() <= limits.amplitude * (1.0 + ROUNDING)
+        assert np.abs(velocity).max() <= limits.peak_velocity * (1.0 + NUMERICAL)
+        assert run.duration <= limits.duration
+        assert limits.frequency[0] * (1.0 - ROUNDING) <= run.frequency
+        assert max(run.frequency, run.highest_frequency) <= limits.frequency[1]
+    for run in runs:
+        assert 0.0 <= min(run.currents) <= max(run.currents) <= limits.current * 1.005
+
+
+def test_every_kind_is_there_where_the_machine_can_make_it() -> None:
+    counts = Counter(run.kind for run in candidate_runs(GOAL, LIMITS))
+    assert set(counts) == set(EVERY_KIND)
+    sines = candidate_runs(GOAL, replace(LIMITS, motions=(MotionKind.SINE,)))
+    assert {run.kind for run in sines} == {MotionKind.SINE}
+
+
+@RUNS
+def test_a_run_tells_as_much_as_was_foreseen(run: PlannedRun) -> None:
+    foreseen = CandidateRuns(known.SIGMOID, [run], 1000.0).gains(known.PLAUSIBLE, 20.0, 20.0)[0]
+    windows = run.windows(perform(run))
+    found = window_information(known.SIGMOID, windows, [20.0] * len(windows), known.PLAUSIBLE)
+    seen = np.diag(found) > 1e-9 * np.diag(found).max()
+    assert np.diag(foreseen)[seen] / np.diag(found)[seen] == pytest.approx(1.0, rel=FEW_LOOKED_AT)
+
+
+def test_a_motion_that_the_law_follows_less_well_tells_less() -> None:
+    candidates = CandidateRuns(known.SIGMOID, [SINE, SWEEP], 1000.0)
+    same, worse = (candidates.gains(known.PLAUSIBLE, 20.0, noise) for noise in (20.0, 40.0))
+    assert worse[0] == pytest.approx(same[0])
+    assert 4.0 * worse[1] == pytest.approx(same[1])
+
+
+@RUNS
+def test_force_and_heat_are_those_of_the_machine(run: PlannedRun) -> None:
+    force, heat = CandidateRuns(known.SIGMOID, [run], 1000.0).demands([known.PLAUSIBLE])
+    recording = perform(run)
+    assert force[0] == pytest.approx(np.abs(recording.force).max(), rel=0.02)
+    velocity = np.gradient(recording.displacement, recording.period)
+    work = float(np.sum(recording.force * velocity)) * recording.period
+    assert heat[0] == pytest.approx(work, rel=0.05)
+
+
+@RUNS
+def test_windows_of_a_run_hold_its_motion_and_currents(run: PlannedRun) -> None:
+    windows = run.windows(perform(run))
+    assert [window.current[0] for window in windows] == list(run.currents)
+    for window in windows:
+        left = known.SIGMOID.window_force(window, known.PLAUSIBLE) - window.force
+        assert np.sqrt(np.mean(left**2)) < 0.01 * np.sqrt(np.mean(window.force**2))
+
+
+def played(run: PlannedRun) -> Recording:
+    """A recording of the signal file of a run, with rest before and after it."""
+    _, displacement, current = signal(run, 500.0)
+    rest = np.zeros(700)
+    motion = SampledMotion(np.concatenate([rest, displacement, rest]), 2e-3)
+    amperes = np.concatenate([rest + current[0], current, rest])
+    times = np.flatnonzero(np.diff(amperes, prepend=np.nan) != 0.0)
+    rig = EmulatedRig(
+        ConstantDamper(known.PLAUSIBLE),
+        motion,
+        CurrentSchedule((times * 2e-3).tolist(), amperes[times].tolist()),
+        settings=RigSettings(sample_rate=500.0, force_noise=5.0),
+    )
+    return rig.record(amperes.size * 2e-3)
+
+
+@RUNS
+def test_a_run_is_cut_out_of_a_recording_of_its_signal(run: PlannedRun) -> None:
+    found = cut_run(run, played(run))
+    assert found.sample_count == round(run.duration * 500.0)
+    assert fault_of_run(run, found) == ""
+
+
+def test_a_run_is_not_cut_out_of_another() -> None:
+    with pytest.raises(RunNotFoundError, match="random motion as wanted"):
+        cut_run(RANDOM, played(SWEEP))
+
+
+def test_a_sine_made_instead_of_a_sweep_is_refused() -> None:
+    instead = perform(replace(SINE, currents=SWEEP.currents))
+    assert "from a swept sine as wanted" in fault_of_run(SWEEP, instead)
+
+
+@RUNS
+def test_a_run_is_read_back_as_it_was_written(run: PlannedRun) -> None:
+    assert PlannedRun.from_document(asdict(run)) == run
+
+
+def test_a_run_of_before_is_a_sine() -> None:
+    before = {"amplitude": 0.01, "frequency": 2.0, "currents": [0.0, 1.0], "duration": 4.0}
+    assert PlannedRun.from_document(before) == PlannedRun(0.01, 2.0, (0.0, 1.0), 4.0)
+
+
+def test_motions_are_named() -> None:
+    assert motions_of(["random", "sine", "sine"]) == (MotionKind.SINE, MotionKind.RANDOM)
+    with pytest.raises(ValueError, match="'square' is unknown: use sine, sweep, random"):
+        motions_of(["square"])
+    with pytest.raises(ValueError, match="sine must be one of them"):
+        replace(LIMITS, motions=(MotionKind.SWEEP,))
+
+
+def test_the_first_run_is_a_gentle_sine_at_up_to_half_the_current() -> None:
+    run = first_run(GOAL, LIMITS)
+    assert run.kind is MotionKind.SINE
+    assert run.peak_velocity <= GOAL.peak_velocity[0]
+    assert len(run.currents) > 2
+    assert max(run.currents) == pytest.approx(0.75)
+    assert not math.isnan(run.stretch)
