@@ -22,7 +22,7 @@ _SURRENDER = 2.0
 
 
 @dataclass(frozen=True)
-class _Stretch:
+class _Moved:
     """A motion that begins to grow and to fade at these times [s]."""
 
     motion: PeriodicMotion
@@ -67,7 +67,7 @@ class CommandedMotion:
             duration = PeriodicMotion(MotionKind.SINE, before.amplitude, before.frequency).growth
         self._before: Excitation | None = _faded(before, time, duration)
         self._free = time + duration
-        self._stretches: list[_Stretch] = []
+        self._stretches: list[_Moved] = []
         self._wanted: PeriodicMotion | None = None
 
     @property
@@ -95,7 +95,7 @@ class CommandedMotion:
                 self._stretches[-1] = moving
             free = max(free, moving.over)
         if motion is not None:
-            self._stretches.append(_Stretch(motion, free))
+            self._stretches.append(_Moved(motion, free))
         return True
 
     def at(self, time: Array) -> Kinematics:
