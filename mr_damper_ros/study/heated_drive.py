@@ -118,7 +118,11 @@ class _Learner:
         )
         before = self.accepted
         for window in ready:
-            report = self.tracker.follow(window)
+            try:
+                report = self.tracker.follow(window)
+            except np.linalg.LinAlgError:
+                # In the identifier a fit that fails in its worker leaves the set as it is, too.
+                continue
             self.accepted += report is not None and report.accepted
         return self.accepted > before
 
