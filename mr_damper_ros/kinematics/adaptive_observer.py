@@ -48,12 +48,17 @@ _FORGETTING = 0.93
 _NOISES = 9
 """The noise is the median of so many stretches: a kink in the motion is none."""
 
+_JUMP, _SUDDEN = 8.0, 5.0
+"""A sensor jumps, and not the motion, where the displacement changes between two samples by so many
+times what it did in the fastest stretch of late, and so many times what it just did."""
+
 
 class AdaptiveObserver:
     """Displacement, velocity and acceleration of a stream of samples ``period`` [s] apart.
 
     It begins with a bandwidth of 40 Hz, or what the period allows. What it returns does not depend
-    on how the stream is cut into blocks.
+    on how the stream is cut into blocks. After a jump of the sensor it begins anew: no motion had
+    that velocity. Of a displacement that does not change at all nothing is learnt.
     """
 
     def __init__(self, period: float) -> None:
@@ -75,6 +80,8 @@ class AdaptiveObserver:
         self._noises: list[float] = []
         self._snap = 0.0
         self._shown = False
+        # The last sample [m], the last change, and the largest of late; NaN: not known yet.
+        self._last = self._last_change = self._largest_change = math.nan
 
     @property
     def bandwidth(self) -> float:
@@ -92,7 +99,7 @@ class AdaptiveObserver:
         first = 0
         while first < displacement.size:
             self.adapt()
-            part = displacement[first : first + _STRETCH - self._count]
+            part = self._up_to_jump(displacement[first : first + _STRETCH - self._count])
             parts.append(self._observer.follow(part))
             self._stretch.append(part)
             self._count += part.size
@@ -109,9 +116,40 @@ class AdaptiveObserver:
             self._stretch, self._count = [], 0
             self._choose(stretch)
 
+    def _up_to_jump(self, displacement: Array) -> Array:
+        """The next samples, of shape (n,), up to where the sensor jumps, the first apart.
+
+        If it jumps to that, the motion begins anew there.
+        """
+        changes = np.empty(displacement.size)
+        changes[0] = displacement[0] - self._last
+        np.subtract(displacement[1:], displacement[:-1], out=changes[1:])
+        np.abs(changes, out=changes)
+        if changes.max() > _JUMP * self._largest_change:
+            sudden = changes > _JUMP * self._largest_change
+            sudden[0] &= changes[0] > _SUDDEN * self._last_change
+            sudden[1:] &= changes[1:] > _SUDDEN * changes[:-1]
+            if sudden[0]:
+                self._begin_anew()
+            if sudden[1:].any():
+                end = 1 + int(sudden[1:].argmax())
+                displacement, changes = displacement[:end], changes[:end]
+        self._last, self._last_change = float(displacement[-1]), float(changes[-1])
+        return displacement
+
+    def _begin_anew(self) -> None:
+        self._observer.reset()
+        self._trial.reset()
+        self._stretch, self._count = [], 0
+
     def _choose(self, stretch: Array) -> None:
         settled = self._trial.settled
         left = stretch - self._trial.follow(stretch)[0]
+        largest = float(np.abs(np.diff(stretch)).max())
+        if largest == 0.0:
+            return
+        known = self._largest_change
+        self._largest_change = largest if math.isnan(known) else max(largest, _FORGETTING * known)
         if not settled:
             return
         white, steps = _noise_powers(stretch)

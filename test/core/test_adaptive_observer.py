@@ -20,6 +20,19 @@ FACTOR = 4.0
 sine the best one lies at the edge of what follows it at all, and the observer keeps off."""
 
 
+SETTLED = 500
+"""Samples after which a start is forgotten, at the bandwidths that come here."""
+
+KICK = 0.5
+"""Largest error of the acceleration, over its largest value, that noise alone may make."""
+
+
+def bandwidth_after(displacement: Array) -> float:
+    observer = AdaptiveObserver(1e-3)
+    observer.follow(displacement)
+    return observer.bandwidth
+
+
 def measured(frequency: float, period: float, count: int) -> tuple[Array, Array]:
     """Noisy displacement [m] and true acceleration [m/s²] of a sine."""
     time = np.arange(count) * period
@@ -82,3 +95,42 @@ def test_the_gain_of_noise_is_that_of_noise() -> None:
     left = slice(2000, None)
     assert np.std(a[left]) == pytest.approx(gains.acceleration, rel=0.03)
     assert np.std((noise - u)[left]) == pytest.approx(gains.residual, rel=0.03)
+
+
+def test_a_jump_of_the_sensor_leaves_no_trace() -> None:
+    u, a = measured(1.0, 1e-3, 8000)
+    jumped, other = u.copy(), AdaptiveObserver(1e-3)
+    jumped[4321:] += AMPLITUDE
+    found = other.follow(jumped)[2]
+    assert other.bandwidth == pytest.approx(bandwidth_after(u))
+    settled = slice(4321 + SETTLED, None)
+    assert np.abs(found - a)[settled].max() < KICK * np.abs(a).max()
+
+
+def test_nothing_is_learnt_of_a_sensor_that_is_stuck() -> None:
+    u, _ = measured(1.0, 1e-3, 8000)
+    stuck = np.concatenate([u, np.full(4000, u[-1])])
+    assert bandwidth_after(stuck) == pytest.approx(bandwidth_after(u))
+
+
+@pytest.mark.parametrize("size", [1, 7, 50, 333])
+def test_a_jump_is_seen_however_the_stream_is_cut(size: int) -> None:
+    u, _ = measured(1.0, 1e-3, 2000)
+    u[[1000, 1003]] += AMPLITUDE
+    u[1500:] *= -1.0
+    whole, parts = AdaptiveObserver(1e-3), AdaptiveObserver(1e-3)
+    found = np.concatenate(
+        [parts.follow(u[first : first + size])[1] for first in range(0, u.size, size)]
+    )
+    np.testing.assert_allclose(found, whole.follow(u)[1], atol=1e-9)
+
+
+@pytest.mark.parametrize(("start", "settled"), [("hard", True), ("jump", False)])
+def test_a_motion_that_starts_hard_is_no_jump(start: str, settled: bool) -> None:
+    time = 1e-3 * np.arange(20)
+    moved = AMPLITUDE * (1.0 - np.cos(2.0 * np.pi * 10.0 * time))  # 20 m/s² at once
+    noise = NOISE * np.random.default_rng(0).standard_normal(2020)
+    observer = AdaptiveObserver(1e-3)
+    observer.follow(noise[:2000])
+    observer.follow(noise[2000:] + (moved if start == "hard" else AMPLITUDE))
+    assert observer.settled == settled
