@@ -69,7 +69,7 @@ class ForceWatch:
         peak = self._recent.peak
         if self._limit == 0.0 or not peak > 0.0:
             return math.inf
-        return _SAMPLE * self._limit * peak + _CHANCE * self._noise(peak)
+        return self._allowed(self._limit * peak, self._noise(peak))
 
     def forget_error(self, known: float = math.nan) -> None:
         """Other parameters: the lasting error of those before says nothing of them.
@@ -135,16 +135,22 @@ class ForceWatch:
         self._compared += count * self._period
         return largest
 
+    @staticmethod
+    def _allowed(limit: float, noise: float) -> float:
+        """Difference [N] that a sample may have to a measured force of so much noise [N]."""
+        chance = _CHANCE * noise
+        # Where there is next to no noise the limit itself can be seen.
+        return max(_SAMPLE * limit + chance, limit - chance)
+
     def _noise(self, peak: float) -> float:
         return min(self._recent.noise, _MOST_NOISE * peak)
 
     def _doubt_of_error(self, largest: float, peak: float, measured: Array) -> Doubt:
-        allowed = _SAMPLE * self._limit * (_BACK if self._wrong_now else 1.0)
-        chance = _CHANCE * self._noise(peak)
-        if largest > allowed * peak + chance:
+        limit, noise = self._limit * (_BACK if self._wrong_now else 1.0), self._noise(peak)
+        if largest > self._allowed(limit * peak, noise):
             # A force that grows is not wrong because it was smaller before.
             peak = max(peak, float(np.abs(measured - self._recent.centre).max()))
-        self._wrong_now = largest > allowed * peak + chance
+        self._wrong_now = largest > self._allowed(limit * peak, noise)
         lasting = _LASTING * self._limit * (_BACK if self._wrong else 1.0)
         self._wrong = self._square > lasting**2
         if self._wrong_now:
