@@ -21,6 +21,9 @@ _SAMPLE = 0.85
 _CHANCE = 3.0
 """... besides so many standard deviations of noise, which are no error of the prediction."""
 
+_SEEN = 0.98
+"""Part of the allowed error that is seen without noise: the peak is known no better than that."""
+
 _LASTING = 1.0
 """Part of the allowed error that the root mean square over a half-cycle may reach."""
 
@@ -139,8 +142,8 @@ class ForceWatch:
     def _allowed(limit: float, noise: float) -> float:
         """Difference [N] that a sample may have to a measured force of so much noise [N]."""
         chance = _CHANCE * noise
-        # Where there is next to no noise the limit itself can be seen.
-        return max(_SAMPLE * limit + chance, limit - chance)
+        # Where there is next to no noise nearly the limit itself can be seen.
+        return max(_SAMPLE * limit + chance, _SEEN * limit - chance)
 
     def _noise(self, peak: float) -> float:
         return min(self._recent.noise, _MOST_NOISE * peak)
