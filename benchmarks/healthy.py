@@ -8,6 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +16,11 @@ from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS, chirp, random_motion, stairs, stops
 from benchmarks.stream_trial import StreamTrial, Stretch, TrialResult, TrialSettings
 from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 
-SETTINGS = TrialSettings(block_size=20)
+MODELS = ("sigmoid", "sigmoid_lag")
+"""The laws that are identified: the default, and the one for any motion."""
+
 PROCESSES = 2
 CURRENT = 1.2
 
@@ -63,12 +67,21 @@ PROGRAMMES: tuple[Programme, ...] = (
 """All of them."""
 
 
+class _Job(NamedTuple):
+    """A programme with a damper, and the model that is identified."""
+
+    damper: str
+    programme: Programme
+    model: str
+
+
 @dataclass(frozen=True)
 class Health:
     """What came of a programme with a damper: ``asked`` and ``valid`` in seconds."""
 
     programme: str
     damper: str
+    model: str
     asked: float
     valid: float
     wrong: Stretch
@@ -92,9 +105,10 @@ def at_rest(result: TrialResult) -> np.ndarray:
     return rest
 
 
-def _run(job: tuple[str, Programme]) -> Health:
-    damper, programme = job
-    trial = StreamTrial(DAMPERS[damper], programme.motion(), CURRENT, settings=SETTINGS)
+def _run(job: _Job) -> Health:
+    damper, programme, model = job
+    settings = TrialSettings(tracker=TrackerSettings(model=model))
+    trial = StreamTrial(DAMPERS[damper], programme.motion(), CURRENT, settings=settings)
     result = trial.run(programme.duration)
     begin = max(result.first_valid(), programme.known_from)
     if math.isinf(begin):
@@ -104,6 +118,7 @@ def _run(job: tuple[str, Programme]) -> Health:
     return Health(
         programme.name,
         damper,
+        model,
         float(np.count_nonzero(asked)) * result.period,
         float(np.count_nonzero(asked & result.valid)) * result.period,
         result.wrong_valid(),
@@ -114,10 +129,16 @@ def _run(job: tuple[str, Programme]) -> Health:
 def measure(
     programmes: Sequence[Programme] = PROGRAMMES,
     dampers: Sequence[str] = tuple(DAMPERS),
+    models: Sequence[str] = MODELS,
     processes: int = PROCESSES,
 ) -> list[Health]:
-    """All programmes with all dampers."""
-    jobs = [(damper, programme) for programme in programmes for damper in dampers]
+    """All programmes with all dampers, once for each model."""
+    jobs = [
+        _Job(damper, programme, model)
+        for programme in programmes
+        for damper in dampers
+        for model in models
+    ]
     if processes == 1:
         return [_run(job) for job in jobs]
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
@@ -125,27 +146,35 @@ def measure(
 
 
 def figures(
-    programmes: Sequence[Programme] = PROGRAMMES, dampers: Sequence[str] = tuple(DAMPERS)
+    programmes: Sequence[Programme] = PROGRAMMES,
+    dampers: Sequence[str] = tuple(DAMPERS),
+    models: Sequence[str] = MODELS,
 ) -> list[Figure]:
     """``healthy_valid_percent`` and ``healthy_wrong_valid_s``."""
-    return figures_of(measure(programmes, dampers))
+    return figures_of(measure(programmes, dampers, models))
+
+
+def _share(found: Sequence[Health]) -> float:
+    """Share [%] of the time that was valid."""
+    return 100.0 * sum(h.valid for h in found) / sum(h.asked for h in found)
 
 
 def figures_of(found: Sequence[Health]) -> list[Figure]:
     """The figures of what came of the programmes."""
     least = sorted(found, key=lambda health: health.percent)
     worst = sorted(found, key=lambda health: -health.wrong.total)
-    total = sum(health.asked for health in found)
+    models = list(dict.fromkeys(health.model for health in found))
     return [
         Figure(
             "healthy_valid_percent",
-            100.0 * sum(health.valid for health in found) / total,
+            [_share([health for health in found if health.model == model]) for model in models],
             f"{len(found)} streams of healthy dampers of other laws (0.05 to 20 Hz, random, chirp, "
             "amplitudes, stops): share of the time for which the force is valid from the first "
-            "valid one on, in programmes that repeat from the second round on, rest not counted.",
+            "valid one on, in programmes that repeat from the second round on, rest not counted; "
+            f"by {', '.join(models)}.",
             (97.0, 100.0),
             "Least: "
-            + "; ".join(f"{h.programme}, {h.damper}: {h.percent:.1f}" for h in least[:5])
+            + "; ".join(f"{h.programme}, {h.damper}, {h.model}: {h.percent:.1f}" for h in least[:5])
             + ".",
         ),
         Figure(
@@ -156,7 +185,8 @@ def figures_of(found: Sequence[Health]) -> list[Figure]:
             (0.0, 0.0),
             "Most: "
             + "; ".join(
-                f"{h.programme}, {h.damper}: {h.wrong.total:.2f} s, up to {h.wrong.worst:.0%}"
+                f"{h.programme}, {h.damper}, {h.model}: {h.wrong.total:.2f} s, "
+                f"up to {h.wrong.worst:.0%}"
                 for h in worst[:5]
             )
             + ".",

@@ -106,7 +106,7 @@ class MotionFollower:
         if self._steady:
             return ""
         if not self._differentiator.settled:
-            return "the velocity estimate is still settling after the start or a jump of the displacement"
+            return "the velocity is still settling after the start or a jump of the displacement"
         if self._centre.reversals < _REVERSALS_FOR_CENTRE:
             return (
                 "the centre of the motion is not known before the motion has reversed three times"

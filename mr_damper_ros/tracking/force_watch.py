@@ -15,14 +15,14 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.recent_force import RecentForce
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
-_SAMPLE = 0.85
-"""Part of the allowed error that a sample may have: its noise may hide the rest ..."""
+_SEEN = 0.98
+"""Part of the allowed error that a sample may have: the peak is known no better ..."""
 
 _CHANCE = 3.0
-"""... besides so many standard deviations of noise, which are no error of the prediction."""
+"""... less so many standard deviations of the noise, which may hide as much of it ..."""
 
-_SEEN = 0.98
-"""Part of the allowed error that is seen without noise: the peak is known no better than that."""
+_SAMPLE = 0.68
+"""... but with much noise this part and as many more, so that noise alone is no wrong force."""
 
 _LASTING = 1.0
 """Part of the allowed error that the root mean square over a half-cycle may reach."""
@@ -142,8 +142,8 @@ class ForceWatch:
     def _allowed(limit: float, noise: float) -> float:
         """Difference [N] that a sample may have to a measured force of so much noise [N]."""
         chance = _CHANCE * noise
-        # Where there is next to no noise nearly the limit itself can be seen.
-        return max(_SAMPLE * limit + chance, _SEEN * limit - chance)
+        # The noise may hide a part of the error; where there is much of it, it may look like one.
+        return max(_SEEN * limit - chance, _SAMPLE * limit + chance)
 
     def _noise(self, peak: float) -> float:
         return min(self._recent.noise, _MOST_NOISE * peak)

@@ -18,7 +18,8 @@ _LONGEST_MEMORY = 120.0
 """The memory is so many half-cycles, and within these times [s]."""
 
 _PEAK_MEMORY = 10.0
-"""Seconds, where the motion is not steady: eight half-cycles of it may all be small ones."""
+"""Seconds, or a cycle if that is longer, where the motion is not steady: eight half-cycles of it
+may all be small ones, or go back to when it was another motion."""
 
 _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
@@ -52,7 +53,7 @@ class RecentForce:
     """Remembers some cycles of a stream of samples ``period`` [s] apart.
 
     ``peak`` and ``centre`` [N]: half the span of the measured force and its middle, NaN before
-    anything is known of it. Where the motion is not steady they are those of a longer time.
+    anything is known of it. Where the motion is not steady, those of ten seconds or a cycle.
     ``noise`` [N]: standard deviation of its white part. ``stuck``: it has not changed at all for a
     half-cycle. ``measured_drives`` and ``predicted_drives``: that force puts power into the motion.
     """
@@ -119,11 +120,12 @@ class RecentForce:
         known = 0.0 if math.isnan(half_cycle) else half_cycle
         memory = min(max(_HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
         self._stretch = max(round(min(memory / _STRETCHES, _LONGEST_STRETCH) / self._period), 1)
-        kept = max(memory, _PEAK_MEMORY)
+        unsteady = max(2.0 * min(known, memory), _PEAK_MEMORY)
+        kept = max(memory, unsteady)
         while (self._remembered - self._past[0].count) * self._period >= kept:
             self._remembered -= self._past.popleft().count
         recent = self._latest(memory)
-        self._judge_span(recent if steady else self._past)
+        self._judge_span(recent if steady else self._latest(unsteady))
         self.noise = sorted(stretch.noise for stretch in recent)[len(recent) // 2]
         self._judge_power(known)
 

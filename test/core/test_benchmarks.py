@@ -198,7 +198,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
             faults.measure(SCENARIOS[:1], ("viscous_tanh",), processes=1)
         ),
         "healthy": lambda: healthy.figures_of(
-            healthy.measure(healthy.PROGRAMMES[4:5], ("viscous_tanh",), processes=1)
+            healthy.measure(healthy.PROGRAMMES[4:5], ("viscous_tanh",), ("sigmoid",), 1)
         ),
         # These need ROS: test/ros/test_node_benchmarks.py.
         "streaming_load": list,

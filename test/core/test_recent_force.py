@@ -25,9 +25,10 @@ def test_small_half_cycles_are_no_smaller_peak_unless_the_motion_is_steady(
     assert recent.peak == pytest.approx(peak)
 
 
-def test_a_large_force_is_forgotten_in_any_motion() -> None:
+@pytest.mark.parametrize("half_cycle", [HALF_CYCLE, 2.5])
+def test_a_large_force_is_forgotten_in_any_motion(half_cycle: float) -> None:
     recent = RecentForce(PERIOD)
     for size, seconds in ((LARGE, 2), (SMALL, 11)):
         for part in np.split(size * np.tile((1.0, -1.0), 500 * seconds), seconds * 10):
-            recent.add((part, part), part / LARGE, HALF_CYCLE, steady=False)
+            recent.add((part, part), part / LARGE, half_cycle, steady=False)
     assert recent.peak == pytest.approx(SMALL)
