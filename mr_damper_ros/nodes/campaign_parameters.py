@@ -82,7 +82,7 @@ class MachineOptions(ParameterTable):
     )
 
     motions: str = option(
-        " ".join(kind.value for kind in MotionKind),
+        MotionKind.SINE.value,
         "How the machine can move, one or more words: sine, sweep (a swept sine), random (with a "
         "spectrum). By hand there are sines alone.",
     )

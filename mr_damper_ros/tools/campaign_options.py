@@ -63,8 +63,8 @@ def add_campaign_options(parser: argparse.ArgumentParser, *, required: bool) -> 
         "--motions",
         nargs="+",
         choices=[kind.value for kind in MotionKind],
-        default=[kind.value for kind in MotionKind],
-        help="how it can move (default: all): a sine, a swept sine, random motion",
+        default=[MotionKind.SINE.value],
+        help="how it can move (default: sine): a sine, a swept sine, random motion",
     )
     machine.add_argument(
         "--manual",

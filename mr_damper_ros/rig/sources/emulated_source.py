@@ -290,8 +290,10 @@ class EmulatedSource(Source):
                 if motion is None:
                     motion = CommandedMotion(self._excitation, begin)
                     rig.move(motion)
-                if motion.command(mover.wanted(now), begin):
-                    # Another motion may need its peak velocity followed.
+                before = motion.is_sine
+                motion.command(mover.wanted(now), begin)
+                if motion.is_sine != before:
+                    # The peak velocity of a sine is known; that of another motion is followed.
                     rig.move(motion)
             made = rig.next_block(self.stream.block_size)
             deliveries = instruments.read(made)
