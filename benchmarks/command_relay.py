@@ -6,12 +6,10 @@ rclpy's default executor.
 
 from __future__ import annotations
 
-import rclpy
 from mr_damper_msgs.msg import CurrentCommand, MtsSamples
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from benchmarks.relay import QUALITY, SAMPLES_TOPIC
+from benchmarks.relay import QUALITY, SAMPLES_TOPIC, relay_until_signal
 
 COMMAND_TOPIC = "relay/current_command"
 
@@ -28,18 +26,5 @@ class CommandRelay(Node):
         self._command.publish(CurrentCommand(header=message.header, current=0.0))
 
 
-def main() -> None:
-    """Relay until a signal comes."""
-    rclpy.init()
-    node = CommandRelay()
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
-
-
 if __name__ == "__main__":
-    main()
+    relay_until_signal(CommandRelay)

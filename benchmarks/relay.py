@@ -6,6 +6,8 @@ rclpy's default executor.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import rclpy
 from mr_damper_msgs.msg import MtsSamples, PredictedForce
 from rclpy.executors import ExternalShutdownException
@@ -39,10 +41,10 @@ class Relay(Node):
         )
 
 
-def main() -> None:
-    """Relay until a signal comes."""
+def relay_until_signal(made: Callable[[], Node]) -> None:
+    """Run such a node until a signal comes."""
     rclpy.init()
-    node = Relay()
+    node = made()
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
@@ -53,4 +55,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    relay_until_signal(Relay)

@@ -12,6 +12,7 @@ from pathlib import Path
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.sections import SECTIONS, build
 from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.study_program import add_workers
 
 _RUNS, _QUICK_RUNS = 100, 10
 
@@ -40,12 +41,7 @@ def _parser() -> argparse.ArgumentParser:
         type=int,
         help=f"repetitions of random searches (default {_RUNS}, quick {_QUICK_RUNS})",
     )
-    parser.add_argument(
-        "--workers",
-        type=int,
-        default=len(os.sched_getaffinity(0)),
-        help="processes; the results do not depend on it (default: one per core)",
-    )
+    add_workers(parser)
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
     parser.add_argument(
         "--output",
