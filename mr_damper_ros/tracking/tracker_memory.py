@@ -190,6 +190,10 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
     for residual in history.residuals:
         sound = len(residual) in (2, 4) and all(map(math.isfinite, residual))
         yield sound and min(residual[:3]) >= 0.0, "such a residual"
+    yield 0.0 <= history.level < math.inf, "such a level of the force"
+    for known in history.forces:
+        of_force = (known.peak_velocity, known.size, known.largest)
+        yield min(of_force) > 0.0 and all(map(math.isfinite, of_force)), "such a known force"
     yield len(memory.reservoir) == len(memory.reservoir_points), "a window without its point"
     for fit in memory.baselines:
         yield fit.parameters.shape == (parameter_count,), "another number of parameters"
@@ -203,6 +207,7 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
         for array in (fit.parameters, fit.scales, fit.coefficients):
             yield bool(np.all(np.isfinite(array))), "a value that is not finite"
     points = [fit.operating_point for fit in memory.baselines] + list(memory.reservoir_points)
+    points += [known.operating_point for known in history.forces]
     for window in memory.reservoir:
         yield from _window_soundness(window)
     for warming in memory.temperatures:

@@ -23,7 +23,7 @@ from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tasks import FitResult
 from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
+from mr_damper_ros.tracking.tracker_memory import TrackerMemory, check, from_text, to_text
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.trackers import TRACKERS
 
@@ -191,6 +191,20 @@ def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong:
 def test_other_texts_are_refused(text: str, sentence: str) -> None:
     with pytest.raises(StateError, match=sentence):
         from_text(text, SIGMOID)
+
+
+@pytest.mark.parametrize("speed", [-0.1, 0.0, math.inf, math.nan])
+def test_a_force_known_at_no_speed_is_refused(speed: float) -> None:
+    tracked = tracker()
+    feed(tracked, 0, 3)
+    history = tracked.memory.history
+    (first, *others) = history.forces
+    spoilt = dataclasses.replace(first, peak_velocity=speed)
+    memory = dataclasses.replace(
+        tracked.memory, history=dataclasses.replace(history, forces=(spoilt, *others))
+    )
+    with pytest.raises(StateError, match="such a known force cannot be"):
+        check(memory, SIGMOID)
 
 
 def test_the_memory_of_another_model_is_refused() -> None:
