@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce, MtsSamples, SupplyCurrent
 from rclpy.serialization import deserialize_message
 
 from benchmarks import command_relay, relay
 from benchmarks.figure import Figure
-from benchmarks.processes import ProfiledDomain, start_node
+from benchmarks.processes import ProfiledDomain, driver_node, start_node
 from benchmarks.side_by_side import CURRENT
 from benchmarks.streaming_load import LATENCY_DURATION, SETTLED, Latencies, sine_blocks
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -115,13 +114,8 @@ def measure_latency(duration: float) -> Latencies:
         # Where this computer is busy, blocks wait for the commands of those before.
         patient = {"samples_timeout": _SILENT, "max_age": 0.0}
         stack.callback(start_node("controller", domain, parameter_file=file, **patient).close)
-        context = rclpy.Context()
-        with domain.entered():
-            context.init()
-            node = rclpy.create_node("driver", context=context)
-        stack.callback(context.try_shutdown)
-        stack.callback(node.destroy_node)
-        executor = make_executor(context=context)
+        node = driver_node(stack, domain)
+        executor = make_executor(context=node.context)
         executor.add_node(node)
         stack.callback(executor.shutdown)
         controller = CommandRoute(node, "mts/samples", "supply/current_command")

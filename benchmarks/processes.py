@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 
+import rclpy
 from ament_index_python.packages import get_package_prefix
+from rclpy.node import Node
 
 from mr_damper_ros.processes.programs import Program, node_arguments
 from mr_damper_ros.processes.ros_domain import RosDomain
@@ -20,6 +23,17 @@ class ProfiledDomain(RosDomain):
     def environment(self) -> dict[str, str]:
         """What a program must be started with to be in it."""
         return {**super().environment, "FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILES)}
+
+
+def driver_node(stack: ExitStack, domain: RosDomain) -> Node:
+    """A node of this process, in a context of its own in a domain; both go with the stack."""
+    context = rclpy.Context()
+    with domain.entered():
+        context.init()
+        node = rclpy.create_node("driver", context=context)
+    stack.callback(context.try_shutdown)
+    stack.callback(node.destroy_node)
+    return node
 
 
 def start_node(program: str, domain: RosDomain, *arguments: str, **parameters: object) -> Program:

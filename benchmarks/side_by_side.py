@@ -13,13 +13,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import rclpy
 from mr_damper_msgs.msg import MtsSamples, PredictedForce, SupplyCurrent
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
 from benchmarks import relay
-from benchmarks.processes import ProfiledDomain, start_node
+from benchmarks.processes import ProfiledDomain, driver_node, start_node
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.nodes import quality
@@ -175,15 +174,10 @@ class SideBySide:
                 stack.callback(self._model.close)
             if identifier:
                 stack.callback(start_node("identifier", domain, initial_parameters=str(file)).close)
-            context = rclpy.Context()
-            with domain.entered():
-                context.init()
-                node = rclpy.create_node("driver", context=context)
-            stack.callback(context.try_shutdown)
-            stack.callback(node.destroy_node)
+            node = driver_node(stack, domain)
             # The events executor does not hand on when a message was published.
             make = SingleThreadedExecutor if dated else make_executor
-            self._executor = make(context=context)
+            self._executor = make(context=node.context)
             self._executor.add_node(node)
             stack.callback(self._executor.shutdown)
             self._supply = node.create_publisher(SupplyCurrent, "supply/current", quality.stream())

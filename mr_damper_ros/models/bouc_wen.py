@@ -9,7 +9,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
+from mr_damper_ros.models.current_dependence import Coefficient
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import (
     HYSTERESIS,
@@ -20,8 +20,7 @@ from mr_damper_ros.models.hysteresis import (
     step_derivatives,
 )
 from mr_damper_ros.models.known_derivatives import (
-    KnownDerivatives,
-    PooledDerivatives,
+    DifferentiatedModel,
     accumulated,
     along,
     at_samples,
@@ -30,7 +29,7 @@ from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 
-class BoucWen(CurrentDependentModel):
+class BoucWen(DifferentiatedModel):
     """A damper, a spring and a hysteresis in parallel."""
 
     name = "bouc_wen"
@@ -61,16 +60,6 @@ class BoucWen(CurrentDependentModel):
     def memory_length(self, parameters: Array, current: float) -> float:
         """Some ways to the yield."""
         return memory_length(self, parameters, current)
-
-    def window_problem(self, window: Window, parameters: Array) -> KnownDerivatives:
-        """What one current determines, with its derivatives."""
-        return KnownDerivatives(self, window, parameters, self)
-
-    def pooled_problem(
-        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
-    ) -> PooledDerivatives:
-        """All windows, with their derivatives."""
-        return PooledDerivatives(self, windows, noise, known, self)
 
     @np.errstate(over="ignore", invalid="ignore")
     def window_derivatives(self, window: Window, parameters: Array) -> Array:

@@ -82,7 +82,7 @@ class Coefficient:
 class CurrentDependentModel(Model):
     """A law of the coefficients of one current, and how these follow the current."""
 
-    at_one_current: ClassVar[tuple[Coefficient, ...]]
+    at_one_current: ClassVar[tuple[Coefficient, ...]] = ()
     memory: ClassVar[int] = 0
     """Arrays of the law's own state."""
 

@@ -6,8 +6,9 @@ would take as many times as long as there are parameters.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_current
 from mr_damper_ros.models.current_dependence import CurrentDependentModel
-from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.pooled_differences import PooledDifferences
 from mr_damper_ros.models.window_problem import DifferenceProblem
 from mr_damper_ros.signals.arrays import Array
@@ -69,21 +69,30 @@ def accumulated(kept: Array, driven: Array) -> Array:
     return np.asarray(dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape))
 
 
-class DerivativeModel(Protocol):
+class DifferentiatedModel(CurrentDependentModel):
     """A law that knows the derivatives of its force."""
 
+    @abstractmethod
     def window_derivatives(self, window: Window, parameters: Array) -> Array:
         """Derivatives (n, p) of the force at the samples of a window by all parameters (p,)."""
+
+    def window_problem(self, window: Window, parameters: Array) -> KnownDerivatives:
+        """What one current determines, with its derivatives."""
+        return KnownDerivatives(self, window, parameters)
+
+    def pooled_problem(
+        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
+    ) -> PooledDerivatives:
+        """All windows, with their derivatives."""
+        return PooledDerivatives(self, windows, noise, known)
 
 
 class KnownDerivatives(DifferenceProblem):
     """The problem of one window."""
 
-    def __init__(
-        self, model: Model, window: Window, parameters: Array, law: DerivativeModel
-    ) -> None:
+    def __init__(self, model: DifferentiatedModel, window: Window, parameters: Array) -> None:
         super().__init__(model, window, parameters)
-        self._law = law
+        self._law = model
 
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual by the unknowns, shape (n, f)."""
@@ -96,14 +105,13 @@ class PooledDerivatives(PooledDifferences):
 
     def __init__(
         self,
-        model: Model,
+        model: DifferentiatedModel,
         windows: Sequence[Window],
         noise: Sequence[float],
         known: Array | None,
-        law: DerivativeModel,
     ) -> None:
         super().__init__(model, windows, noise, known)
-        self._law = law
+        self._law = model
 
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
         """Derivatives of the residual, shape (n, p), or only the given columns of it."""

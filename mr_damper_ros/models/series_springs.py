@@ -26,13 +26,12 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_unsettled
-from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
+from mr_damper_ros.models.current_dependence import Coefficient
 from mr_damper_ros.models.first_order_lag import one_sample_later
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import each_sample, integrated
 from mr_damper_ros.models.known_derivatives import (
-    KnownDerivatives,
-    PooledDerivatives,
+    DifferentiatedModel,
     accumulated,
     along,
     at_samples,
@@ -57,7 +56,7 @@ _SETTLED = 7.0
 """So many times the way that the softer spring gives, and the reversal before is forgotten."""
 
 
-class SeriesSprings(CurrentDependentModel):
+class SeriesSprings(DifferentiatedModel):
     """Two springs, each in series with a yield, one of these with a damper; the gas beside them."""
 
     name = "series_springs"
@@ -188,16 +187,6 @@ class SeriesSprings(CurrentDependentModel):
         count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)
         known = history.places >= min(count, _LONGEST_MEMORY * apart.size)
         return known & ~coil_unsettled(window, float(parameters[-1]))
-
-    def window_problem(self, window: Window, parameters: Array) -> KnownDerivatives:
-        """What one current determines, with its derivatives."""
-        return KnownDerivatives(self, window, parameters, self)
-
-    def pooled_problem(
-        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
-    ) -> PooledDerivatives:
-        """All windows, with their derivatives."""
-        return PooledDerivatives(self, windows, noise, known, self)
 
     @np.errstate(over="ignore", invalid="ignore")
     def window_derivatives(self, window: Window, parameters: Array) -> Array:

@@ -75,8 +75,8 @@ class CommandedMotion:
         """Whether nothing but sines is under way, or to come."""
         return all(one.motion.kind is MotionKind.SINE for one in self._stretches)
 
-    def command(self, motion: PeriodicMotion | None, time: float) -> bool:
-        """Make a motion from ``time`` [s] on, None for rest; returns whether it is another.
+    def command(self, motion: PeriodicMotion | None, time: float) -> None:
+        """Make a motion from ``time`` [s] on, None for rest.
 
         The times of commands rise, and no sample after this one has been asked for yet.
         """
@@ -84,7 +84,7 @@ class CommandedMotion:
             self._before = None
         self._stretches = [one for one in self._stretches if one.over > time]
         if motion == self._wanted:
-            return False
+            return
         self._wanted = motion
         self._stretches = [one for one in self._stretches if one.begin <= time]
         free = max(time, self._free)
@@ -96,7 +96,6 @@ class CommandedMotion:
             free = max(free, moving.over)
         if motion is not None:
             self._stretches.append(_Moved(motion, free))
-        return True
 
     def at(self, time: Array) -> Kinematics:
         """Kinematics at the times [s], shape (n,)."""

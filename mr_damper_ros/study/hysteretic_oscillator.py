@@ -2,7 +2,7 @@
 
 J. P. Noël and M. Schoukens, Hysteretic benchmark with a dynamic nonlinearity, Workshop on Nonlinear
 System Identification Benchmarks, Brussels, 2016. Equations, parameters, steps and signals are
-theirs; the files of the benchmark are not needed, for everything is simulated here:
+those of its public descriptions; its files are not needed, for everything is simulated here:
 
     m y'' + c y' + k y + z = u,    z' = alpha y' - beta (gamma |y'| z + delta y' |z|)
 

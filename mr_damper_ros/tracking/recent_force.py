@@ -120,7 +120,7 @@ class RecentForce:
         known = 0.0 if math.isnan(half_cycle) else half_cycle
         memory = min(max(_HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
         self._stretch = max(round(min(memory / _STRETCHES, _LONGEST_STRETCH) / self._period), 1)
-        unsteady = max(2.0 * min(known, memory), _PEAK_MEMORY)
+        unsteady = min(max(2.0 * known, _PEAK_MEMORY), _LONGEST_MEMORY)
         kept = max(memory, unsteady)
         while (self._remembered - self._past[0].count) * self._period >= kept:
             self._remembered -= self._past.popleft().count

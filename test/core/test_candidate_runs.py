@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 import known
 import numpy as np
 import pytest
+from campaign_of_three import played
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,7 +21,7 @@ from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
 from mr_damper_ros.interface.signal_file import signal
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import RepeatedMotion, SampledMotion
+from mr_damper_ros.rig.excitation import RepeatedMotion
 from mr_damper_ros.signals.recording import Recording
 
 EVERY_KIND = tuple(MotionKind)
@@ -128,22 +129,6 @@ def test_windows_of_a_run_hold_its_motion_and_currents(run: PlannedRun) -> None:
     for window in windows:
         left = known.SIGMOID.window_force(window, known.PLAUSIBLE) - window.force
         assert np.sqrt(np.mean(left**2)) < 0.01 * np.sqrt(np.mean(window.force**2))
-
-
-def played(run: PlannedRun) -> Recording:
-    """A recording of the signal file of a run, with rest before and after it."""
-    _, displacement, current = signal(run, 500.0)
-    rest = np.zeros(700)
-    motion = SampledMotion(np.concatenate([rest, displacement, rest]), 2e-3)
-    amperes = np.concatenate([rest + current[0], current, rest])
-    times = np.flatnonzero(np.diff(amperes, prepend=np.nan) != 0.0)
-    rig = EmulatedRig(
-        ConstantDamper(known.PLAUSIBLE),
-        motion,
-        CurrentSchedule((times * 2e-3).tolist(), amperes[times].tolist()),
-        settings=RigSettings(sample_rate=500.0, force_noise=5.0),
-    )
-    return rig.record(amperes.size * 2e-3)
 
 
 @RUNS
