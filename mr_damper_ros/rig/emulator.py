@@ -350,6 +350,9 @@ class EmulatedRig:
         if begin == 0:
             self._noise = self._rng.standard_normal((2, CHUNK))
         time = np.arange(self._made, self._made + count, dtype=np.float64) * period
+        if is_sine(self._excitation) != (self._peak is None):
+            # It has been commanded to move otherwise.
+            self._go_on(self._excitation, ())
         moved = self._excitation.at(time)
         displacement, velocity, acceleration = moved
         current = self._current.at(time)

@@ -100,8 +100,7 @@ class EmulatedMachine:
         self._rig.live = True
 
     def set(self, command: MachineCommand) -> None:
-        if self._motion.command(command.motion, self.time):
-            self._rig.move(self._motion)
+        self._motion.command(command.motion, self.time)
         if command.current != self._currents[-1]:
             self._times.append(self.time)
             self._currents.append(command.current)

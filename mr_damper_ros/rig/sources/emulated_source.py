@@ -290,11 +290,7 @@ class EmulatedSource(Source):
                 if motion is None:
                     motion = CommandedMotion(self._excitation, begin)
                     rig.move(motion)
-                before = motion.is_sine
                 motion.command(mover.wanted(now), begin)
-                if motion.is_sine != before:
-                    # The peak velocity of a sine is known; that of another motion is followed.
-                    rig.move(motion)
             made = rig.next_block(self.stream.block_size)
             deliveries = instruments.read(made)
             yield from (delivery.block for delivery in deliveries)
