@@ -72,6 +72,8 @@ class TriedProgram(Program):
         finally:
             if self.running:
                 os.killpg(self.pid, signal.SIGKILL)
+            # Shown where the test has failed.
+            print(f"{self.name} said:\n{self.log}")
             self.forget()
 
 
