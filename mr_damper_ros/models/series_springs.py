@@ -3,11 +3,12 @@
 The fluid flows at the velocity w, which is not that of the rod: the spring between them is what
 ``compliance`` of the extended law stands for, here solved as it is, sample by sample:
 
-    f tanh(w / w_y) + c w = F,    dF/dt = k (v - w)
+    f tanh(w / w_y) + c w = F = k x,    dx/dt = v - w
 
-This needs no peak velocity. What rounds a small motion more than a large one is the way since the
-reversal, not the speed: a part of the yield force is carried by a softer spring (two elements of
-the kind that Iwan, J. Applied Mechanics 33, 1966, puts side by side), each with a yield of its own.
+The spring keeps its deflection x where the current, and its stiffness with it, changes. This needs
+no peak velocity. What rounds a small motion more than a large one is the way since the reversal,
+not the speed: a part of the yield force is carried by a softer spring (two elements of the kind
+that Iwan, J. Applied Mechanics 33, 1966, puts side by side), each with a yield of its own.
 
 A step is the two-stage method of order two with gamma = 1 - 1/sqrt(2) (Alexander, SIAM J. Numerical
 Analysis 14, 1977), L-stable: stable at any period, and a spring far too stiff for the period is
@@ -68,15 +69,15 @@ class SeriesSprings(DifferentiatedModel):
         r"F = F_1 + F_2 + k_0 u + f_0,\quad"
         r" F_1 = (1 - \varphi) f_y \tanh\frac{w_1}{w_y} + c\,w_1,\quad"
         r" F_2 = \varphi f_y \tanh\frac{w_2}{w_y},\quad"
-        r" \dot F_j = k_j (v - w_j)"
+        r" F_j = k_j x_j,\quad \dot x_j = v - w_j"
     )
     at_one_current = (
         Coefficient("f_y", "N", 0.0, degree=3, meaning="yield force"),
         Coefficient("w_y", "m/s", 1e-6, degree=1, meaning="width of the yield"),
         Coefficient("c", "N s/m", 0.0, degree=1, meaning="viscous damping"),
-        Coefficient("k1", "N/m", 1.0, 1e12, meaning="stiffness in series with the damper"),
+        Coefficient("k1", "N/m", 1.0, 1e12, 1, meaning="stiffness in series with the damper"),
         Coefficient("share", "1", 0.0, 1.0, meaning="share of the yield on the softer spring"),
-        Coefficient("k2", "N/m", 1.0, 1e12, meaning="stiffness of the softer spring"),
+        Coefficient("k2", "N/m", 1.0, 1e12, 1, meaning="stiffness of the softer spring"),
         Coefficient("k0", "N/m", meaning="stiffness of the gas"),
         Coefficient("f0", "N", meaning="constant force"),
     )
@@ -86,7 +87,7 @@ class SeriesSprings(DifferentiatedModel):
     def force_at(
         self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N]; remembered are force and flow of either path, and the last velocity."""
+        """Force [N]; remembered are deflection and flow of either path, and the last velocity."""
         *paths, stiffness, offset = coefficients
         force, kept = integrated(_both_paths, paths, motion, period, state, self.memory)
         return np.asarray(force + stiffness * motion.displacement + offset), kept
@@ -136,12 +137,12 @@ class SeriesSprings(DifferentiatedModel):
     ) -> tuple[tuple[_Numbers, _Numbers], tuple[float, float]]:
         """The two paths at currents [A], one or those of the samples, and k0 and f0."""
         values = parameters.tolist()
-        stiffness, share, softer, gas, offset = (
-            self.number_at(values, place, 0.0) for place in range(3, 8)
-        )
+        share, gas, offset = (self.number_at(values, place, 0.0) for place in (4, 6, 7))
         first, second = [], []
         for current in amperes:
-            f_y, w_y, c = (self.number_at(values, place, current) for place in range(3))
+            f_y, w_y, c, stiffness, softer = (
+                self.number_at(values, place, current) for place in (0, 1, 2, 3, 5)
+            )
             first.append(((1.0 - share) * f_y, w_y, c, stiffness))
             second.append((share * f_y, w_y, 0.0, softer))
         return (first, second), (gas, offset)
@@ -178,7 +179,8 @@ class SeriesSprings(DifferentiatedModel):
         most = (1.0 - c[4]) * c[0] + c[2] * abs(before), c[4] * c[0]
         forces = []
         for sign in (1.0, -1.0):
-            state = [np.array(part) for part in (sign * most[0], 0.0, sign * most[1], 0.0, before)]
+            ends = (sign * most[0] / c[3], 0.0, sign * most[1] / c[5], 0.0, before)
+            state = [np.array(part) for part in ends]
             force, _ = self.follow(
                 parameters, motion, history.current, history.period, tuple(state)
             )
@@ -193,37 +195,48 @@ class SeriesSprings(DifferentiatedModel):
         """Derivatives (n, p) of :meth:`window_force` by all parameters (p,)."""
         motion, period, values, chain = along(self, window, parameters)
         result = motion.displacement[:, np.newaxis] * chain[6] + chain[7]
-        for path, recursion in self._derivatives_along(values, motion, period):
+        for spring, path, recursion, carried in self._derivatives_along(values, motion, period):
             driven = np.zeros(result.shape)
             for place, by_coefficient in path.items():
                 driven += by_coefficient[:, np.newaxis] * chain[place]
+            # A spring keeps its deflection while its stiffness changes: the force changes.
+            stiffened = np.diff(chain[spring] / values[spring][:, np.newaxis], axis=0)
+            driven[1:] += carried[1:, np.newaxis] * stiffened
             result += accumulated(recursion, driven)
         return at_samples(window, result)
 
     def _derivatives_along(
         self, values: Sequence[Array], motion: Motion, period: float
-    ) -> list[tuple[dict[int, Array], Array]]:
-        """Of either path: what a step adds to its force by coefficient, and what it keeps."""
+    ) -> list[tuple[int, dict[int, Array], Array, Array]]:
+        """Of either path: the place of its stiffness, and what a step does to its force.
+
+        That is what it adds by coefficient, the part that it keeps, and how much of the force [N]
+        that it begins with is left.
+        """
         f_y, w_y, c, stiffness, share, softer = values[:6]
         nothing = np.zeros(f_y.size)
         first = _Path((1.0 - share) * f_y, w_y, c, stiffness)
         second = _Path(share * f_y, w_y, nothing, softer)
         ways = []
-        for path, part, sign, others in (
-            (first, 1.0 - share, -1.0, {2: "damping", 3: "stiffness"}),
-            (second, share, 1.0, {5: "stiffness"}),
+        for spring, path, part, sign, others in (
+            (3, first, 1.0 - share, -1.0, {2: "damping"}),
+            (5, second, share, 1.0, {}),
         ):
-            by, kept = path.derivatives(motion.velocity, period)
+            by, kept, carried = path.derivatives(motion.velocity, period)
             places = {0: part * by["strength"], 1: by["width"], 4: sign * f_y * by["strength"]}
+            places[spring] = by["stiffness"]
             places.update({place: by[name] for place, name in others.items()})
-            ways.append((places, kept))
+            ways.append((spring, places, kept, carried))
         return ways
 
 
 def _both_paths(
     coefficients: list[Array], motion: Motion, period: float, memory: list[float]
 ) -> Array:
-    """Force [N] of both paths, shape (n,); the memory holds F and w of either, and the velocity."""
+    """Force [N] of both paths, shape (n,).
+
+    The memory holds the deflection [m] and the flow w of either, and the velocity.
+    """
     f_y, w_y, c, stiffness, share, softer = coefficients
     velocity = motion.velocity.tolist()
     last, force = memory[4], np.zeros(len(velocity))
@@ -248,22 +261,23 @@ def _followed(
     velocity: list[float],
     path: _Numbers,
     period: float,
-    force: float,
+    deflection: float,
     flow: float,
     last: float,
     stages: list[tuple[float, float]] | None = None,
 ) -> tuple[float, float, list[float]]:
-    """Force and flow of a path after the samples, and the force at each; NaN: a start, settled.
+    """Deflection and flow after the samples, and the force at each; NaN: a start, settled.
 
     ``stages`` takes the flows of both stages of each step.
     """
     forces = []
     each = path if len(path) > 1 else path * len(velocity)
     for v, (strength, width, damping, stiffness) in zip(velocity, each, strict=True):
-        if force != force:  # NaN; three times as fast as math.isnan
+        if deflection != deflection:  # NaN; three times as fast as math.isnan
             flow = early = v
             force = strength * math.tanh(v / width) + damping * v
         else:
+            force = deflection * stiffness
             near = _GAMMA * period * stiffness
             held = damping + near
             between = last + _GAMMA * (v - last)
@@ -273,10 +287,11 @@ def _followed(
             flow = _flow(strength, width, held, load, early)
             force = load - near * flow
         last = v
+        deflection = force / stiffness
         forces.append(force)
         if stages is not None:
             stages.append((early, flow))
-    return force, flow, forces
+    return deflection, flow, forces
 
 
 class _Path(NamedTuple):
@@ -293,11 +308,15 @@ class _Path(NamedTuple):
             count = 1
         return list(zip(*(each_sample(values, count) for values in self), strict=True))
 
-    def derivatives(self, velocity: Array, period: float) -> tuple[dict[str, Array], Array]:
-        """What each step adds (n,) by each of the four, and the part (n,) of the force it keeps."""
+    def derivatives(self, velocity: Array, period: float) -> tuple[dict[str, Array], Array, Array]:
+        """What each step adds (n,) by each of the four, and the part (n,) of the force it keeps.
+
+        Last: how much (n,) [N] is left of the force that a step begins with.
+        """
         stages: list[tuple[float, float]] = []
         numbers = self.numbers(velocity.size)
-        _followed(velocity.tolist(), numbers, period, math.nan, math.nan, math.nan, stages)
+        start = math.nan
+        *_, forces = _followed(velocity.tolist(), numbers, period, start, start, start, stages)
         early, flow = np.array(stages).T
         strength, width, damping, stiffness = (np.broadcast_to(c, flow.shape) for c in self)
         before = np.concatenate((velocity[:1], velocity[:-1]))
@@ -322,7 +341,9 @@ class _Path(NamedTuple):
         begin = of_far * (between - early) - far * first * of_near * (between - early)
         added["stiffness"] = slopes[1] * second * (begin + of_near * (velocity - flow))
         added["stiffness"][0] = 0.0
-        return added, kept
+        kept[1:] *= stiffness[1:] / stiffness[:-1]
+        carried = kept * np.concatenate(([0.0], forces[:-1]))
+        return added, kept, carried
 
 
 def _flow(strength: float, width: float, held: float, load: float, guess: float) -> float:

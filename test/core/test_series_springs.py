@@ -21,6 +21,10 @@ LAW = MODELS["series_springs"]
 PLACE = {name: place for place, name in enumerate(LAW.parameter_names)}
 EXAMPLE = known.EXAMPLES["series_springs"]
 
+EXAMPLE_AT_REST = np.zeros(len(LAW.parameters))
+"""Without the gas, and the same at every current."""
+EXAMPLE_AT_REST[:6] = EXAMPLE[:6]
+
 MAXWELL = 0.002
 """Relative: a step of 1 ms of a time constant of 20 ms, of second order."""
 
@@ -102,6 +106,18 @@ def test_a_coarser_period_gives_the_same_force() -> None:
     coarse = fine.part(slice(None, None, 8))
     forces = [LAW.force(EXAMPLE, m, 1.0, p) for m, p in ((fine, 1e-3), (coarse, 8e-3))]
     assert relative(forces[1], forces[0][::8]) < COARSER
+
+
+def test_springs_as_stiff_as_the_fluid_is_strong_follow_the_current_at_once() -> None:
+    # A spring keeps its deflection: where all forces of a given motion grow alike, the force does.
+    values = EXAMPLE_AT_REST.copy()
+    grown = values.copy()
+    for name in ("f_y_1", "c_1", "k1_1", "k2_1"):
+        grown[PLACE[name]] = 2.0
+    motion = moved()
+    current = np.where(np.arange(1500) // 100 % 2, 1.2, 0.2)
+    force = LAW.force(grown, motion, current, 1e-3)
+    assert relative(force, (1.0 + 2.0 * current) * LAW.force(values, motion, 0.0, 1e-3)) < SAME
 
 
 @pytest.mark.parametrize("coil", [0.0, 0.02])
