@@ -11,17 +11,13 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
 from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
 from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.coil import coil_current
-from mr_damper_ros.models.force_stream import ForceStream
+from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import group, option
-from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.prediction import Prediction
@@ -106,7 +102,8 @@ class ForceController:
         self._feedback = ForceFeedback(settings.feedback)
         self._demand: Demand | None = None
         self._inverse: _Inverse | None = None
-        self._parameters: ParameterSet | None = None
+        # The set that it is the inverse of, and whether without jumps.
+        self._inverted: tuple[ParameterSet, bool] | None = None
         self._unusable = NO_DOUBT
         # Current of the coil that was wanted last, and the last command.
         self._wanted: float | None = None
@@ -128,19 +125,20 @@ class ForceController:
 
     def _take_set_in_use(self) -> None:
         """Invert the set that the force is predicted with, which may be one of before again."""
-        parameters = self._predictor.parameters
-        if parameters is None or parameters is self._parameters:
+        parameters, gradual = self._predictor.parameters, self._predictor.gradual
+        if parameters is None:
             return
-        self._parameters = parameters
-        before = self._inverse
+        if self._inverted is not None:
+            before, were_gradual = self._inverted
+            if parameters is before and gradual == were_gradual:
+                return
+        self._inverted = parameters, gradual
         try:
-            self._inverse = _Inverse(self.settings, parameters)
+            self._inverse = _Inverse(self.settings, parameters, gradual=gradual)
         except ValueError as error:
             self._inverse, self._unusable = None, Doubt(DoubtKind.OUT_OF_RANGE, str(error))
             return
         self._unusable = NO_DOUBT
-        if before is not None:
-            self._inverse.go_on_from(before)
 
     def want(self, stamp_ns: int, force: float) -> str:
         """Want this force [N] from now on; returns why it cannot be used, empty where it can."""
@@ -154,8 +152,6 @@ class ForceController:
         prediction = self._predictor.predict(block, now_ns)
         duration = block.sample_count * block.period
         self._take_set_in_use()
-        if self._inverse is not None:
-            self._inverse.follow(prediction)
         doubt = self._doubt(prediction, block.end_ns)
         wanted = math.nan if self._demand is None else self._demand.force
         if doubt:
@@ -164,27 +160,23 @@ class ForceController:
             self._commanded = self.settings.safe_current
             return Command(self._commanded, doubt, wanted, math.nan, False, prediction)
         assert self._inverse is not None
-        self._feedback.follow(float(np.mean(block.force)), duration)
-        aim = self._inverse.aim(
-            wanted * self._feedback.factor, self._wanted, max(duration, self.settings.horizon)
-        )
+        self._feedback.follow(block.force, duration)
+        horizon = max(duration, self.settings.horizon)
+        now = _Now.after(prediction, self._predictor.memory)
+        aim = self._inverse.aim(now, wanted * self._feedback.factor, self._wanted, horizon)
         self._wanted = aim.current
         self._feedback.expect(wanted if aim.attainable else math.nan)
-        self._commanded = self._inverse.drive(
-            aim.current, self._commanded, max(duration, self.settings.horizon), duration
-        )
+        self._commanded = self._inverse.drive(now, aim.current, self._commanded, horizon, duration)
         return Command(self._commanded, NO_DOUBT, wanted, aim.force, aim.attainable, prediction)
 
     def follow(self, block: SampleBlock) -> None:
         """Follow a block for which it is too late to command anything."""
-        prediction = self._predictor.predict(block)
-        self._take_set_in_use()
-        if self._inverse is not None:
-            self._inverse.follow(prediction)
+        self._predictor.predict(block)
 
     def catch_up(self) -> None:
         """Do what only later blocks need; call it once the command is on its way."""
         self._predictor.catch_up()
+        self._predictor.look_ahead()
 
     def give_up(self) -> float:
         """Forget what was commanded: returns the safe current [A]."""
@@ -220,10 +212,29 @@ class _Aim(NamedTuple):
     attainable: bool
 
 
-class _Inverse:
-    """A set's inverse and its coil, at the present moment of a motion."""
+class _Now(NamedTuple):
+    """The last sample of a motion, what the law remembers after it, the supply's current [A]."""
 
-    def __init__(self, settings: ForceControlSettings, parameters: ParameterSet) -> None:
+    sample: MotionSample
+    memory: State | None
+    supplied: float
+
+    @classmethod
+    def after(cls, prediction: Prediction, memory: State | None) -> _Now:
+        """That after a prediction without a doubt."""
+        motion, current = prediction.motion, prediction.current
+        assert motion is not None
+        assert current is not None
+        supplied = current if isinstance(current, float) else float(current[-1])
+        return cls(MotionSample.of(motion, -1), memory, supplied)
+
+
+class _Inverse:
+    """A set's inverse and its coil."""
+
+    def __init__(
+        self, settings: ForceControlSettings, parameters: ParameterSet, *, gradual: bool
+    ) -> None:
         low = max(settings.lowest_current, parameters.current_range[0])
         high = min(settings.highest_current, parameters.current_range[1])
         if not low < high:
@@ -233,82 +244,41 @@ class _Inverse:
                 f"{settings.lowest_current:g} and {settings.highest_current:g} A: identify the "
                 "damper at several currents"
             )
-        gradual = settings.predictor.gradual_reversal
         self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
-        self._time_constant = np.array(coil_time_constant(parameters))
-        self._drive = CoilDrive(settings, float(self._time_constant))
+        self._time_constant = coil_time_constant(parameters)
+        self._drive = CoilDrive(settings, self._time_constant)
         self._lowest = low
         self._deadband = settings.force_deadband
-        self._range = parameters.peak_velocity_range
-        self._stream: ForceStream | None = None
-        self._moment: Motion | None = None
-        # Current of supply and coil at the last sample.
-        self._before: tuple[Array, Array] | None = None
 
-    def go_on_from(self, other: _Inverse) -> None:
-        """Take over what is known of the coil."""
-        self._before = other._before
-
-    def follow(self, prediction: Prediction) -> None:
-        """Follow the motion and the current of a block."""
-        motion, current = prediction.motion, prediction.current
-        if motion is None or current is None:
-            self._stream, self._before, self._moment = None, None, None
-            return
-        if self._stream is None:
-            self._stream = self._model.law.stream(prediction.period)
-        coil = current
-        if self._time_constant > 0.0:
-            coil = coil_current(current, self._time_constant, prediction.period, self._before)
-        self._before = np.asarray(current[-1]), np.asarray(coil[-1])
-        held = motion.held_within(*self._range)
-        self._stream.follow(self._model.values, held, coil)
-        self._moment = motion.part(slice(-1, None))
-
-    def aim(self, wanted: float, last: float | None, horizon: float) -> _Aim:
+    def aim(self, now: _Now, wanted: float, last: float | None, horizon: float) -> _Aim:
         """The current for a force at the end of the horizon [s]; ``last`` [A] is that before."""
-        assert self._moment is not None
-        assert self._stream is not None
         ahead = horizon if self._time_constant > 0.0 else 0.5 * horizon
-        motion = _moved_on(self._moment, ahead)
-        state = self._stream.state
-        found = self._model.currents(motion, wanted, last=last, period=ahead, state=state)
-        kept = self._lowest if last is None else last
-        currents = np.array([float(found.current[0]), self._lowest, kept])
+        responses = []
+        for part in _MOMENTS:
+            later = part * ahead
+            sample = now.sample.moved_on(later)
+            responses.append(self._model.at(sample, period=later, state=now.memory))
+        found = self._model.current(responses[_MIDDLE], wanted, last)
+        currents = found.current, self._lowest, self._lowest if last is None else last
         # Where the motion is about to turn, a current that is right at one moment is far off at
         # another: the coil is not that quick.
-        forces = np.concatenate(
-            [
-                self._model.forces(
-                    _moved_on(self._moment, later), currents, period=later, state=state
-                )
-                for later in (part * ahead for part in _MOMENTS)
-            ]
-        )
-        misses = np.sqrt(np.mean((forces - wanted) ** 2, axis=0))
-        best = int(np.argmin(misses))
-        if last is not None and misses[_KEPT] <= misses[best] + self._deadband:
+        forces = [[response.force(current) for response in responses] for current in currents]
+        misses = [math.dist(force, [wanted] * len(_MOMENTS)) for force in forces]
+        best = misses.index(min(misses))
+        deadband = self._deadband * math.sqrt(len(_MOMENTS))
+        if last is not None and misses[_KEPT] <= misses[best] + deadband:
             best = _KEPT
         # The inverse asks for another current, which would miss by more on the way.
-        given_up = best == _LOWEST and currents[_FOUND] != self._lowest
-        met = bool(found.attainable[0]) and not given_up
-        return _Aim(float(currents[best]), float(forces[_MIDDLE, best]), met)
+        given_up = best == _LOWEST and found.current != self._lowest
+        met = found.attainable and not given_up
+        return _Aim(currents[best], forces[best][_MIDDLE], met)
 
-    def drive(self, wanted: float, before: float, horizon: float, duration: float) -> float:
+    def drive(
+        self, now: _Now, wanted: float, before: float, horizon: float, duration: float
+    ) -> float:
         """Command [A] of the supply, whose last command was ``before``, for a current [A]."""
-        assert self._before is not None
-        command = self._drive.towards(wanted, float(self._before[1]), horizon)
+        coil = now.supplied
+        if self._time_constant > 0.0 and now.memory is not None:
+            coil = float(now.memory[-1])
+        command = self._drive.towards(wanted, coil, horizon)
         return self._drive.limited(command, before, duration)
-
-
-def _moved_on(moment: Motion, time: float) -> Motion:
-    """The sample of a motion some time [s] later, at constant acceleration."""
-    u, v, a = moment.displacement, moment.velocity, moment.acceleration
-    velocity = v + a * time
-    return Motion(
-        displacement=u + (v + 0.5 * a * time) * time,
-        velocity=velocity,
-        acceleration=a,
-        peak_velocity=np.maximum(moment.peak_velocity, np.abs(velocity)),
-        sine=None,
-    )

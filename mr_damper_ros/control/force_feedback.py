@@ -10,7 +10,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from mr_damper_ros.settings.option_table import CheckedSettings, option
+from mr_damper_ros.signals.arrays import Array
 
 _LEAST = 0.05
 """Of the largest force wanted so far: what is smaller tells nothing of the factor."""
@@ -54,11 +57,11 @@ class ForceFeedback:
         """The next block is not controlled."""
         self._expected = math.nan
 
-    def follow(self, measured: float, duration: float) -> None:
-        """Correct the factor by the mean force [N] of a block of this duration [s]."""
+    def follow(self, measured: Array, duration: float) -> None:
+        """Correct the factor by the force (n,) [N] of a block of this duration [s]."""
         wanted, gain = self._expected, self._settings.feedback_gain
         if gain == 0.0 or not abs(wanted) > _LEAST * self._largest:
             return
-        step = min(gain * duration, 1.0) * (wanted - measured) / wanted
+        step = min(gain * duration, 1.0) * (wanted - float(np.mean(measured))) / wanted
         limit = self._settings.feedback_limit
         self.factor = min(max(self.factor + step, 1.0 - limit), 1.0 + limit)

@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.control.inversion import Inversion, invert
+from mr_damper_ros.control.sample_inversion import SampleInversion, invert_sample
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models.coil import COIL
-from mr_damper_ros.models.current_response import CurrentResponse
+from mr_damper_ros.models.current_response import CurrentResponse, SampleResponse
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
@@ -38,6 +40,8 @@ class InverseModel:
         self.values = in_coil(parameters)
         self._range = parameters.peak_velocity_range
         self._nodes = self.law.current_nodes(self.values, lowest_current, highest_current)
+        self._node_list: list[float] = self._nodes.tolist()
+        self._responses = self.law.sample_responses(self.values, self._nodes)
 
     def currents(
         self,
@@ -80,11 +84,17 @@ class InverseModel:
         """Force (n,) [N] at the samples of a motion and these currents (n,) [A] of the coil."""
         return self._response(motion, period, state).force(_each(current, motion))[:, 0]
 
-    def forces(
-        self, motion: Motion, currents: Array, *, period: float = 1e-3, state: State | None = None
-    ) -> Array:
-        """Force (n, m) [N] at the samples of a motion, for each of these currents (m,) [A]."""
-        return self._response(motion, period, state).force(currents)
+    def at(
+        self, sample: MotionSample, *, period: float = 1e-3, state: State | None = None
+    ) -> SampleResponse:
+        """Force of one sample over the current, ``period`` [s] after the state."""
+        return self._responses.of(sample.held_within(*self._range), period, state)
+
+    def current(
+        self, response: SampleResponse, wanted: float, last: float | None = None
+    ) -> SampleInversion:
+        """The current for a force [N], as :meth:`currents`, of the response :meth:`at` a sample."""
+        return invert_sample(response, self._node_list, wanted, last)
 
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
@@ -95,18 +105,15 @@ class InverseModel:
         one nearest to that before.
         """
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
-        found: list[Inversion] = []
-        last: Array | None = None
-        for place in range(forces.size):
-            here = slice(place, place + 1)
-            sample = motion.part(here).held_within(*self._range)
-            found.append(self.currents(sample, forces[here], last=last, period=period, state=state))
+        found: list[SampleInversion] = []
+        last: float | None = None
+        for place, force in enumerate(forces.tolist()):
+            response = self.at(MotionSample.of(motion, place), period=period, state=state)
+            found.append(self.current(response, force, last))
             last = found[-1].current
-            _, state = self.law.follow(self.values, sample, last, period, state)
-        parts = zip(
-            *((x.current, x.force, x.attainable, x.least, x.most) for x in found), strict=True
-        )
-        return Inversion(*(np.concatenate(part) for part in parts)), state
+            sample = motion.part(slice(place, place + 1)).held_within(*self._range)
+            _, state = self.law.follow(self.values, sample, np.array([last]), period, state)
+        return Inversion(*(np.array(part) for part in zip(*found, strict=True))), state
 
     def _response(self, motion: Motion, period: float, state: State | None) -> CurrentResponse:
         held = motion.held_within(*self._range)

@@ -22,22 +22,22 @@ from mr_damper_ros.signals.arrays import Array
 TOLERANCE = 1e-6
 """Part of the span, the forces that the currents can give, by which the force may be missed."""
 
-_WITHIN = 0.4
+WITHIN = 0.4
 """Part of that by which the ends of the span are drawn in, so that they are had too."""
 
-_CLOSE = 1e-3
+CLOSE = 1e-3
 """Part of that at which a search ends."""
 
-_MOST_STEPS = 80
+MOST_STEPS = 80
 
-_LEAST_GAIN = 0.5
+LEAST_GAIN = 0.5
 """A step of Newton's that leaves more than this part of the error is followed by a bisection."""
 
-_GOLDEN = 0.6180339887498949
-_GOLDEN_STEPS = 20
+GOLDEN = 0.6180339887498949
+GOLDEN_STEPS = 20
 """They narrow a cell to some ten-thousandths: the force at an extremum is flat."""
 
-_ROUNDING = 4.0 * np.finfo(float).eps
+ROUNDING = 4.0 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +73,11 @@ def invert(
         places, forces = _with_extrema(response, places, forces, wanted, beyond)
         least, most = forces.min(axis=-1), forces.max(axis=-1)
     span = most - least
-    margin = _WITHIN * TOLERANCE * span
+    margin = WITHIN * TOLERANCE * span
     aimed = np.minimum(np.maximum(wanted, least + margin), most - margin)
     bracket = _bracket(places, forces - aimed[:, np.newaxis], last)
-    floor = _ROUNDING * np.maximum(np.abs(least), np.abs(most))
-    close = np.maximum(_CLOSE * TOLERANCE * span, floor)
+    floor = ROUNDING * np.maximum(np.abs(least), np.abs(most))
+    close = np.maximum(CLOSE * TOLERANCE * span, floor)
     current, force = _root(response, aimed, bracket, close)
     allowed = np.maximum(TOLERANCE * span, 2.0 * floor)
     return Inversion(current, force, np.abs(force - wanted) <= allowed, least, most)
@@ -123,17 +123,17 @@ def _root(
         part = np.where((part >= 0.0) & (part <= 1.0), part, 0.5)
         current = low + part * (high - low)
         before = np.full(current.shape, np.inf)
-        for _ in range(_MOST_STEPS):
+        for _ in range(MOST_STEPS):
             force = response.force(current[:, np.newaxis])[:, 0]
             error = force - aimed
             size = np.abs(error)
-            open_ = (size > close) & (high - low > _ROUNDING * np.maximum(np.abs(high), 1.0))
+            open_ = (size > close) & (high - low > ROUNDING * np.maximum(np.abs(high), 1.0))
             if not open_.any():
                 break
             below = (error <= 0.0) == rises
             low, high = np.where(below, current, low), np.where(below, high, current)
             newton = current - error / response.slope(current[:, np.newaxis])[:, 0]
-            useful = (newton > low) & (newton < high) & (size <= _LEAST_GAIN * before)
+            useful = (newton > low) & (newton < high) & (size <= LEAST_GAIN * before)
             step = np.where(useful, newton, 0.5 * (low + high))
             current = np.where(open_, step, current)
             before = np.where(useful, size, np.inf)
@@ -183,12 +183,12 @@ def _extremum(
     def size(current: Array) -> Array:
         return np.asarray(sign * response.force(current[:, np.newaxis])[:, 0])
 
-    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     at_left, at_right = size(left), size(right)
-    for _ in range(_GOLDEN_STEPS):
+    for _ in range(GOLDEN_STEPS):
         leftwards = at_left > at_right
         low, high = np.where(leftwards, low, left), np.where(leftwards, right, high)
-        new = np.where(leftwards, high - _GOLDEN * (high - low), low + _GOLDEN * (high - low))
+        new = np.where(leftwards, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
         at_new = size(new)
         left, at_left, right, at_right = (
             np.where(leftwards, new, right),

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.first_order_lag import SETTLING, lagged
+from mr_damper_ros.models.first_order_lag import SETTLING, lagged, one_sample_later
 from mr_damper_ros.models.quantities import Parameter
 from mr_damper_ros.signals.arrays import Array
 
@@ -42,6 +42,19 @@ def coil_current(
     constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
     state = None if before is None else (*before, time_constant)
     return lagged(every, constants, period, state=state)
+
+
+def few_in_coil(
+    current: list[float], time_constant: float, period: float, before: tuple[float, float] | None
+) -> tuple[list[float], tuple[float, float]]:
+    """The same in plain numbers, and what is remembered: the supply's and the coil's current."""
+    supplied, late = (current[0], current[0]) if before is None else before
+    found = []
+    for value in current:
+        late = one_sample_later(value, time_constant, period, supplied, late, time_constant)
+        supplied = value
+        found.append(late)
+    return found, (supplied, late)
 
 
 def coil_state(remembered: tuple[Array, ...]) -> tuple[Array, Array] | None:

@@ -1,17 +1,24 @@
 """Force of a law over the current in the coil, at samples of a motion: what an inverse needs.
 
 The coil's lag is no part of it: what is wanted is the current of the coil, and how the supply
-brings it there is another matter.
+brings it there is another matter. For samples that come together there are arrays, for one after
+the other plain numbers.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
+
+if TYPE_CHECKING:
+    from mr_damper_ros.kinematics.motion_sample import MotionSample
+    from mr_damper_ros.models.force_model import Model, State
 
 NODES = 65
 """Currents at which a force is looked at first: between two of them it should bend once at most."""
@@ -34,6 +41,54 @@ class CurrentResponse(ABC):
         """Derivative (n, m) [N/A] of the force at currents (n, m) or (m,) [A]."""
         above, below = self.force(current + _STEP), self.force(current - _STEP)
         return np.asarray((above - below) / (2.0 * _STEP))
+
+
+class SampleResponse(ABC):
+    """The force of one sample as a function of the current in the coil [A]."""
+
+    @abstractmethod
+    def at_nodes(self) -> list[float]:
+        """Force [N] at the currents that are looked at first."""
+
+    @abstractmethod
+    def force(self, current: float) -> float:
+        """Force [N] at a current [A]."""
+
+
+class SampleResponses:
+    """Responses of a law with one set (p,), sample by sample; ``nodes`` (m,) [A] rise."""
+
+    def __init__(self, law: Model, parameters: Array, nodes: Array) -> None:
+        self.nodes = nodes
+        self._law = law
+        self._parameters = parameters
+
+    def of(self, sample: MotionSample, period: float, state: State | None) -> SampleResponse:
+        """That of the sample ``period`` [s] after the state."""
+        return ArraySampleResponse(
+            lambda: self._law.response(self._parameters, sample.motion, period, state), self.nodes
+        )
+
+
+class ArraySampleResponse(SampleResponse):
+    """That of a law's arrays, which are made where they are asked for."""
+
+    def __init__(self, made: Callable[[], CurrentResponse], nodes: Array) -> None:
+        self._made = made
+        self._nodes = nodes
+
+    @cached_property
+    def _response(self) -> CurrentResponse:
+        return self._made()
+
+    def at_nodes(self) -> list[float]:
+        """Force [N] at the nodes."""
+        found: list[float] = self._response.force(self._nodes)[0].tolist()
+        return found
+
+    def force(self, current: float) -> float:
+        """Force [N] at a current [A]."""
+        return float(self._response.force(np.array([[current]]))[0, 0])
 
 
 def even_nodes(lowest: float, highest: float) -> Array:

@@ -23,7 +23,7 @@ from mr_damper_ros.models.search_effort import SearchEffort
 from mr_damper_ros.signals.arrays import Array
 
 if TYPE_CHECKING:
-    from mr_damper_ros.models.current_response import CurrentResponse
+    from mr_damper_ros.models.current_response import CurrentResponse, SampleResponses
     from mr_damper_ros.models.force_stream import ForceStream
     from mr_damper_ros.models.sigmoid.law_formulas import SigmoidFormulas
     from mr_damper_ros.models.window_problem import WindowProblem
@@ -42,7 +42,6 @@ _LONGEST_MEMORY = 0.25
 
 _STEP = 1e-6
 """Step of a difference, relative to the size of the parameter."""
-
 
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
 """A usual run: 1 kN, 5 mm, 1 Hz."""
@@ -175,29 +174,20 @@ class Model(ABC):
 
     def knows_speeds(self, observable: np.ndarray) -> bool:
         """Whether the flags (p,) hold a parameter that only several peak velocities determine."""
-        return any(
-            parameter.peak_velocities > 1 and seen
-            for parameter, seen in zip(self.parameters, observable, strict=True)
-        )
+        pairs = zip(self.parameters, observable, strict=True)
+        return any(parameter.peak_velocities > 1 and seen for parameter, seen in pairs)
 
     def knows_currents(self, observable: np.ndarray) -> bool:
         """Whether the flags (p,) hold a parameter that only several currents determine."""
-        return any(
-            parameter.currents > 1 and seen
-            for parameter, seen in zip(self.parameters, observable, strict=True)
-        )
+        pairs = zip(self.parameters, observable, strict=True)
+        return any(parameter.currents > 1 and seen for parameter, seen in pairs)
 
     @property
     def strength_indices(self) -> np.ndarray:
         """Places of the parameters that rise and fall with the strength of the damper."""
-        return np.array(
-            [
-                place
-                for place, parameter in enumerate(self.parameters)
-                if (parameter.name in self.strength or not self.strength)
-                and parameter.unit.startswith("N")
-            ]
-        )
+        names = self.strength or self.parameter_names
+        forces = [p.name in names and p.unit.startswith("N") for p in self.parameters]
+        return np.flatnonzero(forces)
 
     def initial_values(self) -> tuple[Array, str, float]:
         """Values (p,) where nothing is known of the damper, their name, their peak velocity [m/s].
@@ -281,6 +271,12 @@ class Model(ABC):
         from mr_damper_ros.models.current_response import even_nodes  # only an inverse needs it
 
         return even_nodes(lowest, highest)
+
+    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
+        """Force over the current of one sample after the other, for a set (p,); nodes (m,) [A]."""
+        from mr_damper_ros.models.current_response import SampleResponses  # as above
+
+        return SampleResponses(self, parameters, nodes)
 
     @property
     def formulas(self) -> SigmoidFormulas | None:

@@ -88,6 +88,14 @@ class ForceStream:
             force, state = self.model.follow(values, motion, amperes, self._period, self._state)
         return Ahead(force, motion, amperes, state)
 
+    def state_after(
+        self, parameters: Array, motion: Motion, current: float, state: State | None
+    ) -> State:
+        """What the law remembers after samples at a current [A] that follow such a state."""
+        amperes = np.full(motion.velocity.size, current)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.model.follow(parameters, motion, amperes, self._period, state)[1]
+
     def take(self, ahead: Ahead) -> None:
         """Go on to where :meth:`ahead` has looked."""
         if self.model.remembers:

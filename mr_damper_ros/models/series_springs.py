@@ -26,9 +26,8 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.coil import coil_unsettled
+from mr_damper_ros.models.coil import coil_unsettled, few_in_coil
 from mr_damper_ros.models.current_dependence import Coefficient
-from mr_damper_ros.models.first_order_lag import one_sample_later
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import each_sample, integrated
 from mr_damper_ros.models.known_derivatives import (
@@ -121,16 +120,12 @@ class SeriesSprings(DifferentiatedModel):
         if not tau > 0.0:
             constant = supplied.count(supplied[0]) == len(supplied)
             return supplied[:1] if constant else supplied, ()
-        before = late = supplied[0]
+        before = None
         if state is not None and len(state) > self.memory:
-            before, late = float(state[self.memory]), float(state[self.memory + 1])
-        in_coil = []
-        for value in supplied:
-            late = one_sample_later(value, tau, period, before, late, tau)
-            before = value
-            in_coil.append(late)
-        constant = in_coil.count(late) == len(in_coil)
-        return in_coil[-1:] if constant else in_coil, (before, late)
+            before = float(state[self.memory]), float(state[self.memory + 1])
+        in_coil, remembered = few_in_coil(supplied, tau, period, before)
+        constant = in_coil.count(in_coil[0]) == len(in_coil)
+        return in_coil[:1] if constant else in_coil, remembered
 
     def _numbers_at(
         self, parameters: Array, amperes: list[float]

@@ -12,12 +12,13 @@ from mr_damper_msgs.msg import CurrentCommand, DesiredForce
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
+from std_msgs.msg import Header
 
 from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
-from mr_damper_ros.nodes.messages import header, to_nanoseconds
+from mr_damper_ros.nodes.messages import set_stamp, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.parameter_input import ParameterInput
 from mr_damper_ros.nodes.spinning import run
@@ -101,6 +102,8 @@ class ControllerNode(Node):
         self._commands = self._met = 0
         self._heard = -math.inf
         self._rest = PostponedWork()
+        # One for all: what is published has been copied.
+        self._message = CurrentCommand(header=Header(frame_id=self._options.frame_id))
         self._refused_demand = ""
         self._command = self.create_publisher(
             CurrentCommand,
@@ -161,20 +164,23 @@ class ControllerNode(Node):
             block, _ = self._inputs.skip_to_newest(block, self._controller.follow)
             now_ns = self.get_clock().now().nanoseconds
         command = self._controller.command(block, now_ns)
-        self._publish(command.current)
+        self._publish(command.current, now_ns)
         self._rest.postpone(partial(self._finish, command, block))
         self._slowest = max(self._slowest, time.perf_counter() - began)
 
-    def _publish(self, current: float) -> None:
-        stamp_ns = self.get_clock().now().nanoseconds
-        self._command.publish(
-            CurrentCommand(header=header(stamp_ns, self._options.frame_id), current=current)
-        )
+    def _publish(self, current: float, stamp_ns: int) -> None:
+        set_stamp(self._message.header.stamp, stamp_ns)
+        self._message.current = current
+        self._command.publish(self._message)
+
+    def _give_up(self) -> None:
+        """Command the safe current."""
+        self._publish(self._controller.give_up(), self.get_clock().now().nanoseconds)
 
     def _watch(self) -> None:
         """Command the safe current where no samples come."""
         if time.monotonic() - self._heard > self._options.samples_timeout:
-            self._publish(self._controller.give_up())
+            self._give_up()
 
     def finish_in_time(self) -> float:
         """Do the rest of the work on the last block; see :class:`PostponedWork`."""
@@ -198,7 +204,7 @@ class ControllerNode(Node):
     def destroy_node(self) -> None:
         """Leave the supply with the safe current."""
         if self.context.ok():
-            self._publish(self._controller.give_up())
+            self._give_up()
             # What has not been taken goes with the publisher.
             self._command.wait_for_all_acked(Duration(seconds=_LAST_WORD))
         super().destroy_node()

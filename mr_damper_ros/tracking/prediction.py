@@ -18,8 +18,9 @@ class Prediction:
     """Predicted force [N], shape (n,), of the block's samples; ``doubt`` tells why not valid.
 
     ``velocity`` [m/s], shape (n,), is what was estimated of the motion; NaN where nothing was.
-    ``motion`` and ``current`` [A] are what it was predicted from, those of samples that were
-    bridged before the block included; None where there was nothing to predict from.
+    ``motion`` and ``current`` [A], a number where it is constant, are what it was predicted from,
+    those of samples that were bridged before the block included; None where there was nothing to
+    predict from.
     """
 
     start_ns: int
@@ -31,7 +32,7 @@ class Prediction:
     doubt: Doubt
     continuity: str
     motion: Motion | None = None
-    current: Array | None = None
+    current: Array | float | None = None
 
     @classmethod
     def without_force(

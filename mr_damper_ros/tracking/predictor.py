@@ -9,18 +9,19 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
+from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.force_stream import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
 from mr_damper_ros.tracking.known_sets import KnownSet, KnownSets
 from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Foreseen, Reckoned
+from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Foreseen, Reckoned, Unlearned
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
     Doubt,
@@ -28,6 +29,7 @@ from mr_damper_ros.tracking.validity import (
     ValiditySettings,
     doubt_of_current_age,
     doubt_of_current_range,
+    doubt_of_missing,
     doubt_of_parameters_age,
     doubt_of_size,
     doubt_of_speed,
@@ -80,8 +82,7 @@ class ForcePredictor:
         self._freshness = Freshness(settings.max_age)
         self._verdicts = VerdictWatch()
         self._watch: ForceWatch | None = None
-        # What the watch has yet to learn from: predicted and measured force, velocity.
-        self._unlearned: tuple[tuple[Array, Array], Array] | None = None
+        self._unlearned: Unlearned | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
 
@@ -100,6 +101,26 @@ class ForcePredictor:
         """The set in use; None before the first."""
         present = self._known.present
         return None if present is None else present.parameters
+
+    @property
+    def gradual(self) -> bool:
+        """Whether the force is predicted without jumps where the motion turns."""
+        return self._known.gradual
+
+    @property
+    def memory(self) -> State | None:
+        """What the law remembers after the last block, the coil's current last, if it lags."""
+        if self._foreseen is not None:
+            return self._foreseen.memory_after(self._foreseen.count)
+        return None if self._stream is None else self._stream.state
+
+    def look_ahead(self) -> None:
+        """Find out what :attr:`memory` will be if the next block comes as foreseen.
+
+        It is found out when it is asked for, too; call it after :meth:`catch_up`.
+        """
+        if self._foreseen is not None and self._sequence.last is not None:
+            self._foreseen.memory_after(self._foreseen.count + self._sequence.last.sample_count)
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
         """Predict with this set from the next block on.
@@ -157,7 +178,10 @@ class ForcePredictor:
         unlearned, self._unlearned = self._unlearned, None
         if unlearned is not None and self._watch is not None and self._motion is not None:
             half_cycle, steady = self._motion.half_cycle, self._motion.steady
-            self._watch.learn(*unlearned, half_cycle, steady=steady)
+            forces, motion, current, period = unlearned
+            if current is not None:
+                self._known.follow(motion, current, forces, period, half_cycle)
+            self._watch.learn(forces, motion.velocity, half_cycle, steady=steady)
             if self._newest_doubt.kind in _OF_THE_SET and self._known.search_is_due():
                 self._take_another(self._watch)
 
@@ -193,7 +217,7 @@ class ForcePredictor:
         if not np.isfinite(ahead.force).all():
             return None
         doubt = self._doubt_of_force(rest, True, ahead.current, ahead.force)
-        return Foreseen(motion, first, held, current, ahead, doubt)
+        return Foreseen(motion, first, held, current, ahead, doubt, stream, parameters.values)
 
     def _came(self, block: SampleBlock) -> bool:
         """Whether a block came as foreseen."""
@@ -266,7 +290,7 @@ class ForcePredictor:
             reckoned = Reckoned(force, True, self._foreseen.doubt, self._foreseen.current)
         else:
             self._go_on()
-            missing = self._missing(block)
+            missing = doubt_of_missing(self.parameters, self._current, block.start_ns)
             if missing:
                 return self._invalid(block, missing, verdict.sentence, motion.velocity)
             reckoned = self._reckon_block(motion, block)
@@ -287,30 +311,24 @@ class ForcePredictor:
             doubt=self._newest_doubt or stale,
             continuity=verdict.sentence,
             motion=motion,
-            current=np.broadcast_to(reckoned.current, block.force.shape),
+            current=reckoned.current,
         )
 
     def _doubt(self, block: SampleBlock, motion: Motion, reckoned: Reckoned) -> Doubt:
         """Why not to rely on the force of a block: what is known of the motion comes first."""
         assert self._motion is not None
         assert self._watch is not None
+        forces = reckoned.force, block.force
         settling = self._doubt_of_motion()
         if settling:
             # A force that nobody could know says nothing of the parameters.
             self._watch.forget_moment()
             self._known.forget_samples()
             if settling.kind is not DoubtKind.AT_REST:
-                self._unlearned = ((reckoned.force, block.force), motion.velocity)
+                self._unlearned = Unlearned(forces, motion, None, block.period)
             return settling
-        self._unlearned = ((reckoned.force, block.force), motion.velocity)
-        measured = self._watch.judge(reckoned.force, block.force)
-        self._known.follow(
-            motion,
-            reckoned.current,
-            (reckoned.force, block.force),
-            block.period,
-            self._motion.half_cycle,
-        )
+        self._unlearned = Unlearned(forces, motion, reckoned.current, block.period)
+        measured = self._watch.judge(*forces)
         settings, live, present = self._settings, self._freshness.live, self._known.present
         assert present is not None
         return (
@@ -336,28 +354,6 @@ class ForcePredictor:
         force = self._stream.follow(parameters.values, held, current)
         doubt = self._doubt_of_force(motion, steady, current, force)
         return Reckoned(force, bool(np.isfinite(force).all()), doubt, current)
-
-    def _missing(self, block: SampleBlock) -> Doubt:
-        """What a prediction for a block lacks."""
-        if self.parameters is None:
-            return Doubt(
-                DoubtKind.MISSING,
-                "no parameters yet: start the identifier or give parameter_file",
-            )
-        if self._current.known_from(block.start_ns):
-            return NO_DOUBT
-        last = self._current.last_stamp_ns
-        if last is None:
-            return Doubt(
-                DoubtKind.MISSING,
-                "no supply current yet: is it published on supply/current?",
-            )
-        ahead = (last - block.start_ns) / NANOSECONDS
-        return Doubt(
-            DoubtKind.MISSING,
-            "no supply current yet that holds for these samples: the newest is stamped "
-            f"{ahead:.3g} s after their begin; are both stamped by one clock?",
-        )
 
     def _doubt_of_motion(self) -> Doubt:
         """Whether the motion, and what the model remembers of it, is known."""

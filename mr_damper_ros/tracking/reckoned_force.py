@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.force_stream import Ahead
+from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.force_stream import Ahead, ForceStream
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.validity import Doubt
 
@@ -28,12 +29,26 @@ class Reckoned:
     current: Array | float
 
 
+class Unlearned(NamedTuple):
+    """What is yet to be learnt from a block, of samples ``period`` [s] apart.
+
+    Predicted and measured force [N], motion, and the current [A]; without it the force could not be
+    known.
+    """
+
+    forces: tuple[Array, Array]
+    motion: Motion
+    current: Array | float | None
+    period: float
+
+
 @dataclass(eq=False)
 class Foreseen:
     """What was reckoned for the next samples if the sine goes on and the current [A] stays.
 
     ``motion`` is that of the follower, of which ``first`` samples had come before; ``held`` is what
-    the force was reckoned for. ``count`` samples have been used since.
+    the force was reckoned for, by the ``stream`` that is where it was then. ``count`` samples have
+    been used since.
     """
 
     motion: Motion
@@ -42,10 +57,29 @@ class Foreseen:
     current: float
     ahead: Ahead
     doubt: ForceDoubt
+    stream: ForceStream
+    parameters: Array
     count: int = 0
+    _memories: dict[int, State | None] = field(default_factory=dict)
 
     def use(self, came: int) -> Array:
         """Force [N] of the samples up to that one of the motion."""
         part = slice(self.count, came - self.first)
         self.count = came - self.first
         return self.ahead.force[part]
+
+    def memory_after(self, count: int) -> State | None:
+        """What the law remembers after so many of the samples; of more than there are, after all.
+
+        It goes on from where it was asked for before.
+        """
+        if not self._memories:
+            self._memories = {0: self.stream.state, self.ahead.force.size: self.ahead.state}
+        count = min(count, self.ahead.force.size)
+        if count not in self._memories:
+            first = max(known for known in self._memories if known < count)
+            part = self.held.part(slice(first, count))
+            self._memories[count] = self.stream.state_after(
+                self.parameters, part, self.current, self._memories[first]
+            )
+        return self._memories[count]

@@ -191,6 +191,31 @@ def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doub
     )
 
 
+def doubt_of_missing(
+    parameters: ParameterSet | None, current: ZeroOrderHold, start_ns: int
+) -> Doubt:
+    """What the prediction for samples from a stamp on lacks."""
+    if parameters is None:
+        return Doubt(
+            DoubtKind.MISSING,
+            "no parameters yet: start the identifier or give parameter_file",
+        )
+    if current.known_from(start_ns):
+        return NO_DOUBT
+    last = current.last_stamp_ns
+    if last is None:
+        return Doubt(
+            DoubtKind.MISSING,
+            "no supply current yet: is it published on supply/current?",
+        )
+    ahead = (last - start_ns) / NANOSECONDS
+    return Doubt(
+        DoubtKind.MISSING,
+        "no supply current yet that holds for these samples: the newest is stamped "
+        f"{ahead:.3g} s after their begin; are both stamped by one clock?",
+    )
+
+
 def doubt_of_current_age(
     current: ZeroOrderHold, end_ns: int, timeout: float, *, live: bool
 ) -> Doubt:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
@@ -69,8 +70,24 @@ EXAMPLES = {
 }
 """Parameters of a damper by the name of its model, of one that no current changes."""
 
+_GROWTH = {"_1": 1.2, "_2": -0.2}
+"""How the coefficients of the laws written for one current grow: not beyond 3 A."""
+
 SHAPE_PARAMETER_NAMES = SIGMOID.shape_names
 SHAPE = SIGMOID.places(SHAPE_PARAMETER_NAMES)
+
+
+def controllable(name: str) -> ParameterSet:
+    """A damper of the law whose force depends on the current."""
+    model = MODELS[name]
+    values = EXAMPLES[name].copy()
+    for place, parameter in enumerate(model.parameters):
+        base, _, order = parameter.name.rpartition("_")
+        if base in model.parameter_names and f"_{order}" in _GROWTH:
+            coefficient = abs(values[model.parameter_names.index(base)])
+            size = 1.0 if parameter.unit.startswith("1") else 0.1 * coefficient
+            values[place] = size * _GROWTH[f"_{order}"]
+    return ParameterSet(values, model=name)
 
 
 def sum_of_squares(problem: WindowProblem) -> float:

@@ -291,15 +291,15 @@ def test_the_factor_of_the_feedback_has_limits() -> None:
     feedback = ForceFeedback(FeedbackSettings(feedback_gain=10.0, feedback_limit=0.3))
     for _ in range(100):
         feedback.expect(1000.0)
-        feedback.follow(100.0, 0.1)
+        feedback.follow(np.array([90.0, 110.0]), 0.1)
     assert feedback.factor == pytest.approx(1.3)
 
 
 def test_what_was_not_to_be_had_does_not_count() -> None:
     feedback = ForceFeedback(FeedbackSettings(feedback_gain=10.0))
     feedback.expect(math.nan)
-    feedback.follow(100.0, 0.1)
+    feedback.follow(np.array([90.0, 110.0]), 0.1)
     feedback.expect(1000.0)
     feedback.pause()
-    feedback.follow(100.0, 0.1)
+    feedback.follow(np.array([90.0, 110.0]), 0.1)
     assert feedback.factor == 1.0

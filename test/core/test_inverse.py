@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from known import EXAMPLES, PLAUSIBLE, fixed
+from known import EXAMPLES, PLAUSIBLE, controllable, fixed
 
 from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
 from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
@@ -31,22 +31,6 @@ SOME_SPAN = 1e-3
 
 SAME_SLOPE = 1e-3
 """Relative: a difference over 2 µA against the derivative, where the law does not bend sharply."""
-
-GROWTH = {"_1": 1.2, "_2": -0.2}
-"""How the coefficients of the laws written for one current grow: not beyond 3 A."""
-
-
-def damper(name: str) -> ParameterSet:
-    """A damper of the law whose force depends on the current."""
-    model = MODELS[name]
-    values = EXAMPLES[name].copy()
-    for place, parameter in enumerate(model.parameters):
-        base, _, order = parameter.name.rpartition("_")
-        if base in model.parameter_names and f"_{order}" in GROWTH:
-            coefficient = abs(values[model.parameter_names.index(base)])
-            size = 1.0 if parameter.unit.startswith("1") else 0.1 * coefficient
-            values[place] = size * GROWTH[f"_{order}"]
-    return ParameterSet(values, model=name)
 
 
 def random_motion(count: int, rng: np.random.Generator) -> Motion:
@@ -99,7 +83,7 @@ def test_a_hundred_thousand_forces_of_the_published_sets(first):
 @pytest.mark.parametrize("name", MODELS)
 def test_every_law_gives_what_was_wanted(name):
     rng = np.random.default_rng(3)
-    chosen = damper(name)
+    chosen = controllable(name)
     inverse = InverseModel(chosen, LOWEST, HIGHEST)
     attained = 0
     for _ in range(40):
@@ -126,7 +110,7 @@ def test_every_law_gives_what_was_wanted(name):
 
 @pytest.mark.parametrize("name", ["sigmoid", "sigmoid_lag"])
 def test_the_law_without_jumps_is_inverted_along_a_motion(name):
-    chosen = damper(name)
+    chosen = controllable(name)
     inverse = InverseModel(chosen, LOWEST, HIGHEST, gradual_reversal=True)
     time = np.arange(300) * PERIOD
     rate, amplitude = 2.0 * math.pi * 4.0, 5e-3
@@ -152,7 +136,7 @@ def test_the_law_without_jumps_is_inverted_along_a_motion(name):
 @pytest.mark.parametrize("name", MODELS)
 def test_the_slope_is_the_derivative_of_the_force(name):
     rng = np.random.default_rng(5)
-    chosen = damper(name)
+    chosen = controllable(name)
     inverse = InverseModel(chosen, LOWEST, HIGHEST)
     motion, current, step = random_motion(1, rng), 0.7, 1e-4
     low, high = (

@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.current_response import SampleResponses
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.sigmoid.law import Coefficients
-from mr_damper_ros.models.sigmoid.one_sample import follow_one, follow_one_extended
+from mr_damper_ros.models.sigmoid.one_sample import FEW, follow_few, follow_few_extended
 from mr_damper_ros.models.sigmoid.reversal import REVERSAL_MEMORY, branch_along
+from mr_damper_ros.models.sigmoid.sample_response import (
+    LateSampleResponses,
+    SigmoidSampleResponses,
+)
 from mr_damper_ros.models.sigmoid.sigmoid_model import ExtendedSigmoidModel, SigmoidModel
 from mr_damper_ros.models.sigmoid.sigmoid_response import Branch
 from mr_damper_ros.signals.arrays import Array
@@ -23,11 +28,15 @@ class ContinuousSigmoidModel(SigmoidModel):
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N] of the law; remembered is the branch."""
-        if motion.velocity.size == parameters.ndim == 1:
-            found = follow_one(parameters, motion, current, state)
+        if parameters.ndim == 1 and motion.velocity.size <= FEW:
+            found = follow_few(parameters, motion, current, state)
             if found is not None:
                 return found
         return super().follow(parameters, motion, current, period, state)
+
+    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
+        """In plain numbers."""
+        return SigmoidSampleResponses(self, parameters, nodes)
 
     def _turned(
         self, coefficients: Coefficients, motion: Motion, state: State | None
@@ -47,11 +56,15 @@ class ContinuousExtendedModel(ExtendedSigmoidModel):
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N]; remembered are the branch and what the lags remember."""
-        if motion.velocity.size == parameters.ndim == 1:
-            found = follow_one_extended(parameters, motion, current, period, state)
+        if parameters.ndim == 1 and motion.velocity.size <= FEW:
+            found = follow_few_extended(parameters, motion, current, period, state)
             if found is not None:
                 return found
         return super().follow(parameters, motion, current, period, state)
+
+    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
+        """In plain numbers."""
+        return LateSampleResponses(self, parameters, nodes)
 
     def _turned(
         self, coefficients: Coefficients, motion: Motion, state: State | None
@@ -78,5 +91,5 @@ def _without_jump(
 
 def _present_branch(motion: Motion, state: State | None) -> Branch:
     if state is None:
-        return Branch(np.sign(motion.acceleration))
-    return Branch(np.asarray(state[1]), motion.velocity - state[0])
+        return Branch(np.sign(motion.acceleration)[:, np.newaxis])
+    return Branch(np.asarray(state[1]), (motion.velocity - state[0])[:, np.newaxis])

@@ -61,6 +61,10 @@ class Extension(NamedTuple):
         """Time constant [s] of the lag where the sigmoid has this damping [N s/m]; not negative."""
         return np.maximum(self.compliance * damping, 0.0)
 
+    def gas(self, displacement: Array | float) -> Array | float:
+        """Force [N] of the gas at a displacement [m]."""
+        return self.stiffness * displacement + self.offset
+
 
 class ForceAndDamping(NamedTuple):
     """Force [N] of the sigmoid law and the damping [N s/m] of its sigmoid, or derivatives."""

@@ -1,4 +1,4 @@
-"""The sigmoid laws without jumps for a single sample, in plain numbers: a block of one comes often.
+"""The sigmoid laws without jumps for single samples, in plain numbers: a few of them come often.
 
 NumPy takes a microsecond for each of a hundred operations, however few the numbers. What is
 computed here is that of :mod:`law`, :mod:`reversal`, :mod:`extension` and of the coil; where a
@@ -13,18 +13,36 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models.coil import few_in_coil
 from mr_damper_ros.models.first_order_lag import one_sample_later
 from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT
+from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT, Extension, extension_of
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_LIMIT, EXPONENT_LIMIT, SMALL_ARGUMENT
 from mr_damper_ros.models.sigmoid.reversal import NARROWEST, REVERSAL_MEMORY
 from mr_damper_ros.signals.arrays import Array
+
+FEW = 64
+"""Samples up to which plain numbers take less time than arrays."""
 
 _LARGEST_INPUT = 1e30
 """Inputs beyond are left to the arrays."""
 
 
-class _Sample(NamedTuple):
+class SampleFactors(NamedTuple):
+    """What one sample of a motion makes of the law, in plain numbers.
+
+    Yield force [N] at no current, half the steepness [s/m], velocity with its offset [m/s], half
+    the width of the hysteresis [m/s] at no current, and the viscous factor.
+    """
+
+    scale: float
+    half_steepness: float
+    velocity: float
+    width: float
+    viscous: float
+
+
+class SampleForce(NamedTuple):
     """Force [N] and damping [N s/m] of the sigmoid, and the branch."""
 
     force: float
@@ -32,74 +50,169 @@ class _Sample(NamedTuple):
     branch: float
 
 
-def follow_one(
+class SigmoidNumbers:
+    """The sixteen parameters (16,) in plain numbers."""
+
+    def __init__(self, parameters: Array) -> None:
+        f0, i0, i1, a0, a1, a2, a3, a4, k0, k1c, k1e, k2, k3, k4, k5, k6 = parameters.tolist()
+        self._of_motion = f0, a0, a1, a4, k0, k1c, k1e, k4, k6
+        self._of_yield = 0.5 * a2, i0, math.tanh(0.5 * a2 * i0), 0.5 * k2
+        self._of_width = 0.5 * a3, i1, math.tanh(0.5 * a3 * i1), 0.5 * k3
+        self._offset = k5
+
+    def factors(self, velocity: float, peak_velocity: float) -> SampleFactors | None:
+        """Those of a motion [m/s]; None: beyond all measure."""
+        v, v_m = velocity, peak_velocity
+        f0, a0, a1, a4, k0, k1c, k1e, k4, k6 = self._of_motion
+        growth, decay, softening = a1 * v_m, -a4 * v_m, 1.0 + k0 * v_m
+        if not max(abs(growth), abs(decay)) < EXPONENT_LIMIT or softening == 0.0:
+            return None
+        if not max(abs(v), v_m) < _LARGEST_INPUT:
+            return None
+        scale, alpha, offset, width = (
+            f0 * (1.0 + math.exp(growth)),
+            a0 / softening,
+            k6 * v_m,
+            k4 * v_m,
+        )
+        slope = (k1c if v >= 0.0 else k1e) * math.exp(decay)
+        if not abs(scale) + abs(alpha) + abs(offset) + abs(width) + abs(slope) < COEFFICIENT_LIMIT:
+            return None
+        return SampleFactors(scale, 0.5 * alpha, v + offset, width, 1.0 + slope * abs(v))
+
+    def gains(self, current: float) -> tuple[float, float]:
+        """What a current [A] makes of the yield force and of the width."""
+        steepness, threshold, at_none, step = self._of_yield
+        of_yield = 1.0 + step * (math.tanh(steepness * (current + threshold)) - at_none)
+        steepness, threshold, at_none, step = self._of_width
+        of_width = 1.0 + step * (math.tanh(steepness * (current + threshold)) - at_none)
+        return of_yield, of_width
+
+    def at(
+        self, factors: SampleFactors, gains: tuple[float, float], position: float, change: float
+    ) -> SampleForce | None:
+        """The sample at a current with these gains; None: beyond all measure.
+
+        It was on the branch ``position`` before the velocity changed by ``change`` [m/s].
+        """
+        scale, half_steepness, velocity, width, viscous = factors
+        f_t, v_h = scale * gains[0], width * gains[1]
+        branch = position + change / max(abs(v_h), NARROWEST)
+        branch = 1.0 if branch > 1.0 else max(branch, -1.0)
+        half = half_steepness * (velocity + v_h * branch)
+        sigmoid = math.tanh(half)
+        force = f_t * (sigmoid - self._offset) * viscous
+        ratio = 1.0 if abs(half) < SMALL_ARGUMENT else sigmoid / half
+        damping = f_t * half_steepness * ratio
+        # A sum with what is not finite, or cannot be compared, is neither.
+        largest = abs(f_t) + abs(v_h) + abs(force) + abs(damping)
+        return SampleForce(force, damping, branch) if largest < COEFFICIENT_LIMIT else None
+
+
+def branch_before(state: State | None, acceleration: float) -> tuple[float, float | None]:
+    """The branch before a sample, and the velocity [m/s]; see :func:`reversal.branch_along`.
+
+    Without a state it is the branch of the acceleration, and no velocity.
+    """
+    if state is None:
+        return float(np.sign(acceleration)), None
+    return float(state[1]), float(state[0])
+
+
+class _Following:
+    """Samples of a motion one after the other, each with its current [A]."""
+
+    def __init__(self, parameters: Array, motion: Motion, state: State | None) -> None:
+        self._numbers = SigmoidNumbers(parameters)
+        self._velocity = motion.velocity.tolist()
+        self._peak_velocity = motion.peak_velocity.tolist()
+        self._branch, self._before = branch_before(state, float(motion.acceleration[0]))
+        self._current = math.nan
+        self._gains = (math.nan, math.nan)
+
+    def next(self, place: int, current: float) -> SampleForce | None:
+        if current != self._current:
+            if not abs(current) < _LARGEST_INPUT:
+                return None
+            self._current, self._gains = current, self._numbers.gains(current)
+        v = self._velocity[place]
+        factors = self._numbers.factors(v, self._peak_velocity[place])
+        if factors is None:
+            return None
+        change = 0.0 if self._before is None else v - self._before
+        found = self._numbers.at(factors, self._gains, self._branch, change)
+        if found is not None:
+            self._before, self._branch = v, found.branch
+        return found
+
+    @property
+    def turning(self) -> State:
+        """What is remembered of the branch."""
+        return np.array(self._before), np.array(self._branch)
+
+
+def follow_few(
     parameters: Array, motion: Motion, current: Array, state: State | None
 ) -> tuple[Array, State] | None:
-    """Force (1,) [N] of the sixteen parameters (16,), and the state; None: beyond all measure."""
-    velocity = float(motion.velocity[0])
-    sample = _sample(parameters.tolist(), motion, float(current[0]), state)
-    if sample is None:
-        return None
-    return np.array([sample.force]), (np.array(velocity), np.array(sample.branch))
+    """Force (n,) [N] of the sixteen parameters (16,), and the state; None: beyond all measure."""
+    following = _Following(parameters, motion, state)
+    forces = []
+    for place, amperes in enumerate(current.tolist()):
+        sample = following.next(place, amperes)
+        if sample is None:
+            return None
+        forces.append(sample.force)
+    return np.array(forces), following.turning
 
 
-def follow_one_extended(
+class LagMemory(NamedTuple):
+    """What the lag remembers: force and lagged force of the sigmoid [N] and time constant [s]."""
+
+    plain: float
+    force: float
+    constant: float
+
+
+def lag_before(state: State | None) -> LagMemory | None:
+    """What a state says of the lag, which comes first in it; None at a start."""
+    return None if state is None else LagMemory(float(state[0]), float(state[1]), float(state[2]))
+
+
+def late_after(
+    sample: SampleForce, extension: Extension, period: float, before: LagMemory | None
+) -> LagMemory:
+    """The lag at a sample ``period`` [s] after another; without one nothing is late."""
+    constant = max(float(extension.compliance) * sample.damping, 0.0)
+    late = sample.force
+    if before is not None:
+        late = one_sample_later(sample.force, constant, period, *before)
+    return LagMemory(sample.force, late, constant)
+
+
+def follow_few_extended(
     parameters: Array, motion: Motion, current: Array, period: float, state: State | None
 ) -> tuple[Array, State] | None:
     """The same of the extended law, for parameters (20,) and samples ``period`` [s] apart."""
-    values = parameters.tolist()
-    compliance, stiffness, offset, coil = values[SIGMOID_COUNT:]
-    own = None if state is None else [float(part) for part in state[REVERSAL_MEMORY:]]
-    supplied = amperes = float(current[0])
-    if coil > 0.0 and own is not None and len(own) > 3:
-        amperes = one_sample_later(supplied, coil, period, own[3], own[4], coil)
-    sample = _sample(values[:SIGMOID_COUNT], motion, amperes, state)
-    if sample is None:
-        return None
-    constant = max(compliance * sample.damping, 0.0)
-    late = sample.force
-    if own is not None:
-        late = one_sample_later(sample.force, constant, period, *own[:3])
-    force = late + stiffness * float(motion.displacement[0]) + offset
-    if not abs(force) < COEFFICIENT_LIMIT:
-        return None
-    remembered = [float(motion.velocity[0]), sample.branch, sample.force, late, constant]
+    coil = float(parameters[-1])
+    extension = extension_of(parameters)
+    following = _Following(parameters[:SIGMOID_COUNT], motion, state)
+    own = None if state is None else state[REVERSAL_MEMORY:]
+    late = lag_before(own)
+    in_coil: list[float] = current.tolist()
+    supply: tuple[float, ...] = ()
     if coil > 0.0:
-        remembered += [supplied, amperes]
-    return np.array([force]), tuple(np.array(value) for value in remembered)
-
-
-def _sample(
-    values: list[float], motion: Motion, current: float, state: State | None
-) -> _Sample | None:
-    v, v_m = float(motion.velocity[0]), float(motion.peak_velocity[0])
-    f0, i0, i1, a0, a1, a2, a3, a4, k0, k1c, k1e, k2, k3, k4, k5, k6 = values
-    growth, decay, softening = a1 * v_m, -a4 * v_m, 1.0 + k0 * v_m
-    if not max(abs(growth), abs(decay)) < EXPONENT_LIMIT or softening == 0.0:
-        return None
-    if not max(abs(v), v_m, abs(current)) < _LARGEST_INPUT:
-        return None
-    rise = math.tanh(0.5 * a2 * (current + i0)) - math.tanh(0.5 * a2 * i0)
-    f_t = f0 * (1.0 + math.exp(growth)) * (1.0 + 0.5 * k2 * rise)
-    rise = math.tanh(0.5 * a3 * (current + i1)) - math.tanh(0.5 * a3 * i1)
-    v_h = k4 * v_m * (1.0 + 0.5 * k3 * rise)
-    alpha = a0 / softening
-    slope = (k1c if v >= 0.0 else k1e) * math.exp(decay)
-    branch = _branch(v, float(motion.acceleration[0]), v_h, state)
-    half = 0.5 * alpha * (v + v_h * branch + k6 * v_m)
-    sigmoid = math.tanh(half)
-    force = (f_t * sigmoid - k5 * f_t) * (1.0 + slope * abs(v))
-    ratio = 1.0 if abs(half) < SMALL_ARGUMENT else sigmoid / half
-    damping = f_t * 0.5 * alpha * ratio
-    # A sum with what is not finite, or cannot be compared, is neither.
-    largest = abs(f_t) + abs(alpha) + abs(slope) + abs(v_h) + abs(force) + abs(damping)
-    return _Sample(force, damping, branch) if largest < COEFFICIENT_LIMIT else None
-
-
-def _branch(v: float, acceleration: float, half_width: float, state: State | None) -> float:
-    """See :func:`reversal.branch_along`."""
-    if state is None:
-        return float(np.sign(acceleration))
-    change = v - float(state[0])
-    branch = float(state[1]) + change / max(abs(half_width), NARROWEST)
-    return min(branch, 1.0) if change >= 0.0 else max(branch, -1.0)
+        before = None if own is None or len(own) == 3 else (float(own[3]), float(own[4]))
+        in_coil, supply = few_in_coil(in_coil, coil, period, before)
+    forces = []
+    for place, (amperes, u) in enumerate(zip(in_coil, motion.displacement.tolist(), strict=True)):
+        sample = following.next(place, amperes)
+        if sample is None:
+            return None
+        late = late_after(sample, extension, period, late)
+        force = float(late.force + extension.gas(u))
+        if not abs(force) < COEFFICIENT_LIMIT:
+            return None
+        forces.append(force)
+    assert late is not None
+    remembered = (*late, *supply)
+    return np.array(forces), (*following.turning, *(np.array(value) for value in remembered))

@@ -133,11 +133,11 @@ class SigmoidModel(Model):
         self, parameters: Array, motion: Motion, period: float, state: State | None
     ) -> CurrentResponse:
         """Force over the current, of which only two factors depend on it."""
-        return SigmoidResponse(parameters, motion, self._branch(motion, state))
+        return SigmoidResponse.along(parameters, motion, self._branch(motion, state))
 
     def _branch(self, motion: Motion, state: State | None) -> Branch:
         """Where on the hysteresis the samples are."""
-        return Branch(np.sign(motion.acceleration))
+        return Branch(np.sign(motion.acceleration)[:, np.newaxis])
 
     def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
         """Closer together where the two factors change."""

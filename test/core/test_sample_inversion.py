@@ -1,0 +1,160 @@
+"""The inverse of one sample, in plain numbers, against that of the arrays."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from known import controllable, fixed
+
+from mr_damper_ros.control.inverse_model import InverseModel
+from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.parameter_set import ParameterSet
+
+PERIOD = 1e-3
+
+LOWEST, HIGHEST = 0.0, 2.0
+
+SAME = 1e-9
+"""Relative: the same operations, in another order."""
+
+SAME_FORCE = 1e-8
+"""Of the span: each of the two searches ends where it is off by a tenth of that."""
+
+FLAT = 1e-7
+"""Of the span: by less a force does not tell two currents apart."""
+
+ROUNDING = 1e-9
+"""[N] for a force of one newton."""
+
+
+class Asked(NamedTuple):
+    """A sample that follows another, and what is wanted of it."""
+
+    before: MotionSample
+    sample: MotionSample
+    supplied: float
+    wanted: float
+    last: float | None
+
+
+VELOCITIES = st.floats(-0.4, 0.4)
+
+
+@st.composite
+def samples(draw: st.DrawFn) -> MotionSample:
+    """A sample of any motion that a press can make."""
+    velocity = draw(VELOCITIES)
+    return MotionSample(
+        draw(st.floats(-0.02, 0.02)),
+        velocity,
+        draw(st.floats(-20.0, 20.0)),
+        math.hypot(velocity, draw(VELOCITIES)),
+    )
+
+
+@st.composite
+def questions(draw: st.DrawFn) -> Asked:
+    """A wanted force that can be had or not, or is no number; a last current within limits or not.
+
+    Half the samples follow the one before closely, so that the branch is between its ends.
+    """
+    before, sample = draw(samples()), draw(samples())
+    if draw(st.booleans()):
+        sample = before.moved_on(PERIOD)
+    return Asked(
+        before,
+        sample,
+        draw(st.floats(LOWEST, HIGHEST)),
+        draw(st.floats(-4000.0, 4000.0) | st.sampled_from((math.nan, math.inf, -1e12))),
+        draw(st.none() | st.floats(LOWEST - 0.5, HIGHEST + 0.5)),
+    )
+
+
+def scaled(name: str, scales: list[float]) -> ParameterSet:
+    """A damper of the law with other parameters, within their bounds."""
+    known = controllable(name)
+    values = known.values * np.resize(scales, known.values.size)
+    return ParameterSet(np.clip(values, *MODELS[name].bounds), model=name)
+
+
+def state_after(inverse: InverseModel, asked: Asked) -> State:
+    _, state = inverse.law.follow(
+        inverse.values, asked.before.motion, np.array([asked.supplied]), PERIOD, None
+    )
+    return state
+
+
+SCALES = st.lists(st.floats(0.2, 3.0), min_size=5, max_size=5)
+
+
+LAWS = [(name, True) for name in MODELS] + [
+    (name, False) for name, law in MODELS.items() if law.continuous is not law
+]
+"""Each law, and whether without its jumps, if it has any."""
+
+
+@pytest.mark.parametrize(("name", "gradual"), LAWS)
+def test_the_current_is_that_of_the_arrays(name: str, gradual: bool) -> None:
+    @fixed(40)
+    @given(questions(), SCALES)
+    def check(asked: Asked, scales: list[float]) -> None:
+        inverse = InverseModel(scaled(name, scales), LOWEST, HIGHEST, gradual_reversal=gradual)
+        state = state_after(inverse, asked)
+        response = inverse.at(asked.sample, period=PERIOD, state=state)
+        found = inverse.current(response, asked.wanted, asked.last)
+        motion = asked.sample.motion
+        expected = inverse.currents(
+            motion, asked.wanted, last=asked.last, period=PERIOD, state=state
+        )
+        least, most = float(expected.least[0]), float(expected.most[0])
+        span, size = most - least, max(abs(least), abs(most), 1.0)
+        allowed = SAME_FORCE * span + ROUNDING * size
+        assert found.least == pytest.approx(least, rel=SAME, abs=allowed)
+        assert found.most == pytest.approx(most, rel=SAME, abs=allowed)
+        assert found.force == pytest.approx(float(expected.force[0]), abs=allowed)
+        assert found.attainable == expected.attainable[0]
+        between = np.linspace(found.current, float(expected.current[0]), 5)
+        forces = [response.force(current) for current in between.tolist()]
+        assert max(forces) - min(forces) <= FLAT * span + ROUNDING * size
+
+    check()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_force_of_a_sample_is_that_of_the_law(name: str) -> None:
+    @fixed(40)
+    @given(questions(), SCALES, st.floats(LOWEST, HIGHEST))
+    def check(asked: Asked, scales: list[float], current: float) -> None:
+        inverse = InverseModel(scaled(name, scales), LOWEST, HIGHEST, gradual_reversal=True)
+        state = state_after(inverse, asked)
+        response = inverse.at(asked.sample, period=PERIOD, state=state)
+        force, _ = inverse.law.follow(
+            inverse.values, asked.sample.motion, np.array([current]), PERIOD, state
+        )
+        assert response.force(current) == pytest.approx(float(force[0]), rel=SAME, abs=ROUNDING)
+        nodes = inverse.law.current_nodes(inverse.values, LOWEST, HIGHEST)
+        arrays = inverse.law.response(inverse.values, asked.sample.motion, PERIOD, state)
+        np.testing.assert_allclose(
+            response.at_nodes(), arrays.force(nodes)[0], rtol=SAME, atol=ROUNDING
+        )
+
+    check()
+
+
+@pytest.mark.parametrize("name", ["sigmoid", "sigmoid_lag"])
+@pytest.mark.parametrize("size", [1e8, 1e40])
+def test_what_goes_beyond_all_measure_is_left_to_the_arrays(name: str, size: float) -> None:
+    inverse = InverseModel(scaled(name, [size]), LOWEST, HIGHEST, gradual_reversal=True)
+    sample = MotionSample(0.001, 0.1, 1.0, 0.12)
+    response = inverse.at(sample, period=PERIOD)
+    found = inverse.current(response, 1e3)
+    expected = inverse.currents(sample.motion, 1e3, period=PERIOD)
+    assert LOWEST <= found.current <= HIGHEST
+    assert found.force == pytest.approx(float(expected.force[0]), rel=SAME)
