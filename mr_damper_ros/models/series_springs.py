@@ -41,7 +41,7 @@ from mr_damper_ros.signals.arrays import Array
 
 _GAMMA = 1.0 - math.sqrt(0.5)
 _REST = 1.0 - _GAMMA
-_CLOSE = 1e-5
+_CLOSE = 1e-4
 """A flow is found once a step changes it by less than this part of the width of the yield: the next
 would change it by a part of the order of this one's square."""
 
@@ -266,20 +266,22 @@ def _followed(
     ``stages`` takes the flows of both stages of each step.
     """
     forces = []
-    each = path if len(path) > 1 else path * len(velocity)
-    for v, (strength, width, damping, stiffness) in zip(velocity, each, strict=True):
+    steps = [_step(*numbers, period) for numbers in path]
+    each = steps if len(steps) > 1 else steps * len(velocity)
+    for v, (strength, width, damping, stiffness, held, near, far) in zip(
+        velocity, each, strict=True
+    ):
         if deflection != deflection:  # NaN; three times as fast as math.isnan
             flow = early = v
             force = strength * math.tanh(v / width) + damping * v
         else:
-            force = deflection * stiffness
-            near = _GAMMA * period * stiffness
-            held = damping + near
             between = last + _GAMMA * (v - last)
+            force = deflection * stiffness
+            before = flow
             early = _flow(strength, width, held, force + near * between, flow)
-            force += _REST / _GAMMA * near * (between - early)
-            load = force + near * v
-            flow = _flow(strength, width, held, load, early)
+            load = force + far * (between - early) + near * v
+            ahead = early + _REST / _GAMMA * (early - before)
+            flow = _flow(strength, width, held, load, ahead)
             force = load - near * flow
         last = v
         deflection = force / stiffness
@@ -287,6 +289,14 @@ def _followed(
         if stages is not None:
             stages.append((early, flow))
     return deflection, flow, forces
+
+
+def _step(
+    strength: float, width: float, damping: float, stiffness: float, period: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """The four numbers of a path, and what its steps have in common."""
+    near = _GAMMA * period * stiffness
+    return strength, width, damping, stiffness, damping + near, near, _REST * period * stiffness
 
 
 class _Path(NamedTuple):
@@ -343,10 +353,11 @@ class _Path(NamedTuple):
 
 def _flow(strength: float, width: float, held: float, load: float, guess: float) -> float:
     """Flow w [m/s] with strength tanh(w / width) + held w = load."""
+    # The left side is odd in w, and bends down where w > 0: from below Newton's steps rise.
+    sign = 1.0
     if load < 0.0:
-        return -_flow(strength, width, held, -load, -guess)
-    # The left side bends down where w > 0: from below Newton's steps rise to the solution.
-    steepest = strength / width
+        sign, load, guess = -1.0, -load, -guess
+    steepest, close = strength / width, _CLOSE * width
     least = load / (steepest + held)
     beyond = (load - strength) / held
     if beyond > least:
@@ -358,6 +369,6 @@ def _flow(strength: float, width: float, held: float, load: float, guess: float)
         flow += step
         if flow < least:
             flow = least
-        elif -_CLOSE * width < step < _CLOSE * width:
+        elif -close < step < close:
             break
-    return flow
+    return sign * flow
