@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.control.inversion import Inversion, invert
-from mr_damper_ros.control.sample_inversion import SampleInversion, invert_sample
+from mr_damper_ros.control.sample_inversion import (
+    FoundCurrent,
+    SampleInversion,
+    find_current,
+    invert_sample,
+)
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models.coil import COIL
@@ -92,9 +97,9 @@ class InverseModel:
 
     def current(
         self, response: SampleResponse, wanted: float, last: float | None = None
-    ) -> SampleInversion:
+    ) -> FoundCurrent:
         """The current for a force [N], as :meth:`currents`, of the response :meth:`at` a sample."""
-        return invert_sample(response, self._node_list, wanted, last)
+        return find_current(response, self._node_list, wanted, last)
 
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
@@ -109,7 +114,7 @@ class InverseModel:
         last: float | None = None
         for place, force in enumerate(forces.tolist()):
             response = self.at(MotionSample.of(motion, place), period=period, state=state)
-            found.append(self.current(response, force, last))
+            found.append(invert_sample(response, self._node_list, force, last))
             last = found[-1].current
             sample = motion.part(slice(place, place + 1)).held_within(*self._range)
             _, state = self.law.follow(self.values, sample, np.array([last]), period, state)

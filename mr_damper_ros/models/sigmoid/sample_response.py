@@ -7,7 +7,8 @@ must do altogether.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -51,17 +52,17 @@ class SigmoidSampleResponses(SampleResponses):
 
     def of(self, sample: MotionSample, period: float, state: State | None) -> SampleResponse:
         """That of the sample ``period`` [s] after the state."""
-        in_arrays = super().of(sample, period, state)
         factors = self.numbers.factors(sample.velocity, sample.peak_velocity)
         if factors is None:
-            return in_arrays
+            return super().of(sample, period, state)
         position, before = branch_before(state, sample.acceleration)
         change = 0.0 if before is None else sample.velocity - before
-        return SigmoidSampleResponse(self, factors, position, change, in_arrays)
+        arrays = partial(super().of, sample, period, state)
+        return SigmoidSampleResponse(self, factors, position, change, arrays)
 
 
 class SigmoidSampleResponse(SampleResponse):
-    """That of the sixteen parameters; ``in_arrays`` is the same where numbers are beyond measure.
+    """That of the sixteen parameters; ``arrays`` gives it where numbers are beyond all measure.
 
     The sample was on the branch ``position`` before the velocity changed by ``change`` [m/s].
     """
@@ -72,10 +73,10 @@ class SigmoidSampleResponse(SampleResponse):
         factors: SampleFactors,
         position: float,
         change: float,
-        in_arrays: SampleResponse,
+        arrays: Callable[[], SampleResponse],
     ) -> None:
         self.gains = of.gains
-        self.in_arrays = in_arrays
+        self.in_arrays = arrays
         self._of = of
         self._factors = factors
         self._position = position
@@ -88,7 +89,7 @@ class SigmoidSampleResponse(SampleResponse):
     def force(self, current: float) -> float:
         """Force [N] at a current [A]."""
         found = self.at(current)
-        return self.in_arrays.force(current) if found is None else found.force
+        return self.in_arrays().force(current) if found is None else found.force
 
     def at(self, current: float) -> SampleForce | None:
         """The sigmoid at a current [A]; None: beyond all measure."""
@@ -105,7 +106,7 @@ class SigmoidSampleResponse(SampleResponse):
     def checked(self, forces: Array) -> list[float]:
         """These forces at the nodes [N], unless one of them is beyond all measure."""
         if not np.abs(forces).max() < COEFFICIENT_LIMIT:
-            return self.in_arrays.at_nodes()
+            return self.in_arrays().at_nodes()
         found: list[float] = forces.tolist()
         return found
 
@@ -155,6 +156,6 @@ class LateSampleResponse(SampleResponse):
         """Force [N] at a current [A]."""
         found = self._plain.at(current)
         if found is None:
-            return self._plain.in_arrays.force(current)
+            return self._plain.in_arrays().force(current)
         late = late_after(found, self._extension, self._period, self._before)
         return float(late.force + self._extension.gas(self._displacement))
