@@ -128,7 +128,7 @@ def followed(rig: Fine, blocks: list[SampleBlock], way: Way) -> tuple[float, flo
                 if report.accepted:
                     predictor.set_parameters(tracker.parameters, tracker.parameters.stamp_ns)
                 elif report.confirms:
-                    predictor.confirm(report.set_id, report.stamp_ns)
+                    predictor.confirm(report.set_id, report.window_start_ns, report.stamp_ns)
                 report = tracker.identify() if report.global_due else None
         prediction = predictor.predict(block)
         predictor.catch_up()

@@ -381,8 +381,8 @@ class StreamTrial:
             self._predictor.follow_verdict(
                 report.verdict, report.nrmse_before, confirms=report.confirms
             )
-            if outcome.report.confirms:
-                self._predictor.confirm(outcome.report.set_id, outcome.report.stamp_ns)
+            if report.confirms:
+                self._predictor.confirm(report.set_id, report.window_start_ns, report.stamp_ns)
             if outcome.parameters is not None:
                 self._use(outcome.parameters)
 

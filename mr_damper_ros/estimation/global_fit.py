@@ -26,11 +26,11 @@ from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import PooledProblem
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import pooled
 
-GLOBAL_METHODS = ("global", "nelder_mead", "least_squares", "differential_evolution")
+GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def identify_global(
     settings: EvolutionSettings,
     report: Report | None = None,
     *,
-    method: str = "global",
+    method: str = GLOBAL_SOURCE,
     known: Array | None = None,
     levels: LevelPrior | None = None,
 ) -> GlobalFit:

@@ -27,6 +27,9 @@ _ENTRIES = ("value", "unit", "standard_error", "discrepancy", "observable")
 _LONGEST_NAME = 200
 """Characters of an id or a source; ours have at most some thirty."""
 
+GLOBAL_SOURCE, EARLY_SOURCE = "global", "force_scale"
+"""Sources of a set for all operating points, and of one whose strength alone was fitted anew."""
+
 
 class SpokenError(ValueError):
     """An error whose message is a sentence that goes to people, also by way of a ROS message.

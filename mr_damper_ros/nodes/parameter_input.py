@@ -98,7 +98,9 @@ class ParameterInput:
             message.verdict, message.nrmse_before, confirms=message.confirms
         )
         if message.confirms:
-            self._predictor.confirm(message.parameter_set, to_nanoseconds(message.header.stamp))
+            start_ns = to_nanoseconds(message.window_start)
+            stamp_ns = to_nanoseconds(message.header.stamp)
+            self._predictor.confirm(message.parameter_set, start_ns, stamp_ns)
 
     def finding(self, doing: str) -> Finding:
         """Which set is in use; ``doing`` says for what, such as "predicting"."""

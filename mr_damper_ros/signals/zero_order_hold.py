@@ -91,6 +91,14 @@ class ZeroOrderHold:
                 return None
         return self._values[following - 1]
 
+    def span(self, start_ns: int, end_ns: int) -> tuple[float, float] | None:
+        """Lowest and highest value [A] in force from one stamp to another; None if unknown then."""
+        if end_ns < start_ns or not self.known_from(start_ns):
+            return None
+        first, last = (bisect_right(self._stamps, stamp) for stamp in (start_ns, end_ns))
+        values = self._values[first - 1 : last]
+        return min(values), max(values)
+
     def at(self, start_ns: int, period: float, count: int) -> Array:
         """Current [A] at ``count`` samples from ``start_ns``, ``period`` [s] apart, shape (n,).
 

@@ -21,7 +21,7 @@ from mr_damper_ros.study import recordings
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 CURRENTS = (0.2, 0.6, 1.0)
 """[A], of the columns of force in earthquake.mat."""
@@ -78,7 +78,7 @@ def predicted(record: Recording, start: ParameterSet, following: Following | Non
     """Force [N] predicted block by block, each before it is used; shape (n,).
 
     With ``following`` the identifier runs, with the node's other defaults; the predictor gets a
-    set once the block that completed its window is over.
+    set, and what is said of it, once the block that completed its window is over.
     """
     predictor = ForcePredictor(PredictorSettings())
     predictor.set_parameters(start)
@@ -98,21 +98,23 @@ def predicted(record: Recording, start: ParameterSet, following: Following | Non
         force[part] = predictor.predict(block).force
         if assembler is not None:
             assembler.add_current(stamp, current)
-            _learn(tracker, assembler, block, current)
-            if tracker.parameters is not predictor.parameters:
-                predictor.set_parameters(tracker.parameters)
+            ready = assembler.add_block(block)
+            for raw in [*ready, *assembler.add_current(block.end_ns, current)]:
+                _learn(tracker, raw, predictor)
     return force
 
 
-def _learn(
-    tracker: WindowTracker, assembler: WindowAssembler, block: SampleBlock, current: float
-) -> None:
-    ready = assembler.add_block(block)
-    ready += assembler.add_current(block.end_ns, current)
-    for raw in ready:
-        report = tracker.follow(raw)
-        if report is not None and report.global_due:
-            tracker.identify()
+def _learn(tracker: WindowTracker, raw: RawWindow, predictor: ForcePredictor) -> None:
+    before = tracker.parameters
+    report = tracker.follow(raw)
+    if report is None:
+        return
+    if report.confirms:
+        predictor.confirm(report.set_id, report.window_start_ns, report.stamp_ns)
+    if report.global_due:
+        tracker.identify()
+    if tracker.parameters is not before:
+        predictor.set_parameters(tracker.parameters, tracker.parameters.stamp_ns)
 
 
 def fit_percent(record: Recording, force: Array) -> float:

@@ -1,17 +1,17 @@
 """The sets known of a damper, each for its motions, and which of them gives the measured force.
 
-A set that a window was fitted with holds at its peak velocity, and often nowhere else. So those
-before are remembered: where the motion comes back to what one of them is for, the force is that
-set's at once, without waiting for the identification. The measured force decides; it also tells
-whether the force of this damper jumps where the motion turns.
+A set that a window was fitted with holds at its peak velocity and its current, and often nowhere
+else. So those before are remembered: where the motion, or the current
+(:mod:`mr_damper_ros.tracking.sets_over_current`), comes back to what one of them is for, the force
+is that set's at once, without waiting for the identification. The measured force decides; it also
+tells whether the force of this damper jumps where the motion turns.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,15 +20,23 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.force_stream import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.judged_samples import JudgedSamples
+from mr_damper_ros.tracking.known_set import (
+    SAME_CURRENT,
+    KnownSet,
+    Span,
+    joined,
+    within,
+)
+from mr_damper_ros.tracking.sets_over_current import (
+    SetsOverCurrent,
+    force_ratio,
+    is_whole,
+    times_force,
+)
 
 _MOST = 8
 """Sets that are remembered; each is tried out."""
-
-_SAME_SPEED = 1.1
-_SAME_CURRENT = 0.05
-_SAME_TIME = 1.5
-"""A set whose range begins and ends as that of another takes its place, if it came in a motion
-about as fast."""
 
 _SETTLES = 0.2
 """Seconds of motion in which a set settles before it is judged ..."""
@@ -53,39 +61,6 @@ _BETTER = 0.6
 """What takes over from a force that is wrong leaves less than this part of its error."""
 
 
-@dataclass(frozen=True, eq=False)
-class KnownSet:
-    """A set, and the stamp up to which it fits the samples (None: it does not age).
-
-    ``half_cycle`` [s] of the motion in which it came, NaN where that was not known.
-    """
-
-    parameters: ParameterSet
-    confirmed_ns: int | None
-    half_cycle: float = math.nan
-
-    def replaces(self, other: KnownSet) -> bool:
-        """Whether the set is for the motions and currents of another."""
-        times = self.half_cycle, other.half_cycle
-        mine, its = self.parameters, other.parameters
-        speeds = zip(mine.peak_velocity_range, its.peak_velocity_range, strict=True)
-        currents = zip(mine.current_range, its.current_range, strict=True)
-        return (
-            not max(times) > _SAME_TIME * min(times)
-            and all(max(pair) <= _SAME_SPEED * min(pair) for pair in speeds)
-            and all(a == b or abs(a - b) <= _SAME_CURRENT for a, b in currents)
-        )
-
-    def is_for(self, speed: float, current: float, margin: float) -> bool:
-        """Whether the set was identified at a peak velocity [m/s] and a current [A]."""
-        slow, fast = self.parameters.peak_velocity_range
-        low, high = self.parameters.current_range
-        return bool(
-            slow * (1.0 - margin) <= speed <= fast * (1.0 + margin)
-            and low - _SAME_CURRENT <= current <= high + _SAME_CURRENT
-        )
-
-
 class Choice(NamedTuple):
     """A set to go on with, and what it leaves of the newest forces [N]; NaN where none came."""
 
@@ -97,51 +72,185 @@ class KnownSets:
     """Remembers the sets that were in use, and the newest samples.
 
     ``margin``: part by which the peak velocity may leave the range of a set. ``gradual``: whether
-    the branch of the hysteresis follows the velocity where the motion turns.
+    the branch of the hysteresis follows the velocity where the motion turns. ``measured``: whether
+    there is a measured force to go by.
     """
 
-    def __init__(self, margin: float, *, gradual: bool) -> None:
+    def __init__(self, margin: float, *, gradual: bool, measured: bool = True) -> None:
         self._margin = margin
+        self._measured = measured
         self.gradual = gradual
         # The one in use, then those before.
         self._sets: list[KnownSet] = []
         self._newest_ns: int | None = None
-        self._samples: deque[_Samples] = deque()
-        self._newest_samples: list[_Samples] = []
+        self._samples: deque[JudgedSamples] = deque()
+        self._newest_samples: list[JudgedSamples] = []
         self._newest_count = 0
         self._count = 0
         self._period = math.nan
         self._half_cycle = 0.0
         self._since_search = math.inf
+        self._over_current = SetsOverCurrent()
+        # The present current [A], that which the identification found last, and whether another
+        # is in use for the present current.
+        self._current = math.nan
+        self._found: KnownSet | None = None
+        self._elsewhere = False
+        # What is said to fit a window may come before the set itself.
+        self._said: tuple[str, Span | None] = ("", None)
 
     @property
     def present(self) -> KnownSet | None:
         """The set in use; None before one has come."""
         return self._sets[0] if self._sets else None
 
-    def confirm(self, set_id: str, stamp_ns: int) -> None:
-        """Take note that the set of this name fits the samples up to the stamp."""
-        self._sets = [
-            replace(each, confirmed_ns=stamp_ns) if each.parameters.set_id == set_id else each
-            for each in self._sets
-        ]
+    def confirm(self, set_id: str, stamp_ns: int, currents: Span | None) -> bool:
+        """Take note that the set of this name fits the samples of a window up to the stamp.
 
-    def add(self, found: KnownSet) -> None:
-        """Remember a set that has come and is in use now.
-
-        One of no age, or no younger than those known, was chosen by somebody: they are forgotten.
+        ``currents``: the lowest and the highest [A] in it, None where they are not known. Returns
+        whether it takes the place of the set in use.
         """
-        stamp_ns, model = found.confirmed_ns, found.parameters.model
+        self._said = set_id, currents
+        self._sets = [self._confirmed(each, set_id, stamp_ns, currents) for each in self._sets]
+        found = self._found
+        if found is None or found.parameters.set_id != set_id or currents is None:
+            return False
+        self._found = found = self._confirmed(found, set_id, stamp_ns, currents)
+        at = replace(found, half_cycle=self._half_cycle or math.nan, speed=self._speed())
+        self._over_current.confirm(at, currents)
+        if not self._elsewhere or not self._takes_over(found):
+            return False
+        self._take(found)
+        return True
+
+    @staticmethod
+    def _confirmed(each: KnownSet, set_id: str, stamp_ns: int, currents: Span | None) -> KnownSet:
+        if each.parameters.set_id != set_id:
+            return each
+        return replace(each, confirmed_ns=stamp_ns, currents=joined(each.currents, currents))
+
+    def add(self, parameters: ParameterSet, stamp_ns: int | None, half_cycle: float) -> None:
+        """Remember a set that has come and is in use now, unless another is for the current of now.
+
+        The stamp and ``half_cycle`` are those of :class:`KnownSet`. One of no age, or no younger
+        than those known, was chosen by somebody: they are forgotten.
+        """
+        model = parameters.model
         aged = stamp_ns is not None and self._newest_ns is not None and stamp_ns > self._newest_ns
         if not aged or any(each.parameters.model != model for each in self._sets):
             self._sets.clear()
+            self._elsewhere = False
+            if stamp_ns is None or self._newest_ns is not None:
+                self._over_current = SetsOverCurrent()
         self._newest_ns = stamp_ns
-        self.use(found)
+        set_id, currents = self._said
+        whole = is_whole(parameters, stamp_ns)
+        if whole:
+            # For all currents: the next one may have a set of its own.
+            currents = None if math.isnan(self._current) else (self._current, self._current)
+        elif set_id != parameters.set_id:
+            currents = None
+        found = KnownSet(parameters, stamp_ns, half_cycle, self._speed(), currents, whole)
+        self._found = found
+        self._over_current.add(found)
+        if self._sets and self._elsewhere and not self._takes_over(found):
+            self._sets.insert(1, found)
+            del self._sets[_MOST:]
+        else:
+            self._take(found)
 
     def use(self, chosen: KnownSet) -> None:
-        """Take note that this set is in use now."""
+        """Take note that this set is in use now, whatever the current of its windows."""
+        if not (chosen.fits_at(self._current) or math.isnan(self._current)):
+            here = self._current, self._current
+            chosen = replace(chosen, currents=joined(chosen.currents, here))
+        self._take(chosen)
+
+    def _take(self, chosen: KnownSet) -> None:
         others = [each for each in self._sets if not chosen.replaces(each)]
         self._sets = [chosen, *others][:_MOST]
+        self._elsewhere = False
+
+    def is_elsewhere(self, current: float) -> bool:
+        """Whether no window of the set in use had this current [A]."""
+        return bool(self._sets) and not self._sets[0].fits_at(current)
+
+    def follow_current(self, current: float, now_ns: int) -> bool:
+        """Go on with what is known of a current [A]; whether another set is in use for it now."""
+        before, self._current = self._current, current
+        if not self.is_elsewhere(current):
+            return False
+        present = self._sets[0]
+        chosen = self._over_current.at_current(current, now_ns)
+        if chosen is None or not (
+            chosen.came_in(self._half_cycle or math.nan, self._speed())
+            # The law may remember what was before.
+            and within(before, chosen.parameters.current_range)
+        ):
+            chosen = self._whole_now(current)
+        if chosen is None:
+            # Nothing better is known: the law says what the force is there.
+            self.use(present)
+            return False
+        self._take(chosen)
+        self._elsewhere = True
+        return chosen.parameters is not present.parameters
+
+    def _whole_now(self, current: float) -> KnownSet | None:
+        """The set for all currents, with the force that the damper has now."""
+        whole, present = self._over_current.whole_at(current), self._sets[0]
+        if whole is None:
+            return None
+        parameters = whole.parameters
+        if present.whole:
+            parameters = present.parameters  # with the force of when it took over
+        elif self._kept:
+            newest = self._newest(math.inf)
+            low, high = parameters.current_range
+            known = (newest.current >= low - SAME_CURRENT) & (newest.current <= high + SAME_CURRENT)
+            now, all_along = (
+                self._force(each, newest, self.gradual)[known] for each in (present, whole)
+            )
+            factor = force_ratio(now, all_along)
+            parameters = times_force(parameters, factor, present.parameters)
+        here = current, current
+        return replace(present, parameters=parameters, currents=here, whole=True)
+
+    def _takes_over(self, found: KnownSet) -> bool:
+        """Whether a set for the newest window is better at the present current than the one chosen.
+
+        If not, that one fits the window as well.
+        """
+        if found.whole or found.currents is None:
+            return True
+        if not found.fits_at(self._current):
+            return False
+        if not self._measured or not self._kept:
+            return True
+        newest = self._newest(math.inf)
+        elsewhere = np.abs(newest.current - self._current) > SAME_CURRENT
+        first = newest.current.size - int(np.argmax(elsewhere[::-1])) if elsewhere.any() else 0
+        if (newest.current.size - first) * newest.stride * self._period < _JUDGED:
+            return False
+        errors = [
+            _root_mean_square((self._force(each, newest, self.gradual) - newest.measured)[first:])
+            for each in (found, self._sets[0])
+        ]
+        if errors[0] < errors[1]:
+            return True
+        self._sets[0] = replace(self._sets[0], confirmed_ns=found.confirmed_ns)
+        return False
+
+    @property
+    def _kept(self) -> bool:
+        """Whether there are samples."""
+        return self._count + self._newest_count > 0
+
+    def _speed(self) -> float:
+        """Root mean square of the peak velocity [m/s] of the newest samples; NaN without any."""
+        if not self._kept:
+            return math.nan
+        return _root_mean_square(self._newest(math.inf).motion.peak_velocity)
 
     def forget_samples(self) -> None:
         """Others do not go on from them."""
@@ -167,11 +276,11 @@ class KnownSets:
         self._period = period
         self._half_cycle = 0.0 if math.isnan(half_cycle) else half_cycle
         amperes = np.broadcast_to(current, measured.shape)
-        self._newest_samples.append(_Samples(motion, amperes, predicted, measured))
+        self._newest_samples.append(JudgedSamples(motion, amperes, predicted, measured))
         self._newest_count += measured.size
         if self._newest_count < _TOGETHER:
             return
-        self._samples.append(_Samples.joined(self._newest_samples))
+        self._samples.append(JudgedSamples.joined(self._newest_samples))
         self._newest_samples.clear()
         self._count += self._newest_count
         self._newest_count = 0
@@ -246,54 +355,21 @@ class KnownSets:
         law = chosen.parameters.law
         return (law.continuous if gradual else law).stream(period)
 
-    def _force(self, chosen: KnownSet, newest: _Samples, gradual: bool) -> Array:
+    def _force(self, chosen: KnownSet, newest: JudgedSamples, gradual: bool) -> Array:
         held = newest.motion.held_within(*chosen.parameters.peak_velocity_range)
         stream = self._stream(chosen, self._period * newest.stride, gradual)
         return stream.follow(chosen.parameters.values, held, newest.current)
 
-    def _newest(self, span: float) -> _Samples:
+    def _newest(self, span: float) -> JudgedSamples:
         """The samples of the last so many seconds, as far as they are kept."""
-        parts: list[_Samples] = []
+        parts: list[JudgedSamples] = []
         count = 0
         for part in reversed([*self._samples, *self._newest_samples]):
             if count * self._period >= span:
                 break
             parts.append(part)
             count += part.measured.size
-        return _Samples.joined(parts[::-1], count // _MOST_TRIED + 1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """Motion, current [A], predicted and measured force [N], each (n,); every ``stride``-th one."""
-
-    motion: Motion
-    current: Array
-    predicted: Array
-    measured: Array
-    stride: int = 1
-
-    @classmethod
-    def joined(cls, parts: Sequence[_Samples], stride: int = 1) -> _Samples:
-        """Samples that follow each other, every so many of them."""
-        motions = [part.motion for part in parts]
-
-        def row(arrays: list[Array]) -> Array:
-            return np.concatenate(arrays)[::stride]
-
-        return cls(
-            Motion(
-                row([motion.displacement for motion in motions]),
-                row([motion.velocity for motion in motions]),
-                row([motion.acceleration for motion in motions]),
-                row([motion.peak_velocity for motion in motions]),
-                sine=None,
-            ),
-            row([part.current for part in parts]),
-            row([part.predicted for part in parts]),
-            row([part.measured for part in parts]),
-            stride,
-        )
+        return JudgedSamples.joined(parts[::-1], count // _MOST_TRIED + 1)
 
 
 def _root_mean_square(values: Array) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.parameter_set import EARLY_SOURCE
 from mr_damper_ros.tracking.acceptance import Evidence
 from mr_damper_ros.tracking.cusum import change_point, fit_scale
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale, with_strength
@@ -16,7 +17,7 @@ from mr_damper_ros.tracking.unscented_filter import FilterState
 _FEWEST_EARLY = 40
 """An early fit needs as many samples: so that each held-back chunk has one."""
 
-EARLY_METHOD = "force_scale"
+EARLY_METHOD = EARLY_SOURCE
 """Method of a fit that came early because the force had changed."""
 
 

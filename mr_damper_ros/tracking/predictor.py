@@ -19,7 +19,7 @@ from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, Uniform
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
-from mr_damper_ros.tracking.known_sets import KnownSet, KnownSets
+from mr_damper_ros.tracking.known_sets import KnownSets
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Foreseen, Reckoned, Unlearned
 from mr_damper_ros.tracking.validity import (
@@ -72,7 +72,8 @@ class ForcePredictor:
 
     def __init__(self, settings: PredictorSettings, grid: GridSettings | None = None) -> None:
         self._settings = settings
-        self._known = KnownSets(settings.velocity_margin, gradual=settings.gradual_reversal)
+        margin, measured = settings.velocity_margin, settings.maximum_error > 0.0
+        self._known = KnownSets(margin, gradual=settings.gradual_reversal, measured=measured)
         self._newest_doubt = NO_DOUBT
         self._current = ZeroOrderHold(keep=KEEP_CURRENT)
         self._sequence = UniformGrid(grid)
@@ -123,7 +124,7 @@ class ForcePredictor:
             self._foreseen.memory_after(self._foreseen.count + self._sequence.last.sample_count)
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
-        """Predict with this set from the next block on.
+        """Predict with this set from the next block on, unless another is for the current of now.
 
         ``confirmed_ns`` is the stamp of the last sample that it is known to fit; None for a set
         that does not age, such as one that a user gave. What the model remembers of the motion
@@ -132,17 +133,23 @@ class ForcePredictor:
         self._go_on()
         if self._stream is not None and self._stream.model.name != parameters.model:
             self._stream = None
-        if self._stream is not None:
-            self._stream.retrace(parameters.values)
+        half_cycle = math.nan if self._motion is None else self._motion.half_cycle
+        self._known.add(parameters, confirmed_ns, half_cycle)
+        self._verdicts.forget()
+        self._retrace()
+
+    def _retrace(self) -> None:
+        """What the model remembers is found anew with the set that is in use now."""
+        if self._stream is not None and self.parameters is not None:
+            self._stream.retrace(self.parameters.values)
         if self._watch is not None:
             self._watch.forget_error()
-        self._verdicts.forget()
-        half_cycle = math.nan if self._motion is None else self._motion.half_cycle
-        self._known.add(KnownSet(parameters, confirmed_ns, half_cycle))
 
-    def confirm(self, set_id: str, stamp_ns: int) -> None:
-        """Take note that the set of this name fits the samples up to the stamp."""
-        self._known.confirm(set_id, stamp_ns)
+    def confirm(self, set_id: str, start_ns: int, stamp_ns: int) -> None:
+        """Take note that the set of this name fits the samples of a window, up to the stamp."""
+        self._go_on()
+        if self._known.confirm(set_id, stamp_ns, self._current.span(start_ns, stamp_ns)):
+            self._retrace()
 
     def follow_verdict(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
         """Take note of the identifier's verdict on a window, as in FitReport.
@@ -210,6 +217,8 @@ class ForcePredictor:
             return None
         current = self._current.constant(last.end_ns, last.period, last.sample_count)
         if current is None or first == motion.displacement.size:
+            return None
+        if self._known.is_elsewhere(current):
             return None
         rest = motion.part(slice(first, None))
         held = rest.held_within(*parameters.peak_velocity_range)
@@ -342,14 +351,16 @@ class ForcePredictor:
         )
 
     def _reckon_block(self, motion: Motion, block: SampleBlock) -> Reckoned:
-        assert self.parameters is not None
         assert self._motion is not None
+        current = self._current.at(block.start_ns, block.period, block.sample_count)
+        if self._known.follow_current(float(current[-1]), block.end_ns):
+            self._retrace()
         parameters, steady = self.parameters, self._motion.steady
+        assert parameters is not None
         if self._stream is None:
             law = parameters.law.continuous if self._known.gradual else parameters.law
             self._stream = law.stream(block.period)
             self._begun_at = self._motion.reversals
-        current = self._current.at(block.start_ns, block.period, block.sample_count)
         held = motion.held_within(*parameters.peak_velocity_range)
         force = self._stream.follow(parameters.values, held, current)
         doubt = self._doubt_of_force(motion, steady, current, force)

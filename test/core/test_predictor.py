@@ -212,11 +212,11 @@ def test_parameters_that_nothing_confirms_become_doubtful() -> None:
 def test_a_confirmation_makes_parameters_young_again() -> None:
     made = predictor(parameters=None, parameters_timeout=5.0)
     made.set_parameters(SET, confirmed_ns=known.T0)
-    made.confirm("another", known.T0 + 4 * NANOSECONDS)
+    made.confirm("another", known.T0, known.T0 + 4 * NANOSECONDS)
     assert "no window has confirmed" in last_reason(made, stream())
     made = predictor(parameters=None, parameters_timeout=5.0)
     made.set_parameters(SET, confirmed_ns=known.T0)
-    made.confirm("known", known.T0 + 4 * NANOSECONDS)
+    made.confirm("known", known.T0, known.T0 + 4 * NANOSECONDS)
     assert last_reason(made, stream()) == ""
 
 

@@ -1,0 +1,44 @@
+"""Samples by which a set is judged: their motion, current and forces, piece by piece."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.signals.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedSamples:
+    """Motion, current [A], predicted and measured force [N], each (n,); every ``stride``-th one."""
+
+    motion: Motion
+    current: Array
+    predicted: Array
+    measured: Array
+    stride: int = 1
+
+    @classmethod
+    def joined(cls, parts: Sequence[JudgedSamples], stride: int = 1) -> JudgedSamples:
+        """Samples that follow each other, every so many of them."""
+        motions = [part.motion for part in parts]
+
+        def row(arrays: list[Array]) -> Array:
+            return np.concatenate(arrays)[::stride]
+
+        return cls(
+            Motion(
+                row([motion.displacement for motion in motions]),
+                row([motion.velocity for motion in motions]),
+                row([motion.acceleration for motion in motions]),
+                row([motion.peak_velocity for motion in motions]),
+                sine=None,
+            ),
+            row([part.current for part in parts]),
+            row([part.predicted for part in parts]),
+            row([part.measured for part in parts]),
+            stride,
+        )
