@@ -42,7 +42,8 @@ def random_motion(count: int, rng: np.random.Generator) -> Motion:
 def largest_miss(parameters_of: ParameterSet, count: int, rng: np.random.Generator) -> float:
     """Largest miss [1] of random wanted forces, as a part of the span of the attainable."""
     law, values = parameters_of.law, parameters_of.values
-    motion = random_motion(count, rng)
+    # Where the set was not identified the law is that of the ends of its range.
+    motion = random_motion(count, rng).held_within(*parameters_of.peak_velocity_range)
     forces = law.response(values, motion, 1e-3, None).force(np.linspace(0.0, HIGHEST_CURRENT, 401))
     least, most = forces.min(axis=1), forces.max(axis=1)
     span = most - least

@@ -5,8 +5,8 @@ nearest to the last, so that a current does not jump where the force moves on. O
 limits of the current allow, the nearest force is, and the lowest current that gives it: above one
 ampere a damper may have nearly all of its force.
 
-Every sample is looked at by itself: the law's force over the current at some thirty nodes, then
-Newton's method within the bracket that they show, with bisection where it does not get on.
+Every sample is looked at by itself: the law's force over the current at some sixty nodes, then
+the secant within the bracket that they show, with bisection where it does not get on.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ CLOSE = 1e-3
 MOST_STEPS = 80
 
 LEAST_GAIN = 0.5
-"""A step of Newton's that leaves more than this part of the error is followed by a bisection."""
+"""A step of the secant that leaves more than this part of the error is followed by a bisection."""
 
-GOLDEN = 0.6180339887498949
-GOLDEN_STEPS = 20
-"""They narrow a cell to some ten-thousandths: the force at an extremum is flat."""
+_PARTS = np.linspace(0.0, 1.0, 17)
+_ROUNDS = 7
+"""They narrow a cell to a millionth: the force at an extremum is flat, or has a kink."""
 
 ROUNDING = 4.0 * float(np.finfo(float).eps)
 
@@ -118,6 +118,8 @@ def _root(
     """Currents (n,) within the bracket that give the forces to within ``close``, and the forces."""
     low, high, at_low, at_high = bracket
     rises = at_low <= 0.0
+    nearer = np.abs(at_low) < np.abs(at_high)
+    other, at_other = np.where(nearer, low, high), np.where(nearer, at_low, at_high)
     with np.errstate(divide="ignore", invalid="ignore"):
         part = at_low / (at_low - at_high)
         part = np.where((part >= 0.0) & (part <= 1.0), part, 0.5)
@@ -132,9 +134,10 @@ def _root(
                 break
             below = (error <= 0.0) == rises
             low, high = np.where(below, current, low), np.where(below, high, current)
-            newton = current - error / response.slope(current[:, np.newaxis])[:, 0]
-            useful = (newton > low) & (newton < high) & (size <= LEAST_GAIN * before)
-            step = np.where(useful, newton, 0.5 * (low + high))
+            secant = current - error * (current - other) / (error - at_other)
+            useful = (secant > low) & (secant < high) & (size <= LEAST_GAIN * before)
+            other, at_other = current, error
+            step = np.where(useful, secant, 0.5 * (low + high))
             current = np.where(open_, step, current)
             before = np.where(useful, size, np.inf)
     return current, force
@@ -178,23 +181,12 @@ def _with_extrema(
 def _extremum(
     response: CurrentResponse, low: Array, high: Array, sign: Array
 ) -> tuple[Array, Array]:
-    """The currents (n,) of the largest force (or the least, by ``sign``), by golden section."""
-
-    def size(current: Array) -> Array:
-        return np.asarray(sign * response.force(current[:, np.newaxis])[:, 0])
-
-    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    at_left, at_right = size(left), size(right)
-    for _ in range(GOLDEN_STEPS):
-        leftwards = at_left > at_right
-        low, high = np.where(leftwards, low, left), np.where(leftwards, right, high)
-        new = np.where(leftwards, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
-        at_new = size(new)
-        left, at_left, right, at_right = (
-            np.where(leftwards, new, right),
-            np.where(leftwards, at_new, at_right),
-            np.where(leftwards, left, new),
-            np.where(leftwards, at_left, at_new),
-        )
-    middle = 0.5 * (low + high)
-    return middle, sign * size(middle)
+    """The currents (n,) of the largest force (or the least, by ``sign``), and the forces [N]."""
+    rows = np.arange(sign.size)
+    for _ in range(_ROUNDS):
+        places = low[:, np.newaxis] + (high - low)[:, np.newaxis] * _PARTS
+        sizes = sign[:, np.newaxis] * response.force(places)
+        best = sizes.argmax(axis=-1)
+        low = places[rows, np.maximum(best - 1, 0)]
+        high = places[rows, np.minimum(best + 1, _PARTS.size - 1)]
+    return places[rows, best], sign * sizes[rows, best]

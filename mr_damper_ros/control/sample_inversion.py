@@ -1,7 +1,7 @@
 """The current for a wanted force at one sample, in plain numbers: the search of :mod:`inversion`.
 
 A controller asks for one current at a time. The search looks at the same nodes, for the same root,
-to the same tolerance; within the bracket it goes by the secant, which needs no derivative.
+to the same tolerance.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 from mr_damper_ros.control.inversion import (
     CLOSE,
-    GOLDEN,
-    GOLDEN_STEPS,
     LEAST_GAIN,
     MOST_STEPS,
     ROUNDING,
@@ -27,6 +25,10 @@ _NEAR = 8
 
 _CLOSE_IN_CELL = 1e-8
 """Part of the force over a cell at which a search in it ends: of all of the span it is less."""
+
+_GOLDEN = 0.6180339887498949
+_GOLDEN_STEPS = 30
+"""They narrow a cell to a millionth: the force at an extremum is flat, or has a kink."""
 
 _STEP = 1e-6
 """Amperes over which is looked whether a force rises."""
@@ -192,15 +194,15 @@ def _slope(response: SampleResponse, current: float) -> float:
 
 def _extremum(response: SampleResponse, low: float, high: float, sign: float) -> float:
     """The current of the largest force (or the least, by ``sign``), by golden section."""
-    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
     at_left, at_right = sign * response.force(left), sign * response.force(right)
-    for _ in range(GOLDEN_STEPS):
+    for _ in range(_GOLDEN_STEPS):
         if at_left > at_right:
             high, right, at_right = right, left, at_left
-            left = high - GOLDEN * (high - low)
+            left = high - _GOLDEN * (high - low)
             at_left = sign * response.force(left)
         else:
             low, left, at_left = left, right, at_right
-            right = low + GOLDEN * (high - low)
+            right = low + _GOLDEN * (high - low)
             at_right = sign * response.force(right)
     return 0.5 * (low + high)

@@ -182,23 +182,39 @@ def motion_factors(parameters: Array, peak_velocity: ArrayLike) -> MotionFactors
         )
 
 
+class GainTerms(NamedTuple):
+    """What :func:`current_gains` makes of parameters (..., 16), each (..., 2, 1)."""
+
+    thresholds: Array
+    half_steepnesses: Array
+    half_steps: Array
+    at_none: Array
+
+    @classmethod
+    def of(cls, parameters: Array) -> GainTerms:
+        """Those of I0 and I1, a2 and a3, k2 and k3."""
+        thresholds, steepnesses, steps = (parameters[..., pair, np.newaxis] for pair in _PAIRS[:3])
+        half = 0.5 * steepnesses
+        with np.errstate(over="ignore", invalid="ignore"):
+            return cls(thresholds, half, 0.5 * steps, np.tanh(half * thresholds))
+
+    def gains(self, current: Array) -> Array:
+        """As :func:`current_gains`."""
+        # The difference of two logistic functions, by tanh, which does not overflow.
+        with np.errstate(over="ignore", invalid="ignore"):
+            on = np.tanh(self.half_steepnesses * _saturated(current + self.thresholds))
+            return _saturated(1.0 + self.half_steps * (on - self.at_none))
+
+    def slopes(self, current: Array) -> Array:
+        """Derivatives [1/A] of the gains, of the same shape."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            on = np.tanh(self.half_steepnesses * _saturated(current + self.thresholds))
+            return self.half_steps * self.half_steepnesses * (1.0 - on * on)
+
+
 def current_gains(parameters: Array, current: ArrayLike) -> Array:
     """Factors of f_t and of v_h at currents (n,) [A], of shape (..., 2, n); 1 at no current."""
-    thresholds, steepnesses, steps = (parameters[..., pair, np.newaxis] for pair in _PAIRS[:3])
-    i = np.asarray(current, dtype=float)
-    with np.errstate(over="ignore", invalid="ignore"):
-        # The difference of two logistic functions, by tanh, which does not overflow.
-        half = 0.5 * steepnesses
-        rise = np.tanh(half * _saturated(i + thresholds)) - np.tanh(half * thresholds)
-        return _saturated(1.0 + 0.5 * steps * rise)
-
-
-def current_gain_slopes(parameters: Array, current: ArrayLike) -> Array:
-    """Derivatives [1/A] of :func:`current_gains`, of the same shape."""
-    thresholds, steepnesses, steps = (parameters[..., pair, np.newaxis] for pair in _PAIRS[:3])
-    i = np.asarray(current, dtype=float)
-    with np.errstate(over="ignore", invalid="ignore"):
-        return steps * steepnesses * _sigma_derivative(steepnesses * _saturated(i + thresholds))
+    return GainTerms.of(parameters).gains(np.asarray(current, dtype=float))
 
 
 def sign_of_pair(f_t: ArrayLike) -> Array:

@@ -18,8 +18,7 @@ from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT, Extension, ext
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     Coefficients,
-    current_gain_slopes,
-    current_gains,
+    GainTerms,
     motion_factors,
     secant_damping,
 )
@@ -60,7 +59,7 @@ class SigmoidResponse(CurrentResponse):
     """The force of parameters (16,) at samples with these factors."""
 
     def __init__(self, parameters: Array, factors: SigmoidFactors, branch: Branch) -> None:
-        self._parameters = parameters
+        self._terms = GainTerms.of(parameters)
         self._factors = factors
         self._branch = branch
         self._offset = float(parameters[_OFFSET])
@@ -91,7 +90,7 @@ class SigmoidResponse(CurrentResponse):
 
     def gains(self, current: Array) -> Array:
         """What the current makes of yield force and width, (2, ...), whatever the motion."""
-        return current_gains(self._parameters, current.reshape(-1)).reshape(2, *current.shape)
+        return self._terms.gains(current.reshape(-1)).reshape(2, *current.shape)
 
     def force_of(self, gains: Array) -> Array:
         """Force [N] of currents with these :meth:`gains`."""
@@ -102,7 +101,7 @@ class SigmoidResponse(CurrentResponse):
     def slope(self, current: Array) -> Array:
         """Derivative (n, m) [N/A]."""
         yielding, width = self._coefficients(self.gains(current))
-        gain_slopes = current_gain_slopes(self._parameters, current.reshape(-1))
+        gain_slopes = self._terms.slopes(current.reshape(-1))
         by_yield, by_width = gain_slopes.reshape(2, *current.shape)
         sigmoid = np.tanh(self._argument(self._shift(width)))
         shifts = self._factors.width * by_width * self._shift_slope(width)
