@@ -15,9 +15,6 @@ _SAME_TIME = 1.5
 """A set whose range begins and ends as that of another takes its place, if it came in a motion
 about as fast."""
 
-_LIKE_SPEED = 1.5
-"""Motions up to so many times as fast as another are of one operating point, or near it."""
-
 Span = tuple[float, float]
 """The lowest and the highest current [A] of one window, or of several."""
 
@@ -26,16 +23,14 @@ Span = tuple[float, float]
 class KnownSet:
     """A set, and the stamp up to which it fits the samples (None: it does not age).
 
-    ``half_cycle`` [s] and ``speed`` (root mean square of the peak velocity [m/s]) of the motion in
-    which it came, NaN where they were not known. ``currents`` of the windows that it fits, None
-    where that is not known: it then counts for all. ``whole``: whether it is for all operating
-    points, and no window's.
+    ``half_cycle`` [s] of the motion in which it came, NaN where that was not known. ``currents`` of
+    the windows that it fits, None where that is not known: it then counts for all. ``whole``:
+    whether it is for all operating points, and no window's.
     """
 
     parameters: ParameterSet
     confirmed_ns: int | None
     half_cycle: float = math.nan
-    speed: float = math.nan
     currents: Span | None = None
     whole: bool = False
 
@@ -58,12 +53,6 @@ class KnownSet:
             slow * (1.0 - margin) <= speed <= fast * (1.0 + margin)
             and within(current, self.parameters.current_range)
         )
-
-    def came_in(self, half_cycle: float, speed: float) -> bool:
-        """Whether it came in a motion like one of this half-cycle [s] and peak velocity [m/s]."""
-        times, speeds = (self.half_cycle, half_cycle), (self.speed, speed)
-        unlike = max(times) > _SAME_TIME * min(times) or max(speeds) > _LIKE_SPEED * min(speeds)
-        return not unlike
 
     def fits_at(self, current: float) -> bool:
         """Whether a current [A] is among those of its windows."""

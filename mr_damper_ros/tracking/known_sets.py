@@ -116,8 +116,7 @@ class KnownSets:
         if found is None or found.parameters.set_id != set_id or currents is None:
             return False
         self._found = found = self._confirmed(found, set_id, stamp_ns, currents)
-        at = replace(found, half_cycle=self._half_cycle or math.nan, speed=self._speed())
-        self._over_current.confirm(at, currents)
+        self._over_current.confirm(found, currents)
         if not self._elsewhere or not self._takes_over(found):
             return False
         self._take(found)
@@ -150,7 +149,7 @@ class KnownSets:
             currents = None if math.isnan(self._current) else (self._current, self._current)
         elif set_id != parameters.set_id:
             currents = None
-        found = KnownSet(parameters, stamp_ns, half_cycle, self._speed(), currents, whole)
+        found = KnownSet(parameters, stamp_ns, half_cycle, currents, whole)
         self._found = found
         self._over_current.add(found)
         if self._sets and self._elsewhere and not self._takes_over(found):
@@ -182,11 +181,7 @@ class KnownSets:
             return False
         present = self._sets[0]
         chosen = self._over_current.at_current(current, now_ns)
-        if chosen is None or not (
-            chosen.came_in(self._half_cycle or math.nan, self._speed())
-            # The law may remember what was before.
-            and within(before, chosen.parameters.current_range)
-        ):
+        if chosen is None or not self._holds_after(chosen, before, current):
             chosen = self._whole_now(current)
         if chosen is None:
             # Nothing better is known: the law says what the force is there.
@@ -195,6 +190,13 @@ class KnownSets:
         self._take(chosen)
         self._elsewhere = True
         return chosen.parameters is not present.parameters
+
+    def _holds_after(self, chosen: KnownSet, before: float, current: float) -> bool:
+        """Whether a set is for the motion of now, and for the current [A] from which it goes on."""
+        remembers = chosen.parameters.law.remembers
+        return chosen.is_for(self._speed(), current, self._margin) and (
+            not remembers or within(before, chosen.parameters.current_range)
+        )
 
     def _whole_now(self, current: float) -> KnownSet | None:
         """The set for all currents, with the force that the damper has now."""
