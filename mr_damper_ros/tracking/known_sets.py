@@ -57,6 +57,9 @@ _TOGETHER = 64
 _EVERY = 0.05
 """Seconds between two searches: each costs as much as some blocks of prediction."""
 
+_TURNING_EVERY = 5.0
+"""Seconds between two looks at how the force turns."""
+
 _BETTER = 0.6
 """What takes over from a force that is wrong leaves less than this part of its error."""
 
@@ -90,6 +93,7 @@ class KnownSets:
         self._period = math.nan
         self._half_cycle = 0.0
         self._since_search = math.inf
+        self._since_turning = 0.0
         self._over_current = SetsOverCurrent()
         # The present current [A], that which the identification found last, and whether another
         # is in use for the present current.
@@ -275,6 +279,7 @@ class KnownSets:
         """
         predicted, measured = forces
         self._since_search += measured.size * period
+        self._since_turning += measured.size * period
         self._period = period
         self._half_cycle = 0.0 if math.isnan(half_cycle) else half_cycle
         amperes = np.broadcast_to(current, measured.shape)
@@ -296,6 +301,13 @@ class KnownSets:
         if not self._count or self._since_search < _EVERY:
             return False
         self._since_search = 0.0
+        return True
+
+    def look_at_turning_is_due(self) -> bool:
+        """Whether it is time to look how the force turns, though it is not wrong."""
+        if not self._measured or self._since_turning < _TURNING_EVERY:
+            return False
+        self._since_turning = 0.0
         return True
 
     def another(self, allowed: float, *, wrong: bool) -> Choice | None:
@@ -325,10 +337,10 @@ class KnownSets:
                 best, limit = Choice(each, error), error
         return best
 
-    def turning_otherwise(self) -> Choice | None:
+    def turned_otherwise(self) -> Choice | None:
         """The present set, where over a cycle the force turns otherwise than it was taken to.
 
-        None where it does not, or not enough is known.
+        It is taken to do so from now on. None where it does not, or not enough is known.
         """
         present = self._sets[0]
         law = present.parameters.law
@@ -339,7 +351,10 @@ class KnownSets:
             _root_mean_square(self._force(present, newest, gradual) - newest.measured)
             for gradual in (self.gradual, not self.gradual)
         )
-        return Choice(present, other) if other < _BETTER * usual else None
+        if not other < _BETTER * usual:
+            return None
+        self.gradual = not self.gradual
+        return Choice(present, other)
 
     def settled_stream(self, chosen: KnownSet) -> ForceStream:
         """A stream of the set's force that has followed the newest samples."""

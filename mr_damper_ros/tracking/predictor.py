@@ -19,7 +19,7 @@ from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, Uniform
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
-from mr_damper_ros.tracking.known_sets import KnownSets
+from mr_damper_ros.tracking.known_sets import Choice, KnownSets
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Foreseen, Reckoned, Unlearned
 from mr_damper_ros.tracking.validity import (
@@ -190,22 +190,23 @@ class ForcePredictor:
                 self._known.follow(motion, current, forces, period, half_cycle)
             self._watch.learn(forces, motion.velocity, half_cycle, steady=steady)
             if self._newest_doubt.kind in _OF_THE_SET and self._known.search_is_due():
-                self._take_another(self._watch)
+                self._go_on_with(self._another(self._watch), self._watch)
+            elif self._known.look_at_turning_is_due():
+                self._go_on_with(self._known.turned_otherwise(), self._watch)
 
-    def _take_another(self, watch: ForceWatch) -> None:
-        """Go on with a set that was for such a motion before, if the measured force says so."""
+    def _another(self, watch: ForceWatch) -> Choice | None:
+        """A set that was for such a motion before, if the measured force says so."""
         wrong = self._newest_doubt.kind in (DoubtKind.WRONG, DoubtKind.DRIVING)
         choice = self._known.another(watch.allowed, wrong=wrong)
-        if choice is None and wrong:
-            choice = self._known.turning_otherwise()
-            self._known.gradual ^= choice is not None
+        return self._known.turned_otherwise() if choice is None and wrong else choice
+
+    def _go_on_with(self, choice: Choice | None, watch: ForceWatch) -> None:
         if choice is None:
             return
-        chosen, error = choice
         self._foreseen = None
-        self._stream = self._known.settled_stream(chosen)
-        self._known.use(chosen)
-        watch.forget_error(error)
+        self._stream = self._known.settled_stream(choice.chosen)
+        self._known.use(choice.chosen)
+        watch.forget_error(choice.error)
 
     def _foresee(self, follower: MotionFollower) -> Foreseen | None:
         """Force of the next samples, as far as it can be known already."""

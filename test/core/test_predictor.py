@@ -14,7 +14,9 @@ from random_motion import BandLimitedRandom
 from mr_damper_ros.kinematics.motion_centre import MotionCentre
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force_from_coefficients, operating_point_coefficients
+from mr_damper_ros.rig.emulator import EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.prediction import Prediction
@@ -35,6 +37,9 @@ NARROW_BAND = 0.1
 
 SAME_FORCE = 1e-6
 """[N]: of a kilonewton, where nothing differs but rounding and what a lag has forgotten."""
+
+NEVER_WRONG = 100.0
+"""Of the peak force: a maximum error that none has."""
 
 CENTRE = 0.02
 """[m] that a motion is moved by."""
@@ -482,3 +487,14 @@ def test_a_monotonous_motion_is_never_valid() -> None:
     assert not any(
         p.valid for p in predicted(predictor(ParameterSet(known.PLAUSIBLE)), stream(ramp))
     )
+
+
+def test_that_the_force_jumps_where_it_turns_is_seen_though_it_is_not_wrong() -> None:
+    motion = BandLimitedRandom(rms=3e-3, low=0.3, high=3.0, seed=1)
+    thesis = ParameterSet(THESIS_28_CELSIUS, set_id="thesis")
+    rig = EmulatedRig(ModelDamper(thesis, PERIOD), motion, 1.0, settings=RigSettings(1.0 / PERIOD))
+    record = rig.record(10.0)
+    made = predictor(thesis, maximum_error=NEVER_WRONG)
+    for block in known.blocks(record.displacement, record.force, (10,)):
+        made.predict(block)
+    assert not made.gradual
