@@ -37,6 +37,9 @@ _HEADROOM = 1.25
 _MOST_RUNS = 25
 """Of a campaign; one that needs more counts as endless."""
 
+_AS_SLOW = 1.1
+"""Amplitudes and frequencies are round numbers, and speeds of the same name differ by so much."""
+
 
 @dataclass(frozen=True)
 class PlannedTrial:
@@ -63,6 +66,15 @@ class _RandomPlanner(RunPlanner):
         self._rng = np.random.default_rng((seed, 1))
         self._single = np.array([len(run.currents) == 1 for run in self.candidates])
 
+    def first(self) -> PlannedRun:
+        """Any run as slow, and with no more current, than the first one of a plan."""
+        gentle = first_run(self.goal, self.limits)
+        slow = np.array(
+            [run.peak_velocity <= _AS_SLOW * gentle.peak_velocity for run in self.candidates]
+        )
+        weak = np.array([run.currents[0] <= max(gentle.currents) for run in self.candidates])
+        return self._any(slow & weak)
+
     def plan_on(
         self,
         windows: Sequence[Window],
@@ -71,8 +83,11 @@ class _RandomPlanner(RunPlanner):
         now: PointErrors,
     ) -> Plan:
         sets = self.possible_sets(windows, parameters, observable)
-        places = np.flatnonzero(self.allowed(windows, sets) & self._single)
-        return Plan(PlanState.RUN, now, self.candidates[int(self._rng.choice(places))])
+        return Plan(PlanState.RUN, now, self._any(self.allowed(windows, sets)))
+
+    def _any(self, allowed: np.ndarray) -> PlannedRun:
+        places = np.flatnonzero(allowed & self._single)
+        return self.candidates[int(self._rng.choice(places))]
 
 
 @dataclass(frozen=True)
@@ -143,9 +158,12 @@ def trial(kind: DamperKind, seed: int) -> PlannedTrial:
         motions=tuple(MotionKind),
     )
     machine = _Machine(truth, noise, limits, seed)
-    planned_one = _campaign(RunPlanner(model, goal, limits), machine, truth)
+    planned_one = _campaign(
+        RunPlanner(model, goal, limits), first_run(goal, limits), machine, truth
+    )
     by_chance = _Machine(truth, noise, limits, seed)
-    random_one = _campaign(_RandomPlanner(model, goal, limits, seed), by_chance, truth)
+    at_random = _RandomPlanner(model, goal, limits, seed)
+    random_one = _campaign(at_random, at_random.first(), by_chance, truth)
     return PlannedTrial(
         kind.name,
         planned_one.runs,
@@ -156,15 +174,15 @@ def trial(kind: DamperKind, seed: int) -> PlannedTrial:
     )
 
 
-def _campaign(planner: RunPlanner, machine: _Machine, truth: Array) -> _Reached:
+def _campaign(planner: RunPlanner, first: PlannedRun, machine: _Machine, truth: Array) -> _Reached:
     """Make runs until the goal is met and the truth bears it out; what is claimed wrongly goes on.
 
-    All begin with the same run, and each run is chosen after identifying from all before.
+    Each run after the ``first`` is chosen after identifying from all before.
     """
     goal = planner.goal
     cycles = Cycles(planner.model, goal.cycles())
     force = cycles.force(truth)
-    run: PlannedRun | None = first_run(goal, planner.limits)
+    run: PlannedRun | None = first
     windows: list[Window] = []
     before: Array | None = None
     claimed = true = math.nan
