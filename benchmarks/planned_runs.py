@@ -37,9 +37,6 @@ _HEADROOM = 1.25
 _MOST_RUNS = 25
 """Of a campaign; one that needs more counts as endless."""
 
-_AS_SLOW = 1.1
-"""Amplitudes and frequencies are round numbers, and speeds of the same name differ by so much."""
-
 
 @dataclass(frozen=True)
 class PlannedTrial:
@@ -59,21 +56,18 @@ class PlannedTrial:
 
 
 class _RandomPlanner(RunPlanner):
-    """Takes any run: a sine at one current that is allowed, as a list of conditions has them."""
+    """Takes any run: a sine at one current within the goal, as a list of conditions has them.
+
+    The machine bears them all, which a plan has to find out.
+    """
 
     def __init__(self, model: Model, goal: ForceGoal, limits: MachineLimits, seed: int) -> None:
-        super().__init__(model, goal, replace(limits, motions=(MotionKind.SINE,)))
+        super().__init__(model, goal, replace(limits, motions=(MotionKind.SINE,), steps=False))
         self._rng = np.random.default_rng((seed, 1))
-        self._single = np.array([len(run.currents) == 1 for run in self.candidates])
 
-    def first(self) -> PlannedRun:
-        """Any run as slow, and with no more current, than the first one of a plan."""
-        gentle = first_run(self.goal, self.limits)
-        slow = np.array(
-            [run.peak_velocity <= _AS_SLOW * gentle.peak_velocity for run in self.candidates]
-        )
-        weak = np.array([run.currents[0] <= max(gentle.currents) for run in self.candidates])
-        return self._any(slow & weak)
+    def any(self) -> PlannedRun:
+        """One of the list."""
+        return self.candidates[int(self._rng.integers(len(self.candidates)))]
 
     def plan_on(
         self,
@@ -82,12 +76,7 @@ class _RandomPlanner(RunPlanner):
         observable: np.ndarray,
         now: PointErrors,
     ) -> Plan:
-        sets = self.possible_sets(windows, parameters, observable)
-        return Plan(PlanState.RUN, now, self._any(self.allowed(windows, sets)))
-
-    def _any(self, allowed: np.ndarray) -> PlannedRun:
-        places = np.flatnonzero(allowed & self._single)
-        return self.candidates[int(self._rng.choice(places))]
+        return Plan(PlanState.RUN, now, self.any())
 
 
 @dataclass(frozen=True)
@@ -163,7 +152,7 @@ def trial(kind: DamperKind, seed: int) -> PlannedTrial:
     )
     by_chance = _Machine(truth, noise, limits, seed)
     at_random = _RandomPlanner(model, goal, limits, seed)
-    random_one = _campaign(at_random, at_random.first(), by_chance, truth)
+    random_one = _campaign(at_random, at_random.any(), by_chance, truth)
     return PlannedTrial(
         kind.name,
         planned_one.runs,
@@ -217,7 +206,7 @@ def figures_of(trials: Sequence[PlannedTrial]) -> list[Figure]:
     """The figures of these trials."""
     count = len(trials)
     of = partial(_median, trials)
-    runs, ratio = of("runs"), float(np.median([t.random / t.runs for t in trials]))
+    runs, ratio = of("runs"), float(np.median([_saved(trial) for trial in trials]))
     missed = [t for t in trials if not t.true <= _ERROR]
     return [
         Figure(
@@ -232,8 +221,9 @@ def figures_of(trials: Sequence[PlannedTrial]) -> list[Figure]:
         Figure(
             "planned_runs_saved",
             ratio,
-            "Runs by chance over planned ones (median): sines at one current, each of those within "
-            "the limits, identified, claimed and checked in the same way, to the same end.",
+            "Runs by chance over planned ones (median): sines at one current, any within the goal, "
+            "identified, claimed and checked in the same way, to the same end; 1 where both are "
+            "endless.",
             (3.0, math.inf),
         ),
         Figure(
@@ -250,6 +240,11 @@ def figures_of(trials: Sequence[PlannedTrial]) -> list[Figure]:
             (0.8, 1.5),
         ),
     ]
+
+
+def _saved(trial: PlannedTrial) -> float:
+    """Runs by chance over planned ones; 1 where both are endless."""
+    return 1.0 if trial.random == trial.runs else trial.random / trial.runs
 
 
 def _median(trials: Sequence[PlannedTrial], name: str) -> float:
