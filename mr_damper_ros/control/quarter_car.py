@@ -100,17 +100,19 @@ class IsoRoad:
 class Bump:
     """A bump of a cosine's shape, ``height`` [m] by ``length`` [m], at a ``speed`` [m/s].
 
-    It begins ``start`` seconds after the start.
+    It begins ``start`` seconds after the start, on an even road or on this ``road``.
     """
 
     height: float
     length: float
     speed: float
     start: float = 0.0
+    road: IsoRoad | None = None
 
     def at(self, time: Array) -> Array:
         """Velocity (n,) [m/s] with which it lifts the wheel at these times (n,) [s]."""
         since = time - self.start
         rate = 2.0 * math.pi * self.speed / self.length
         within = (since >= 0.0) & (since < self.length / self.speed)
-        return np.where(within, 0.5 * self.height * rate * np.sin(rate * since), 0.0)
+        velocity = np.where(within, 0.5 * self.height * rate * np.sin(rate * since), 0.0)
+        return velocity if self.road is None else velocity + self.road.at(time)

@@ -43,6 +43,9 @@ class Drives:
 
 _TRADE_OFF_ROAD = "C"
 
+_MOST_SHOWN = 200.0
+"""Percent of passive-off, of the bars by road."""
+
 
 def best_on(drives: Drives, road: str) -> str:
     """The controller of least comfort plus holding, each against passive-off."""
@@ -169,7 +172,8 @@ def roads_chapter(drives: Drives) -> Chapter:
             Picture(
                 "by_road",
                 "Comfort, road holding and travel of the suspension on the five roads, against "
-                f"passive-off; coil lag {1e3 * LAG:.0f} ms.",
+                f"passive-off; coil lag {1e3 * LAG:.0f} ms. Bars that end at {_MOST_SHOWN:.0f} % "
+                "go beyond: the table has their numbers.",
                 _by_road(drives),
             ),
             Picture(
@@ -202,9 +206,9 @@ def bump_chapter(drives: Drives) -> Chapter:
         [
             Text(
                 f"A cosine of {1e3 * BUMP.height:.0f} mm by {BUMP.length:g} m at {BUMP.speed:g} "
-                "m/s, on an otherwise even road. The controller has seen no motion before it, so "
-                "that it begins while the car moves already: it commands the safe current, 0 A, "
-                "until the motion is known."
+                f"m/s, on a road of class A, {BUMP.start:g} s after the start. A controller "
+                "commands the safe current, 0 A, until the motion is known; the peaks are those "
+                f"from {SETTLED:g} s on."
             ),
             Picture(
                 "bump",
@@ -330,7 +334,7 @@ def _by_road(drives: Drives) -> object:
             offsets = np.arange(len(parts)) + (place - 0.5 * (len(shown) - 1)) * width
             axis.bar(offsets, parts, width, color=INK[place], label=strategy)
         axis.axhline(100.0, color=GREY, linewidth=0.8)
-        axis.set(ylabel=label, ylim=(0.0, 200.0))
+        axis.set(ylabel=label, ylim=(0.0, _MOST_SHOWN))
     axes[-1, 0].set_xticks(range(len(ROADS) - 1), [f"road {road}" for road in ROADS[:-1]])
     legend_above(figure, axes[0, 0], 4)
     return figure

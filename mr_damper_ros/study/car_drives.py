@@ -44,7 +44,8 @@ STATIC_LOAD = (CAR.body + CAR.wheel) * GRAVITY
 SPEEDS = {"A": 30.0, "B": 25.0, "C": 20.0, "D": 15.0, "E": 10.0}
 """Speed [m/s] on a road of each class: the worse, the slower."""
 
-BUMP = Bump(height=0.06, length=3.0, speed=8.0, start=3.0)
+BUMP = Bump(height=0.06, length=3.0, speed=8.0, start=3.0, road=IsoRoad("A", 8.0, seed=1))
+"""On a good road, as a car comes to one: a controller knows the motion by then."""
 BUMP_ROAD = "bump"
 
 BLOCK = 5

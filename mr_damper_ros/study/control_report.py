@@ -14,6 +14,7 @@ from mr_damper_ros.study import building_chapter, car_chapters, hybrid_chapter
 from mr_damper_ros.study.building_runs import WEIGHTED, simulate
 from mr_damper_ros.study.car_chapters import Drives
 from mr_damper_ros.study.car_drives import (
+    BUMP_ROAD,
     CONSTANTS,
     CONTROLLERS,
     LAG,
@@ -88,7 +89,7 @@ def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], 
         drives.of(name, "C", LAG).comfort / drives.of(name, "C", 0.0).comfort
         for name in CONTROLLERS
     )
-    bumped = {name: drives.of(name, "bump", LAG).highest for name in (best, OFF)}
+    bump, without = (drives.of(name, BUMP_ROAD, LAG) for name in (best, OFF))
     with styled():
         chapters = [
             car_chapters.damper_chapter(),
@@ -98,11 +99,12 @@ def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], 
         ]
     return chapters, [
         "an invented damper whose truth is known, in a quarter car.",
-        f"on road C {best} gives {here.comfort:.2f} m/s² and {here.holding:.0%} of the tyre's "
-        f"load; passive-off {off.comfort:.2f} and {off.holding:.0%}, passive-on {on.comfort:.2f} "
-        f"and {on.holding:.0%}.",
-        f"the body's highest acceleration is {bumped[best]:.1f} m/s² with {best}, "
-        f"{bumped[OFF]:.1f} m/s² with passive-off.",
+        f"on road C {best}, the best by comfort and holding together, gives {here.comfort:.2f} "
+        f"m/s² and {here.holding:.0%} of the tyre's load; passive-off {off.comfort:.2f} and "
+        f"{off.holding:.0%}, passive-on {on.comfort:.2f} and {on.holding:.0%}.",
+        f"over the bump the body's acceleration is {bump.comfort:.2f} m/s² (RMS; "
+        f"{bump.highest:.1f} at most) with {best}, {without.comfort:.2f} ({without.highest:.1f}) "
+        "with passive-off.",
         f"a coil that lags by 10 ms costs at most {worst - 1.0:.0%} of comfort on road C.",
     ]
 
