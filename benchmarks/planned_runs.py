@@ -65,7 +65,7 @@ class _RandomPlanner(RunPlanner):
         super().__init__(model, goal, replace(limits, motions=(MotionKind.SINE,), steps=False))
         self._rng = np.random.default_rng((seed, 1))
 
-    def any(self) -> PlannedRun:
+    def draw(self) -> PlannedRun:
         """One of the list."""
         return self.candidates[int(self._rng.integers(len(self.candidates)))]
 
@@ -76,7 +76,7 @@ class _RandomPlanner(RunPlanner):
         observable: np.ndarray,
         now: PointErrors,
     ) -> Plan:
-        return Plan(PlanState.RUN, now, self.any())
+        return Plan(PlanState.RUN, now, self.draw())
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def trial(kind: DamperKind, seed: int) -> PlannedTrial:
     )
     by_chance = _Machine(truth, noise, limits, seed)
     at_random = _RandomPlanner(model, goal, limits, seed)
-    random_one = _campaign(at_random, at_random.any(), by_chance, truth)
+    random_one = _campaign(at_random, at_random.draw(), by_chance, truth)
     return PlannedTrial(
         kind.name,
         planned_one.runs,

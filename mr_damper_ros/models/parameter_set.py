@@ -28,7 +28,8 @@ _LONGEST_NAME = 200
 """Characters of an id or a source; ours have at most some thirty."""
 
 GLOBAL_SOURCE, EARLY_SOURCE = "global", "force_scale"
-"""Sources of a set for all operating points, and of one whose strength alone was fitted anew."""
+"""Sources of a set for all operating points, and of one whose strength alone was fitted anew,
+early, because the force had changed."""
 
 
 class SpokenError(ValueError):

@@ -164,21 +164,21 @@ class SeriesSprings(DifferentiatedModel):
         """Mask (n,) of samples at which the two springs and the coil have forgotten the past.
 
         Whatever it was, the force lies between those from springs under all of the yield force and
-        under all of its reverse: the steps keep their order.
+        under all of its reverse, where they are softest: the steps keep their order.
         """
         if window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
         history = window.history.coarse
         motion, before = history.motion, float(history.motion.velocity[0])
-        c = self.coefficients_at(parameters, 0.0, float(np.max(history.current)))[:, 0]
-        most = (1.0 - c[4]) * c[0] + c[2] * abs(before), c[4] * c[0]
+        ends = np.array([np.min(history.current), np.max(history.current)])
+        f_y, _, c, stiffness, share, softer, *_ = self.coefficients_at(parameters, 0.0, ends)
+        first = ((1.0 - share[1]) * f_y[1] + c[1] * abs(before)) / stiffness.min()
+        second = share[1] * f_y[1] / softer.min()
         forces = []
         for sign in (1.0, -1.0):
-            ends = (sign * most[0] / c[3], 0.0, sign * most[1] / c[5], 0.0, before)
-            state = [np.array(part) for part in ends]
-            force, _ = self.follow(
-                parameters, motion, history.current, history.period, tuple(state)
-            )
+            parts = sign * first, 0.0, sign * second, 0.0, before
+            state = tuple(np.array(part) for part in parts)
+            force, _ = self.follow(parameters, motion, history.current, history.period, state)
             forces.append(force)
         apart = np.abs(forces[0] - forces[1]) > _FORGOTTEN * float(np.ptp(forces[0]))
         count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)

@@ -17,9 +17,6 @@ from mr_damper_ros.tracking.unscented_filter import FilterState
 _FEWEST_EARLY = 40
 """An early fit needs as many samples: so that each held-back chunk has one."""
 
-EARLY_METHOD = EARLY_SOURCE
-"""Method of a fit that came early because the force had changed."""
-
 
 def run_look(task: FitTask, window: Window) -> FitResult:
     """See whether the newest samples fit the running set; if not, fit the force scale to them."""
@@ -52,7 +49,7 @@ def run_look(task: FitTask, window: Window) -> FitResult:
     found = fit_scale(own, measured)
     if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
         return FitResult(watch=watch)  # a sensor has failed, no damper does that
-    fit = with_strength(task.model, changed, task.start, found, EARLY_METHOD)
+    fit = with_strength(task.model, changed, task.start, found, EARLY_SOURCE)
     state = task.state
     if state is not None:
         strength = task.model.window_problem(changed, task.start).strength

@@ -10,10 +10,9 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import SLACK, THRESHOLD, ChangeWatch, change_point, fit_scale
-from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
@@ -210,7 +209,7 @@ def stream(
 
 
 def early(reports: list[Report]) -> list[Report]:
-    return [report for report in reports if report.method == EARLY_METHOD]
+    return [report for report in reports if report.method == EARLY_SOURCE]
 
 
 def seconds(report: Report) -> float:
@@ -312,7 +311,7 @@ def swinging(time: Array, force: Array) -> Array:
 
 def test_between_two_early_fits_a_window_is_judged() -> None:
     reports = stream(1.0, spoil=swinging)[1]
-    places = [place for place, report in enumerate(reports) if report.method == EARLY_METHOD]
+    places = [place for place, report in enumerate(reports) if report.method == EARLY_SOURCE]
     assert len(places) >= 1
     for first, second in itertools.pairwise(places):
         assert any(np.isfinite(report.nrmse_after) for report in reports[first + 1 : second])

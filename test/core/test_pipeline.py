@@ -11,10 +11,9 @@ import pytest
 from step_worker import StepWorker
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.pipeline import (
     Event,
     Pipeline,
@@ -249,7 +248,7 @@ def test_a_look_that_sees_a_change_ends_in_an_early_set() -> None:
     b.pipeline.add_window(window(0))
     b.pipeline.add_window(replace(window(4), look=COUNT))
     ended = b.work_off()
-    assert [e.report.method for e in ended if isinstance(e, WindowEnded)][1] == EARLY_METHOD
+    assert [e.report.method for e in ended if isinstance(e, WindowEnded)][1] == EARLY_SOURCE
     assert b.tracker.parameters.set_id.startswith("early-")
 
 

@@ -167,13 +167,18 @@ def test_the_derivatives_are_those_of_differences(name: str, current: str, coil:
         )
 
 
-def test_only_samples_that_have_forgotten_the_past_count() -> None:
+@pytest.mark.parametrize("stiffening", [0.0, 5.0])
+def test_only_samples_that_have_forgotten_the_past_count(stiffening: float) -> None:
+    values = EXAMPLE.copy()
+    for name in ("k1_1", "k2_1"):
+        values[PLACE[name]] = stiffening
     time = np.arange(3000) * 1e-3
+    current = np.where(time < 0.95, 0.2, 1.2)
     displacement = BandLimitedRandom(5e-3, 0.5, 3.0, seed=5).at(time).displacement
-    whole = Window.from_samples(displacement, np.ones(3000), 1.0, 1e-3)
-    force = LAW.window_force(whole, EXAMPLE)
-    late = Window.from_samples(displacement[1000:], force[1000:], 1.0, 1e-3)
-    settled = LAW.settled(late, EXAMPLE)
-    error = LAW.window_force(late, EXAMPLE) - late.force
+    whole = Window.from_samples(displacement, np.ones(3000), current, 1e-3)
+    force = LAW.window_force(whole, values)
+    late = Window.from_samples(displacement[1000:], force[1000:], current[1000:], 1e-3)
+    settled = LAW.settled(late, values)
+    error = LAW.window_force(late, values) - late.force
     assert not settled.all()
     assert np.max(np.abs(error[settled])) < INITIAL * np.ptp(late.force)

@@ -201,7 +201,7 @@ def test_a_set_of_this_current_too_takes_over_where_it_gives_the_force_better(
 ) -> None:
     said = [Said(5.0, window_of(SIGMOID, LOW, "low"))]
     for factor, in_use in ((1.0, "new"), (0.5, "whole")):
-        new = replace(stronger(window_of(SIGMOID, HIGH, "new"), factor))
+        new = stronger(window_of(SIGMOID, HIGH, "new"), factor)
         came = course([*said, Said(6.4, new, length)], whole=poor(SIGMOID))
         assert came.set_at(END - 0.1).startswith(in_use)
 

@@ -11,9 +11,8 @@ import pytest
 
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterError, ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.look_task import EARLY_METHOD
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
@@ -228,11 +227,11 @@ def changing(model: str, factor: float) -> list[Report]:
 
 @pytest.mark.parametrize("model", ["bingham", "bouc_wen", "sigmoid_lag"])
 def test_a_sudden_loss_of_strength_is_fitted_early(model: str) -> None:
-    (report,) = [r for r in changing(model, 0.8) if r.method == EARLY_METHOD]
+    (report,) = [r for r in changing(model, 0.8) if r.method == EARLY_SOURCE]
     assert report.accepted
     assert report.scale.value == pytest.approx(0.8, abs=2.0 * SCALE_TOLERANCE)
     assert (report.stamp_ns - known.T0) * 1e-9 < CHANGE + EARLY
-    assert [r for r in changing(model, 1.0) if r.method == EARLY_METHOD] == []
+    assert [r for r in changing(model, 1.0) if r.method == EARLY_SOURCE] == []
 
 
 @EACH

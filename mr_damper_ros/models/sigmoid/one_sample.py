@@ -29,11 +29,7 @@ _LARGEST_INPUT = 1e30
 
 
 class SampleFactors(NamedTuple):
-    """What one sample of a motion makes of the law, in plain numbers.
-
-    Yield force [N] at no current, half the steepness [s/m], velocity with its offset [m/s], half
-    the width of the hysteresis [m/s] at no current, and the viscous factor.
-    """
+    """The :class:`sigmoid_response.SigmoidFactors` of one sample, in plain numbers."""
 
     scale: float
     half_steepness: float
