@@ -9,6 +9,11 @@ from mr_damper_ros.signals.arrays import Array
 _FEWEST, _MOST = 3, 12
 """Samples on either side of a gap that its slope is taken from."""
 
+_AROUND = 13
+"""Samples that the way of one of them in the middle is taken from; at the end, those before."""
+
+_RIDGE = 1e-9
+
 _DECIDED = 3.0
 """Standard errors by which the share must lie above or below one half to be believed."""
 
@@ -52,21 +57,28 @@ def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     return np.asarray(line + place * (1.0 - place) * (start * (1.0 - place) - end * place))
 
 
-def between_uneven(wanted: Array, places: Array, values: Array) -> Array:
-    """The ``values`` (m,) of samples that were taken at rising ``places`` (m,), ``wanted`` (n,).
+def at_even_times(wanted: Array, places: Array, values: Array) -> Array:
+    """The last n of the ``values`` (m,), taken at ``places`` (m,), brought to ``wanted`` (n,).
 
-    On the straight lines between the samples, and the bend that they have together besides: where
-    two lie far apart, the error of the line alone is a kick to the acceleration. For the
-    displacement.
+    Each goes the little way to its time along the cubic that fits those around it best. So its
+    noise stays its own: on a line between two samples it would be the smaller the further from
+    them, and a filter that knows noise by its being white would take what is left of it for motion.
     """
-    found = np.interp(wanted, places, values)
-    if places.size < _FEWEST or places[-1] == places[0]:
-        return np.asarray(found)
-    time = places - places.mean()
-    columns = np.stack([np.ones(time.size), time, time * time], axis=1)
-    weights, *_ = np.linalg.lstsq(columns, values, rcond=None)
-    after = np.searchsorted(places, wanted).clip(1, places.size - 1)
-    return np.asarray(found + weights[2] * (wanted - places[after]) * (wanted - places[after - 1]))
+    width = min(_AROUND, places.size)
+    powers = np.arange(min(3, width - 1) + 1)
+    own = np.arange(places.size - wanted.size, places.size)
+    first = np.clip(own - width // 2, 0, places.size - width)
+    around = first[:, np.newaxis] + np.arange(width)
+    unit = 0.5 * width
+    time = (places[around] - places[own, np.newaxis]) / unit
+    columns = time[:, :, np.newaxis] ** powers
+    rows = columns.transpose(0, 2, 1)
+    # Many samples may have come with one stamp.
+    square = rows @ columns + _RIDGE * np.eye(powers.size)
+    away = values[around] - values[own, np.newaxis]
+    cubic = np.linalg.solve(square, rows @ away[:, :, np.newaxis])[:, :, 0]
+    way = ((wanted - places[own]) / unit)[:, np.newaxis] ** powers
+    return np.asarray(values[own] + (cubic * way)[:, 1:].sum(axis=1))
 
 
 def _end_slope(values: Array) -> float:

@@ -27,7 +27,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.resampling import (
     UnevenSampling,
-    between_uneven,
+    at_even_times,
     on_a_cubic,
     on_a_line,
 )
@@ -285,7 +285,7 @@ class UniformGrid:
         )
 
     def _between(self, block: SampleBlock, late: float, lost: int) -> tuple[SampleBlock, Array]:
-        """The block interpolated between the samples, where they were taken.
+        """The block brought from where its samples were taken to places between them.
 
         And how many sample periods after each of its places the sample of that index was taken.
         """
@@ -295,20 +295,20 @@ class UniformGrid:
         step = _SLEW if self.uneven else -_SLEW
         delays = np.clip(self._delay + step * np.arange(1.0, count + 1.0), 0.0, _DELAY)
         self._delay = float(delays[-1])
-        before, displacement, force = self._tail()
-        # Samples that overtake each other keep their order.
-        places = np.maximum.accumulate(
-            np.concatenate([before - first, np.arange(lost, count) + late])
-        )
         wanted = np.arange(count) - delays
+        before, displacement, force = self._tail()
+        places = np.concatenate([before - first, np.arange(lost, count) + late])
         placed = replace(
             block,
             start_ns=self._clock.at(first) - round(float(delays[0]) * block.period * NANOSECONDS),
             sequence=first,
-            displacement=between_uneven(
-                wanted, places, np.concatenate([displacement, block.displacement])
+            displacement=_brought(
+                wanted, places, np.concatenate([displacement, block.displacement]), lost
             ),
-            force=np.interp(wanted, places, np.concatenate([force, block.force])),
+            # Samples that overtake each other keep their order.
+            force=np.interp(
+                wanted, np.maximum.accumulate(places), np.concatenate([force, block.force])
+            ),
         )
         return placed, delays + late
 
@@ -335,6 +335,20 @@ class UniformGrid:
             )
         )
         return places[-_TAIL:], displacement[-_TAIL:], force[-_TAIL:]
+
+
+def _brought(wanted: Array, places: Array, displacement: Array, lost: int) -> Array:
+    """Displacement (m,) of samples taken at ``places`` (m,), brought to the ``wanted`` (n,).
+
+    Of these the first were ``lost``; so many of the others were there before.
+    """
+    if lost == 0:
+        return at_even_times(wanted, places, displacement)
+    known = displacement.size - (wanted.size - lost)
+    earlier = wanted[0] - np.arange(known, 0.0, -1.0)
+    even = at_even_times(np.concatenate([earlier, wanted[lost:]]), places, displacement)
+    bridge = on_a_cubic(even[:known], even[known:], lost)
+    return np.concatenate([bridge, even[known:]])
 
 
 def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:

@@ -7,46 +7,48 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.signals.resampling import between_uneven
+from mr_damper_ros.signals.resampling import at_even_times
+from mr_damper_ros.signals.white_noise import white_noise
 
-ROUNDING = 1e-9
-"""Of values of the order of the squares of the places."""
+ROUNDING = 1e-6
+"""Of values of the order of the cubes of the places."""
 
-NEXT_TO_NONE = 0.02
-"""Of the amplitude: between samples two periods apart the sine itself bends ten times that."""
+SAME_NOISE = 0.1
+"""Part by which the white noise of a few thousand samples may seem to change."""
 
-WANTED = np.arange(0.25, 10.0, 0.5)
+
+def uneven(count: int, seed: int) -> np.ndarray:
+    return np.arange(count) + np.random.default_rng(seed).uniform(-0.5, 0.5, count)
 
 
 @given(
     st.integers(0, 2**32 - 1),
-    st.floats(-1.0, 1.0),
-    st.floats(-1.0, 1.0),
-    st.floats(-1.0, 1.0),
+    st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=4),
+    st.integers(4, 30),
 )
-def test_a_parabola_is_found_between_its_samples(
-    seed: int, offset: float, slope: float, bend: float
-) -> None:
-    places = np.arange(12.0) + np.random.default_rng(seed).uniform(-0.5, 0.5, 12)
-
-    def parabola(at: np.ndarray) -> np.ndarray:
-        return offset + slope * at + bend * at * at
-
-    inside = WANTED[(places[0] <= WANTED) & (places[-1] >= WANTED)]
-    found = between_uneven(inside, places, parabola(places))
-    np.testing.assert_allclose(found, parabola(inside), atol=ROUNDING)
+def test_a_cubic_is_found_at_even_times(seed: int, cubic: list[float], count: int) -> None:
+    places = uneven(count, seed)
+    wanted = np.arange(count) - 0.5
+    found = at_even_times(wanted, places, np.polyval(cubic, places))
+    np.testing.assert_allclose(found, np.polyval(cubic, wanted), atol=ROUNDING * count**3)
 
 
-def test_far_from_a_parabola_it_stays_near_the_line() -> None:
-    # A sine of ten samples a cycle: the bend that all have together is next to none.
-    places = np.arange(30.0) + np.random.default_rng(0).uniform(-0.5, 0.5, 30)
-    values = np.sin(0.2 * np.pi * places)
-    off = between_uneven(WANTED, places, values) - np.interp(WANTED, places, values)
-    assert np.max(np.abs(off)) < NEXT_TO_NONE
+def test_only_the_last_are_asked_for() -> None:
+    places = uneven(20, seed=0)
+    wanted, values = np.arange(20.0), np.sin(places)
+    found = at_even_times(wanted[-3:], places, values)
+    np.testing.assert_allclose(found, at_even_times(wanted, places, values)[-3:])
 
 
-@pytest.mark.parametrize("places", [[0.0, 1.0], [2.0, 2.0, 2.0]])
-def test_too_few_samples_have_no_bend(places: list[float]) -> None:
+def test_white_noise_stays_white() -> None:
+    # A smoother finds its length from the noise, which it knows by its being white.
+    count = 4000
+    noise = np.random.default_rng(1).standard_normal(count)
+    brought = at_even_times(np.arange(count) - 0.5, uneven(count, seed=2), noise)
+    assert white_noise(brought) == pytest.approx(white_noise(noise), rel=SAME_NOISE)
+
+
+@pytest.mark.parametrize("places", [[0.0], [0.0, 1.0], [2.0] * 20])
+def test_few_samples_or_such_of_one_stamp_have_a_finite_value(places: list[float]) -> None:
     at = np.array(places)
-    found = between_uneven(np.array([0.5]), at, at)
-    np.testing.assert_array_equal(found, np.interp([0.5], at, at))
+    assert np.isfinite(at_even_times(np.array([0.5]), at, at)).all()
