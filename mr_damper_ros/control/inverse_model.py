@@ -11,6 +11,7 @@ from mr_damper_ros.control.sample_inversion import (
     SampleInversion,
     find_current,
     invert_sample,
+    invert_samples,
 )
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
@@ -65,7 +66,10 @@ class InverseModel:
         """
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
         near = None if last is None else np.asarray(last, dtype=float)
-        return invert(self._response(motion, period, state), self._nodes, forces, near)
+        several = self._responses.several(motion.held_within(*self._range), period, state)
+        if several is None:
+            return invert(self._response(motion, period, state), self._nodes, forces, near)
+        return invert_samples(several, self._node_list, forces, near)
 
     def slope(
         self,

@@ -1,14 +1,17 @@
 """The current for a wanted force at one sample, in plain numbers: the search of :mod:`inversion`.
 
-A controller asks for one current at a time. The search looks at the same nodes, for the same root,
-to the same tolerance.
+A controller asks for one current at a time, others for those of a block. The search looks at the
+same nodes, for the same root, to the same tolerance.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable
 from typing import NamedTuple
+
+import numpy as np
 
 from mr_damper_ros.control.inversion import (
     CLOSE,
@@ -17,8 +20,10 @@ from mr_damper_ros.control.inversion import (
     ROUNDING,
     TOLERANCE,
     WITHIN,
+    Inversion,
 )
-from mr_damper_ros.models.current_response import SampleResponse
+from mr_damper_ros.models.current_response import SampleResponse, SeveralSamples
+from mr_damper_ros.signals.arrays import Array
 
 _NEAR = 8
 """Cells that are looked at one by one: to look at all takes as long as that."""
@@ -32,6 +37,10 @@ _GOLDEN_STEPS = 30
 
 _STEP = 1e-6
 """Amperes over which is looked whether a force rises."""
+
+
+Force = Callable[[float], float]
+"""Force [N] of a sample at a current [A]."""
 
 
 class SampleInversion(NamedTuple):
@@ -69,7 +78,9 @@ def find_current(
         if (forces[0] > wanted) != (forces[1] > wanted):
             rounding = ROUNDING * max(abs(forces[0]), abs(forces[1]))
             close = max(_CLOSE_IN_CELL * abs(forces[1] - forces[0]), rounding)
-            return FoundCurrent(*_root(response, wanted, ends, forces, close), attainable=True)
+            return FoundCurrent(
+                *_root(response.force, wanted, ends, forces, close), attainable=True
+            )
         downwards = low > 0 and (high == len(nodes) - 1 or near - nodes[low] <= nodes[high] - near)
         if downwards:
             low, above = low - 1, at_low
@@ -93,19 +104,56 @@ def invert_sample(
     ``nodes`` [A] are those of the response. ``last`` [A]: where there are several currents, the one
     near it is meant; None for the lowest.
     """
-    forces = response.at_nodes()
+    return _search(response.force, nodes, response.at_nodes(), wanted, last)
+
+
+def invert_samples(
+    several: SeveralSamples, nodes: list[float], wanted: Array, last: Array | None = None
+) -> Inversion:
+    """As :func:`mr_damper_ros.control.inversion.invert`, of a few samples each by itself.
+
+    Arrays would go on with all until the last one is found.
+    """
+    near = [None] * wanted.size if last is None else np.broadcast_to(last, wanted.shape).tolist()
+    rows = zip(several.each, several.at_nodes.tolist(), wanted.tolist(), near, strict=True)
+    found = [
+        _search(force_at, nodes, forces, force, before) for force_at, forces, force, before in rows
+    ]
+    return Inversion(*(np.array(part) for part in zip(*found, strict=True)))
+
+
+def _search(
+    force_at: Force,
+    nodes: list[float],
+    forces: list[float],
+    wanted: float,
+    last: float | None,
+) -> SampleInversion:
+    """That of a sample with these forces [N] at the nodes."""
+    rising = sorted(forces)
+    least, most = rising[0], rising[-1]
+    falling = rising[::-1]
+    winding = forces not in (rising, falling)
     # A force that only an extremum between two nodes may give.
-    if wanted < min(forces) or wanted > max(forces):
-        nodes, forces = _with_extremum(response, nodes, forces, wanted)
-    least, most = min(forces), max(forces)
+    if wanted < least or wanted > most:
+        bend = _furthest_bend(force_at, nodes, forces, 1.0 if wanted > most else -1.0, winding)
+        if bend is not None:
+            nodes, forces, winding = *bend, True
+            least, most = min(forces), max(forces)
     span = most - least
     margin = WITHIN * TOLERANCE * span
     aimed = min(max(wanted, least + margin), most - margin)
     floor = ROUNDING * max(abs(least), abs(most))
     close = max(CLOSE * TOLERANCE * span, floor)
-    cell = _cell(nodes, [force > aimed for force in forces], last)
-    ends = slice(cell, cell + 2)
-    current, force = _root(response, aimed, nodes[ends], forces[ends], close)
+    if winding:
+        cell = _cell(nodes, [force > aimed for force in forces], last)
+    else:
+        below = bisect_right(rising, aimed)
+        cell = (below if forces == rising else len(nodes) - below) - 1
+        if not 0 < below < len(nodes):
+            cell = 0
+    beside = slice(cell, cell + 2)
+    current, force = _root(force_at, aimed, nodes[beside], forces[beside], close)
     attainable = abs(force - wanted) <= max(TOLERANCE * span, 2.0 * floor)
     return SampleInversion(current, force, attainable, least, most)
 
@@ -129,7 +177,7 @@ def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
 
 
 def _root(
-    response: SampleResponse, aimed: float, nodes: list[float], forces: list[float], close: float
+    force_at: Force, aimed: float, nodes: list[float], forces: list[float], close: float
 ) -> tuple[float, float]:
     """The current between two that gives the force to within ``close``, and its force."""
     (low, high), (at_low, at_high) = nodes, (force - aimed for force in forces)
@@ -138,12 +186,13 @@ def _root(
     part = at_low / run if run else 0.5
     current = low + (part if 0.0 <= part <= 1.0 else 0.5) * (high - low)
     other, at_other = (low, at_low) if abs(at_low) < abs(at_high) else (high, at_high)
+    narrowest = ROUNDING * max(abs(high), 1.0)
     before = math.inf
     for _ in range(MOST_STEPS):
-        found = current, response.force(current)
+        found = current, force_at(current)
         error = found[1] - aimed
         size = abs(error)
-        if not (size > close and high - low > ROUNDING * max(abs(high), 1.0)):
+        if not (size > close and high - low > narrowest):
             break
         if (error <= 0.0) == rises:
             low = current
@@ -159,50 +208,63 @@ def _root(
     return found
 
 
-def _with_extremum(
-    response: SampleResponse, nodes: list[float], forces: list[float], wanted: float
-) -> tuple[list[float], list[float]]:
-    """Nodes and forces, the node at the furthest bend towards a wanted force moved onto it."""
-    sign = 1.0 if wanted > max(forces) else -1.0
+def _furthest_bend(
+    force_at: Force, nodes: list[float], forces: list[float], sign: float, winding: bool
+) -> tuple[list[float], list[float]] | None:
+    """Nodes and forces, the node at the furthest bend up (or down, by ``sign``) moved onto it.
+
+    None where there is none that is further than its node.
+    """
     heights = [sign * force for force in forces]
     last = len(heights) - 1
     bends = [
         place
-        for place in range(1, last)
+        for place in range(1, last if winding else 0)
         if heights[place - 1] < heights[place] >= heights[place + 1]
     ]
     # Beside the first or the last node there is one only where the force rises inwards.
-    if heights[0] >= heights[1] and sign * _slope(response, nodes[0]) > 0.0:
+    if heights[0] >= heights[1] and sign * _slope(force_at, nodes[0]) > 0.0:
         bends.append(0)
-    if heights[last] > heights[last - 1] and sign * _slope(response, nodes[last]) < 0.0:
+    if heights[last] > heights[last - 1] and sign * _slope(force_at, nodes[last]) < 0.0:
         bends.append(last)
     if not bends:
-        return nodes, forces
+        return None
     best = max(bends, key=heights.__getitem__)
-    found = _extremum(response, nodes[max(best - 1, 0)], nodes[min(best + 1, last)], sign)
-    force = response.force(found)
+    low, high = nodes[max(best - 1, 0)], nodes[min(best + 1, last)]
+    close = CLOSE * TOLERANCE * (max(forces) - min(forces))
+    found = _extremum(force_at, low, high, sign, close)
+    force = force_at(found)
     if sign * force <= heights[best]:
-        return nodes, forces
+        return None
     nodes, forces = nodes.copy(), forces.copy()
     nodes[best], forces[best] = found, force
     return nodes, forces
 
 
-def _slope(response: SampleResponse, current: float) -> float:
-    return response.force(current + _STEP) - response.force(current - _STEP)
+def _slope(force_at: Force, current: float) -> float:
+    return force_at(current + _STEP) - force_at(current - _STEP)
 
 
-def _extremum(response: SampleResponse, low: float, high: float, sign: float) -> float:
-    """The current of the largest force (or the least, by ``sign``), by golden section."""
+def _extremum(force_at: Force, low: float, high: float, sign: float, close: float) -> float:
+    """The current of the largest force (or the least, by ``sign``), by golden section.
+
+    Two equal forces may lie on both sides of it; two pairs in a row differ by less than ``close``
+    [N] only on top of it.
+    """
     left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    at_left, at_right = sign * response.force(left), sign * response.force(right)
+    at_left, at_right = sign * force_at(left), sign * force_at(right)
+    before = math.inf
     for _ in range(_GOLDEN_STEPS):
+        difference = abs(at_left - at_right)
+        if difference <= close and before <= close:
+            break
+        before = difference
         if at_left > at_right:
             high, right, at_right = right, left, at_left
             left = high - _GOLDEN * (high - low)
-            at_left = sign * response.force(left)
+            at_left = sign * force_at(left)
         else:
             low, left, at_left = left, right, at_right
             right = low + _GOLDEN * (high - low)
-            at_right = sign * response.force(right)
+            at_right = sign * force_at(right)
     return 0.5 * (low + high)

@@ -27,6 +27,12 @@ class MotionSample(NamedTuple):
             float(motion.peak_velocity[place]),
         )
 
+    @classmethod
+    def each(cls, motion: Motion) -> list[MotionSample]:
+        """All samples of a motion."""
+        columns = motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity
+        return [cls(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
     def held_within(self, low: float, high: float) -> MotionSample:
         """The same with a peak velocity within [m/s]; see :meth:`Motion.held_within`."""
         if low <= self.peak_velocity <= high:

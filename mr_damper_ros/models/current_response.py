@@ -8,15 +8,16 @@ the other plain numbers.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
 
 if TYPE_CHECKING:
+    from mr_damper_ros.kinematics.motion import Motion
     from mr_damper_ros.kinematics.motion_sample import MotionSample
     from mr_damper_ros.models.force_model import Model, State
 
@@ -68,6 +69,17 @@ class SampleResponses:
         return ArraySampleResponse(
             lambda: self._law.response(self._parameters, sample.motion, period, state), self.nodes
         )
+
+    def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples | None:
+        """Those of the samples (n,) of a motion; None where arrays take less time."""
+        return None
+
+
+class SeveralSamples(NamedTuple):
+    """Forces [N] of a few samples: of each at a current [A], and of all (n, m) at the nodes."""
+
+    each: Sequence[Callable[[float], float]]
+    at_nodes: Array
 
 
 class ArraySampleResponse(SampleResponse):

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from known import controllable, fixed
 
 from mr_damper_ros.control.inverse_model import InverseModel
-from mr_damper_ros.control.sample_inversion import invert_sample
+from mr_damper_ros.control.inversion import Inversion, invert
+from mr_damper_ros.control.sample_inversion import FoundCurrent, invert_sample
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.force_model import State
@@ -95,6 +97,14 @@ def state_after(inverse: InverseModel, asked: Asked) -> State:
     return state
 
 
+def in_arrays(inverse: InverseModel, asked: Asked, state: State) -> Inversion:
+    """What the search in arrays finds."""
+    response = inverse.law.response(inverse.values, asked.sample.motion, PERIOD, state)
+    nodes = inverse.law.current_nodes(inverse.values, LOWEST, HIGHEST)
+    last = None if asked.last is None else np.array([asked.last])
+    return invert(response, nodes, np.array([asked.wanted]), last)
+
+
 SCALES = st.lists(st.floats(0.2, 3.0), min_size=5, max_size=5)
 
 
@@ -114,10 +124,7 @@ def test_the_current_is_that_of_the_arrays(name: str, gradual: bool) -> None:
         response = inverse.at(asked.sample, period=PERIOD, state=state)
         nodes = inverse.law.current_nodes(inverse.values, LOWEST, HIGHEST).tolist()
         found = invert_sample(response, nodes, asked.wanted, asked.last)
-        motion = asked.sample.motion
-        expected = inverse.currents(
-            motion, asked.wanted, last=asked.last, period=PERIOD, state=state
-        )
+        expected = in_arrays(inverse, asked, state)
         least, most = float(expected.least[0]), float(expected.most[0])
         span, size = most - least, max(abs(least), abs(most), 1.0)
         met = bool(expected.attainable[0])
@@ -125,7 +132,11 @@ def test_the_current_is_that_of_the_arrays(name: str, gradual: bool) -> None:
         beyond = SAME_EXTREMUM * span + ROUNDING * size
         assert found.least == pytest.approx(least, rel=SAME, abs=beyond)
         assert found.most == pytest.approx(most, rel=SAME, abs=beyond)
-        for one in (found, inverse.current(response, asked.wanted, asked.last)):
+        together = inverse.currents(
+            asked.sample.motion, asked.wanted, last=asked.last, period=PERIOD, state=state
+        )
+        few = FoundCurrent(together.current[0], together.force[0], together.attainable[0])
+        for one in (found, few, inverse.current(response, asked.wanted, asked.last)):
             assert one.force == pytest.approx(float(expected.force[0]), abs=allowed)
             assert one.attainable == expected.attainable[0]
             between = np.linspace(one.current, float(expected.current[0]), 5)
@@ -166,3 +177,47 @@ def test_what_goes_beyond_all_measure_is_left_to_the_arrays(name: str, size: flo
     expected = inverse.currents(sample.motion, 1e3, period=PERIOD)
     assert LOWEST <= found.current <= HIGHEST
     assert found.force == pytest.approx(float(expected.force[0]), rel=SAME)
+
+
+CLOSEST_ROOTS = 2e-3
+"""Amperes: of roots that lie closer to each other, the scan that is compared with sees none."""
+
+
+def winding(rng: np.random.Generator) -> ParameterSet:
+    """A damper whose force rises with the current, and falls again, where the motion is slow."""
+    values = controllable("sigmoid").values.copy()
+    values[[2, 6, 12, 13]] = [-1.0, 6.0, 4.0, -0.3] * rng.uniform(0.7, 1.4, 4)
+    return ParameterSet(values)
+
+
+@pytest.mark.parametrize("gradual", [False, True])
+@pytest.mark.parametrize("last", [None, 0.0, 0.7, HIGHEST])
+def test_of_the_roots_that_a_scan_finds_it_is_the_lowest_or_the_nearest(
+    last: float | None, gradual: bool
+) -> None:
+    rng = np.random.default_rng(7)
+    every = np.linspace(LOWEST, HIGHEST, 4001)
+    several = 0
+    for _ in range(30):
+        inverse = InverseModel(winding(rng), LOWEST, HIGHEST, gradual_reversal=gradual)
+        velocity = rng.uniform(-0.1, 0.1, 10)
+        motion = Motion(
+            displacement=np.zeros(10),
+            velocity=velocity,
+            acceleration=rng.normal(0.0, 5.0, 10),
+            peak_velocity=np.abs(velocity) + rng.uniform(0.0, 0.1, 10),
+            sine=None,
+        )
+        forces = inverse.law.response(inverse.values, motion, PERIOD, None).force(every)
+        least, most = forces.min(axis=1), forces.max(axis=1)
+        wanted = rng.uniform(0.95 * least + 0.05 * most, 0.05 * least + 0.95 * most)
+        found = inverse.currents(motion, wanted, last=last, period=PERIOD)
+        for place, current in enumerate(found.current.tolist()):
+            above = forces[place] > wanted[place]
+            roots = every[np.flatnonzero(above[1:] != above[:-1])]
+            several += int(roots.size > 1)
+            away = np.abs(roots - (LOWEST if last is None else last))
+            # What is about equally near may be the other one.
+            nearest = roots[away <= away.min() + CLOSEST_ROOTS]
+            assert np.abs(nearest - current).min() <= CLOSEST_ROOTS
+    assert several > 10

@@ -5,15 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.current_response import SampleResponses
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.sigmoid.law import Coefficients
 from mr_damper_ros.models.sigmoid.one_sample import FEW, follow_few, follow_few_extended
 from mr_damper_ros.models.sigmoid.reversal import REVERSAL_MEMORY, branch_along
-from mr_damper_ros.models.sigmoid.sample_response import (
-    LateSampleResponses,
-    SigmoidSampleResponses,
-)
 from mr_damper_ros.models.sigmoid.sigmoid_model import ExtendedSigmoidModel, SigmoidModel
 from mr_damper_ros.models.sigmoid.sigmoid_response import Branch
 from mr_damper_ros.signals.arrays import Array
@@ -33,10 +28,6 @@ class ContinuousSigmoidModel(SigmoidModel):
             if found is not None:
                 return found
         return super().follow(parameters, motion, current, period, state)
-
-    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
-        """In plain numbers."""
-        return SigmoidSampleResponses(self, parameters, nodes)
 
     def _turned(
         self, coefficients: Coefficients, motion: Motion, state: State | None
@@ -61,10 +52,6 @@ class ContinuousExtendedModel(ExtendedSigmoidModel):
             if found is not None:
                 return found
         return super().follow(parameters, motion, current, period, state)
-
-    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
-        """In plain numbers."""
-        return LateSampleResponses(self, parameters, nodes)
 
     def _turned(
         self, coefficients: Coefficients, motion: Motion, state: State | None

@@ -8,6 +8,7 @@ number goes beyond all measure nothing is, and the arrays, which saturate, must 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -55,26 +56,28 @@ class SigmoidNumbers:
         self._of_yield = 0.5 * a2, i0, math.tanh(0.5 * a2 * i0), 0.5 * k2
         self._of_width = 0.5 * a3, i1, math.tanh(0.5 * a3 * i1), 0.5 * k3
         self._offset = k5
+        # No current multiplies yield force or width by more, no sigmoid the former.
+        self._largest = 1.0 + abs(k2), 1.0 + abs(k3), 1.0 + abs(k5)
 
     def factors(self, velocity: float, peak_velocity: float) -> SampleFactors | None:
         """Those of a motion [m/s]; None: beyond all measure."""
         v, v_m = velocity, peak_velocity
         f0, a0, a1, a4, k0, k1c, k1e, k4, k6 = self._of_motion
         growth, decay, softening = a1 * v_m, -a4 * v_m, 1.0 + k0 * v_m
-        if not max(abs(growth), abs(decay)) < EXPONENT_LIMIT or softening == 0.0:
+        if not (abs(growth) < EXPONENT_LIMIT and abs(decay) < EXPONENT_LIMIT) or softening == 0.0:
             return None
-        if not max(abs(v), v_m) < _LARGEST_INPUT:
+        if not (abs(v) < _LARGEST_INPUT and v_m < _LARGEST_INPUT):
             return None
-        scale, alpha, offset, width = (
-            f0 * (1.0 + math.exp(growth)),
-            a0 / softening,
-            k6 * v_m,
-            k4 * v_m,
-        )
-        slope = (k1c if v >= 0.0 else k1e) * math.exp(decay)
-        if not abs(scale) + abs(alpha) + abs(offset) + abs(width) + abs(slope) < COEFFICIENT_LIMIT:
+        scale, alpha = f0 * (1.0 + math.exp(growth)), a0 / softening
+        offset, width = k6 * v_m, k4 * v_m
+        viscous = 1.0 + (k1c if v >= 0.0 else k1e) * math.exp(decay) * abs(v)
+        of_yield, of_width, of_sigmoid = self._largest
+        f_t, steepness, v_h = abs(scale) * of_yield, abs(alpha), abs(width) * of_width
+        # A sum with what is not finite, or cannot be compared, is neither.
+        largest = f_t * (of_sigmoid * abs(viscous) + steepness) + steepness + abs(offset) + v_h
+        if not largest < COEFFICIENT_LIMIT:
             return None
-        return SampleFactors(scale, 0.5 * alpha, v + offset, width, 1.0 + slope * abs(v))
+        return SampleFactors(scale, 0.5 * alpha, v + offset, width, viscous)
 
     def gains(self, current: float) -> tuple[float, float]:
         """What a current [A] makes of the yield force and of the width."""
@@ -86,8 +89,8 @@ class SigmoidNumbers:
 
     def at(
         self, factors: SampleFactors, gains: tuple[float, float], position: float, change: float
-    ) -> SampleForce | None:
-        """The sample at a current with these gains; None: beyond all measure.
+    ) -> SampleForce:
+        """The sample at a current with these gains.
 
         It was on the branch ``position`` before the velocity changed by ``change`` [m/s].
         """
@@ -99,19 +102,38 @@ class SigmoidNumbers:
         sigmoid = math.tanh(half)
         force = f_t * (sigmoid - self._offset) * viscous
         ratio = 1.0 if abs(half) < SMALL_ARGUMENT else sigmoid / half
-        damping = f_t * half_steepness * ratio
-        # A sum with what is not finite, or cannot be compared, is neither.
-        largest = abs(f_t) + abs(v_h) + abs(force) + abs(damping)
-        return SampleForce(force, damping, branch) if largest < COEFFICIENT_LIMIT else None
+        return SampleForce(force, f_t * half_steepness * ratio, branch)
+
+    def force_over_current(
+        self, factors: SampleFactors, position: float, change: float
+    ) -> Callable[[float], float]:
+        """The force [N] of :meth:`at` as a function of the current [A], for a search."""
+        scale, half_steepness, velocity, width, viscous = factors
+        y_steepness, y_threshold, y_at_none, y_step = self._of_yield
+        w_steepness, w_threshold, w_at_none, w_step = self._of_width
+        offset, tanh = self._offset, math.tanh
+
+        def force(current: float) -> float:
+            on = tanh(y_steepness * (current + y_threshold))
+            f_t = scale * (1.0 + y_step * (on - y_at_none))
+            on = tanh(w_steepness * (current + w_threshold))
+            v_h = width * (1.0 + w_step * (on - w_at_none))
+            branch = position
+            if change:
+                branch += change / max(abs(v_h), NARROWEST)
+                branch = 1.0 if branch > 1.0 else max(branch, -1.0)
+            return f_t * (tanh(half_steepness * (velocity + v_h * branch)) - offset) * viscous
+
+        return force
 
 
 def branch_before(state: State | None, acceleration: float) -> tuple[float, float | None]:
     """The branch before a sample, and the velocity [m/s]; see :func:`reversal.branch_along`.
 
-    Without a state it is the branch of the acceleration, and no velocity.
+    Without one in the state it is the branch of the acceleration, and no velocity.
     """
-    if state is None:
-        return float(np.sign(acceleration)), None
+    if not state:
+        return acceleration / abs(acceleration) if acceleration else 0.0, None
     return float(state[1]), float(state[0])
 
 
@@ -137,8 +159,7 @@ class _Following:
             return None
         change = 0.0 if self._before is None else v - self._before
         found = self._numbers.at(factors, self._gains, self._branch, change)
-        if found is not None:
-            self._before, self._branch = v, found.branch
+        self._before, self._branch = v, found.branch
         return found
 
     @property

@@ -7,155 +7,196 @@ must do altogether.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache, partial
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
-from mr_damper_ros.models.current_response import SampleResponse, SampleResponses
+from mr_damper_ros.models.current_response import (
+    SampleResponse,
+    SampleResponses,
+    SeveralSamples,
+)
 from mr_damper_ros.models.force_model import Model, State
-from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT, Extension, extension_of
-from mr_damper_ros.models.sigmoid.law import COEFFICIENT_LIMIT, current_gains
+from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT, extension_of
+from mr_damper_ros.models.sigmoid.law import current_gains
 from mr_damper_ros.models.sigmoid.one_sample import (
     SampleFactors,
-    SampleForce,
     SigmoidNumbers,
     branch_before,
     lag_before,
     late_after,
 )
-from mr_damper_ros.models.sigmoid.reversal import REVERSAL_MEMORY
 from mr_damper_ros.models.sigmoid.sigmoid_response import (
     Branch,
     LateResponse,
+    SetTerms,
     SigmoidFactors,
     SigmoidResponse,
     lag_state,
 )
 from mr_damper_ros.signals.arrays import Array
 
-_REMEMBERED = 16
-"""Currents whose gains are remembered."""
+_FEW = 32
+"""Samples up to which a search in plain numbers takes less time than one in arrays."""
 
 
-class SigmoidSampleResponses(SampleResponses):
-    """Those of the sixteen parameters, the first ones of a set."""
+class _Seen(NamedTuple):
+    """What the law sees of a sample.
+
+    It was on the branch ``position`` before the velocity changed by ``change`` [m/s].
+    """
+
+    factors: SampleFactors
+    position: float
+    change: float
+
+
+class _InPlainNumbers(SampleResponses):
+    """What the responses of both laws have in common."""
 
     def __init__(self, law: Model, parameters: Array, nodes: Array) -> None:
         super().__init__(law, parameters, nodes)
-        self.sixteen = parameters[:SIGMOID_COUNT]
-        self.numbers = SigmoidNumbers(self.sixteen)
-        self.gains = current_gains(self.sixteen, nodes)
-        # The same few currents are looked at one sample after the other.
-        self.gains_at = lru_cache(maxsize=_REMEMBERED)(self.numbers.gains)
+        sixteen = parameters[:SIGMOID_COUNT]
+        self.numbers = SigmoidNumbers(sixteen)
+        self.gains = current_gains(sixteen, nodes)
+        self._terms = SetTerms.of(sixteen)
+
+    def _seen(self, sample: MotionSample, state: State | None) -> _Seen | None:
+        """None: beyond all measure."""
+        factors = self.numbers.factors(sample.velocity, sample.peak_velocity)
+        if factors is None:
+            return None
+        turning = None if state is None else state[: self._law.turning]
+        position, before = branch_before(turning, sample.acceleration)
+        return _Seen(factors, position, 0.0 if before is None else sample.velocity - before)
+
+    def _few(self, motion: Motion, state: State | None) -> list[_Seen] | None:
+        """Of a few samples; None: of many, or beyond all measure."""
+        if motion.velocity.size > _FEW:
+            return None
+        samples = [self._seen(sample, state) for sample in MotionSample.each(motion)]
+        known = [seen for seen in samples if seen is not None]
+        return known if len(known) == len(samples) else None
+
+    def together(self, samples: Sequence[_Seen]) -> SigmoidResponse:
+        """Of samples (n,) for many currents at once."""
+        rows = [(*seen.factors, seen.position, seen.change) for seen in samples]
+        *factors, position, change = np.array(rows).T[:, :, np.newaxis]
+        branch = Branch(position, change if change.any() else None)
+        return SigmoidResponse(self._terms, SigmoidFactors(*factors), branch)
+
+
+class SigmoidSampleResponses(_InPlainNumbers):
+    """Those of the sixteen parameters."""
 
     def of(self, sample: MotionSample, period: float, state: State | None) -> SampleResponse:
         """That of the sample ``period`` [s] after the state."""
-        factors = self.numbers.factors(sample.velocity, sample.peak_velocity)
-        if factors is None:
-            return super().of(sample, period, state)
-        position, before = branch_before(state, sample.acceleration)
-        change = 0.0 if before is None else sample.velocity - before
-        arrays = partial(super().of, sample, period, state)
-        return SigmoidSampleResponse(self, factors, position, change, arrays)
+        seen = self._seen(sample, state)
+        return super().of(sample, period, state) if seen is None else SigmoidSample(self, seen)
+
+    def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples | None:
+        """Those of a few samples (n,)."""
+        few = self._few(motion, state)
+        if few is None:
+            return None
+        each = [self.numbers.force_over_current(*seen) for seen in few]
+        return SeveralSamples(each, self.together(few).force_of(self.gains))
 
 
-class SigmoidSampleResponse(SampleResponse):
-    """That of the sixteen parameters; ``arrays`` gives it where numbers are beyond all measure.
+class SigmoidSample(SampleResponse):
+    """That of the sixteen parameters."""
 
-    The sample was on the branch ``position`` before the velocity changed by ``change`` [m/s].
-    """
-
-    def __init__(
-        self,
-        of: SigmoidSampleResponses,
-        factors: SampleFactors,
-        position: float,
-        change: float,
-        arrays: Callable[[], SampleResponse],
-    ) -> None:
-        self.gains = of.gains
-        self.in_arrays = arrays
+    def __init__(self, of: _InPlainNumbers, seen: _Seen) -> None:
         self._of = of
-        self._factors = factors
-        self._position = position
-        self._change = change
+        self._seen = seen
+        self._force = of.numbers.force_over_current(*seen)
 
     def at_nodes(self) -> list[float]:
         """Force [N] at the nodes."""
-        return self.checked(self.arrays.force_of(self.gains))
+        found: list[float] = self._of.together([self._seen]).force_of(self._of.gains)[0].tolist()
+        return found
 
     def force(self, current: float) -> float:
         """Force [N] at a current [A]."""
-        found = self.at(current)
-        return self.in_arrays().force(current) if found is None else found.force
-
-    def at(self, current: float) -> SampleForce | None:
-        """The sigmoid at a current [A]; None: beyond all measure."""
-        return self._of.numbers.at(
-            self._factors, self._of.gains_at(current), self._position, self._change
-        )
-
-    @property
-    def arrays(self) -> SigmoidResponse:
-        """The same for many currents at once."""
-        branch = Branch(self._position, self._change)
-        return SigmoidResponse(self._of.sixteen, SigmoidFactors(*self._factors), branch)
-
-    def checked(self, forces: Array) -> list[float]:
-        """These forces at the nodes [N], unless one of them is beyond all measure."""
-        if not np.abs(forces).max() < COEFFICIENT_LIMIT:
-            return self.in_arrays().at_nodes()
-        found: list[float] = forces.tolist()
-        return found
+        return self._force(current)
 
 
-class LateSampleResponses(SigmoidSampleResponses):
+class LateSampleResponses(_InPlainNumbers):
     """Those of the extended law."""
 
     def __init__(self, law: Model, parameters: Array, nodes: Array) -> None:
         super().__init__(law, parameters, nodes)
-        self._extension = extension_of(parameters)
+        self.extension = extension_of(parameters)
 
     def of(self, sample: MotionSample, period: float, state: State | None) -> SampleResponse:
         """That of the sample ``period`` [s] after the state."""
-        plain = super().of(sample, period, state)
-        if not isinstance(plain, SigmoidSampleResponse):
-            return plain
-        own = None if state is None else state[REVERSAL_MEMORY:]
-        return LateSampleResponse(plain, self._extension, sample.displacement, period, own)
+        seen = self._seen(sample, state)
+        if seen is None:
+            return super().of(sample, period, state)
+        return LateSample(self, seen, sample.displacement, period, self._own(state))
+
+    def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples | None:
+        """Those of a few samples (n,)."""
+        few, own = self._few(motion, state), self._own(state)
+        if few is None:
+            return None
+        u = motion.displacement
+        each = [
+            LateSample(self, seen, displacement, period, own).force
+            for seen, displacement in zip(few, u.tolist(), strict=True)
+        ]
+        return SeveralSamples(each, self.late(few, u[:, np.newaxis], period, own))
+
+    def late(
+        self,
+        samples: Sequence[_Seen],
+        displacement: Array | float,
+        period: float,
+        own: State | None,
+    ) -> Array:
+        """Force (n, m) [N] of samples at the nodes."""
+        response = LateResponse(
+            self.together(samples), self.extension, displacement, period, lag_state(own)
+        )
+        return response.force_of(self.gains)
+
+    def _own(self, state: State | None) -> State | None:
+        """What of the state the lags remember."""
+        return None if state is None else state[self._law.turning :]
 
 
-class LateSampleResponse(SampleResponse):
-    """That of the extended law; ``state`` begins with what the lag remembers."""
+class LateSample(SampleResponse):
+    """That of the extended law; ``own`` begins with what the lag remembers."""
 
     def __init__(
         self,
-        plain: SigmoidSampleResponse,
-        extension: Extension,
+        of: LateSampleResponses,
+        seen: _Seen,
         displacement: float,
         period: float,
-        state: State | None,
+        own: State | None,
     ) -> None:
-        self._plain = plain
-        self._extension = extension
+        self._of = of
+        self._seen = seen
         self._displacement = displacement
+        self._gas = float(of.extension.gas(displacement))
         self._period = period
-        self._state = lag_state(state)
-        self._before = lag_before(state)
+        self._own = own
+        self._before = lag_before(own)
 
     def at_nodes(self) -> list[float]:
         """Force [N] at the nodes."""
-        arrays = LateResponse(
-            self._plain.arrays, self._extension, self._displacement, self._period, self._state
-        )
-        return self._plain.checked(arrays.force_of(self._plain.gains))
+        found = self._of.late([self._seen], self._displacement, self._period, self._own)
+        forces: list[float] = found[0].tolist()
+        return forces
 
     def force(self, current: float) -> float:
         """Force [N] at a current [A]."""
-        found = self._plain.at(current)
-        if found is None:
-            return self._plain.in_arrays().force(current)
-        late = late_after(found, self._extension, self._period, self._before)
-        return float(late.force + self._extension.gas(self._displacement))
+        numbers = self._of.numbers
+        factors, position, change = self._seen
+        plain = numbers.at(factors, numbers.gains(current), position, change)
+        late = late_after(plain, self._of.extension, self._period, self._before)
+        return float(late.force + self._gas)

@@ -20,7 +20,7 @@ from mr_damper_ros.models.coil import (
     coil_unsettled,
     in_coil,
 )
-from mr_damper_ros.models.current_response import CurrentResponse, nodes_along
+from mr_damper_ros.models.current_response import CurrentResponse, SampleResponses, nodes_along
 from mr_damper_ros.models.first_order_lag import SETTLING, lagged
 from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
@@ -51,6 +51,10 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.models.sigmoid.law_formulas import SigmoidFormulas
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.sigmoid.sample_response import (
+    LateSampleResponses,
+    SigmoidSampleResponses,
+)
 from mr_damper_ros.models.sigmoid.scale_misfit import (
     ScaleMisfit,
     coefficients_along,
@@ -134,6 +138,10 @@ class SigmoidModel(Model):
     ) -> CurrentResponse:
         """Force over the current, of which only two factors depend on it."""
         return SigmoidResponse.along(parameters, motion, self._branch(motion, state))
+
+    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
+        """In plain numbers."""
+        return SigmoidSampleResponses(self, parameters, nodes)
 
     def _branch(self, motion: Motion, state: State | None) -> Branch:
         """Where on the hysteresis the samples are."""
@@ -345,6 +353,10 @@ class ExtendedSigmoidModel(SigmoidModel):
         """That of the sigmoid law, late."""
         own = None if state is None else state[self.turning :]
         return late_response(parameters, motion, self._branch(motion, state), period, own)
+
+    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
+        """In plain numbers."""
+        return LateSampleResponses(self, parameters, nodes)
 
     def starts(self, reading: LoopReading) -> Array:
         """Those of the sigmoid law with a small compliance."""

@@ -55,18 +55,29 @@ class SigmoidFactors(NamedTuple):
     viscous: Column
 
 
-class SigmoidResponse(CurrentResponse):
-    """The force of parameters (16,) at samples with these factors."""
+class SetTerms(NamedTuple):
+    """What a set makes of the law, whatever the motion: of the gains, and the offset [1]."""
 
-    def __init__(self, parameters: Array, factors: SigmoidFactors, branch: Branch) -> None:
-        self._terms = GainTerms.of(parameters)
+    gains: GainTerms
+    offset: float
+
+    @classmethod
+    def of(cls, parameters: Array) -> SetTerms:
+        """Those of parameters (16,)."""
+        return cls(GainTerms.of(parameters), float(parameters[_OFFSET]))
+
+
+class SigmoidResponse(CurrentResponse):
+    """The force of a set at samples with these factors."""
+
+    def __init__(self, terms: SetTerms, factors: SigmoidFactors, branch: Branch) -> None:
+        self._terms, self._offset = terms
         self._factors = factors
         self._branch = branch
-        self._offset = float(parameters[_OFFSET])
 
     @classmethod
     def along(cls, parameters: Array, motion: Motion, branch: Branch) -> SigmoidResponse:
-        """That of the samples (n,) of a motion."""
+        """That of parameters (16,) at the samples (n,) of a motion."""
         found = motion_factors(parameters, motion.peak_velocity)
         v = motion.velocity
         slope = np.where(v >= 0.0, found.k_c, found.k_e)
@@ -82,7 +93,7 @@ class SigmoidResponse(CurrentResponse):
                 )
             )
         )
-        return cls(parameters, factors, branch)
+        return cls(SetTerms.of(parameters), factors, branch)
 
     def force(self, current: Array) -> Array:
         """Force (n, m) [N]."""
