@@ -17,6 +17,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
+from mr_damper_ros.tracking.fading_force import FadingForce
 from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
 from mr_damper_ros.tracking.known_sets import Choice, KnownSets
@@ -30,6 +31,7 @@ from mr_damper_ros.tracking.validity import (
     doubt_of_current_age,
     doubt_of_current_range,
     doubt_of_missing,
+    doubt_of_motion,
     doubt_of_parameters_age,
     doubt_of_size,
     doubt_of_speed,
@@ -83,6 +85,7 @@ class ForcePredictor:
         self._freshness = Freshness(settings.max_age)
         self._verdicts = VerdictWatch()
         self._watch: ForceWatch | None = None
+        self._fading = FadingForce()
         self._unlearned: Unlearned | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
@@ -127,10 +130,15 @@ class ForcePredictor:
         """Predict with this set from the next block on, unless another is for the current of now.
 
         ``confirmed_ns`` is the stamp of the last sample that it is known to fit; None for a set
-        that does not age, such as one that a user gave. What the model remembers of the motion
+        that does not age, such as one that a user gave: its force counts at once, that of others
+        after what is left of the force before has faded. What the model remembers of the motion
         is found anew with this set; one of another model begins without.
         """
         self._go_on()
+        if confirmed_ns is not None:
+            self._fading.leave(self._stream, self.parameters)
+        else:
+            self._fading.step()
         if self._stream is not None and self._stream.model.name != parameters.model:
             self._stream = None
         half_cycle = math.nan if self._motion is None else self._motion.half_cycle
@@ -148,7 +156,9 @@ class ForcePredictor:
     def confirm(self, set_id: str, start_ns: int, stamp_ns: int) -> None:
         """Take note that the set of this name fits the samples of a window, up to the stamp."""
         self._go_on()
+        before = self.parameters
         if self._known.confirm(set_id, stamp_ns, self._current.span(start_ns, stamp_ns)):
+            self._fading.leave(self._stream, before)
             self._retrace()
 
     def follow_verdict(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
@@ -203,7 +213,8 @@ class ForcePredictor:
     def _go_on_with(self, choice: Choice | None, watch: ForceWatch) -> None:
         if choice is None:
             return
-        self._foreseen = None
+        self._go_on()
+        self._fading.leave(self._stream, self.parameters)
         self._stream = self._known.settled_stream(choice.chosen)
         self._known.use(choice.chosen)
         watch.forget_error(choice.error)
@@ -291,6 +302,7 @@ class ForcePredictor:
             self._stream = None
             self._foreseen = None
             self._watch = ForceWatch(block.period, self._settings.maximum_error)
+            self._fading = FadingForce(block.period)
             self._unlearned = None
             self._known.forget_samples()
         self._learn()
@@ -310,15 +322,18 @@ class ForcePredictor:
             sentence = f"the force of {self.parameters.set_id} is beyond what a number can hold"
             not_finite = Doubt(DoubtKind.NOT_FINITE, sentence)
             return self._invalid(block, not_finite, verdict.sentence, motion.velocity)
+        assert self._watch is not None
+        largest = (1.0 + self._settings.force_margin) * self.parameters.largest_force
+        force = self._fading.follow(reckoned.force, motion, reckoned.current, largest)
         self._newest_doubt = self._doubt(block, motion, reckoned)
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
             period=block.period,
-            force=reckoned.force,
+            force=force,
             velocity=motion.velocity,
             set_id=self.parameters.set_id,
-            doubt=self._newest_doubt or stale,
+            doubt=self._newest_doubt or self._fading.doubt(self._watch.allowed) or stale,
             continuity=verdict.sentence,
             motion=motion,
             current=reckoned.current,
@@ -327,9 +342,10 @@ class ForcePredictor:
     def _doubt(self, block: SampleBlock, motion: Motion, reckoned: Reckoned) -> Doubt:
         """Why not to rely on the force of a block: what is known of the motion comes first."""
         assert self._motion is not None
+        assert self._stream is not None
         assert self._watch is not None
         forces = reckoned.force, block.force
-        settling = self._doubt_of_motion()
+        settling = doubt_of_motion(self._motion, self._stream, self._begun_at)
         if settling:
             # A force that nobody could know says nothing of the parameters.
             self._watch.forget_moment()
@@ -355,6 +371,8 @@ class ForcePredictor:
         assert self._motion is not None
         current = self._current.at(block.start_ns, block.period, block.sample_count)
         if self._known.follow_current(float(current[-1]), block.end_ns):
+            # A change of the current changes the force, too.
+            self._fading.step()
             self._retrace()
         parameters, steady = self.parameters, self._motion.steady
         assert parameters is not None
@@ -366,24 +384,6 @@ class ForcePredictor:
         force = self._stream.follow(parameters.values, held, current)
         doubt = self._doubt_of_force(motion, steady, current, force)
         return Reckoned(force, bool(np.isfinite(force).all()), doubt, current)
-
-    def _doubt_of_motion(self) -> Doubt:
-        """Whether the motion, and what the model remembers of it, is known."""
-        assert self._stream is not None
-        assert self._motion is not None
-        if self._motion.doubt:
-            return Doubt(DoubtKind.SETTLING, self._motion.doubt)
-        if self._motion.resting:
-            return Doubt(
-                DoubtKind.AT_REST,
-                "the damper is at rest: its force then depends on how it came to rest",
-            )
-        if self._stream.remembers and self._motion.reversals == self._begun_at:
-            return Doubt(
-                DoubtKind.SETTLING,
-                "the model does not know its past before the motion has reversed",
-            )
-        return NO_DOUBT
 
     def _speed(self, motion: Motion, steady: bool) -> float:
         """The peak velocity [m/s] that stands for a block."""

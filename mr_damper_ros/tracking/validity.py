@@ -12,6 +12,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion_follower import MotionFollower
+from mr_damper_ros.models.force_stream import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, span_of
@@ -214,6 +216,26 @@ def doubt_of_missing(
         "no supply current yet that holds for these samples: the newest is stamped "
         f"{ahead:.3g} s after their begin; are both stamped by one clock?",
     )
+
+
+def doubt_of_motion(motion: MotionFollower, stream: ForceStream, begun_at: int) -> Doubt:
+    """Whether the motion is known, and what a model remembers of it.
+
+    ``begun_at``: reversals of the motion when the stream began.
+    """
+    if motion.doubt:
+        return Doubt(DoubtKind.SETTLING, motion.doubt)
+    if motion.resting:
+        return Doubt(
+            DoubtKind.AT_REST,
+            "the damper is at rest: its force then depends on how it came to rest",
+        )
+    if stream.remembers and motion.reversals == begun_at:
+        return Doubt(
+            DoubtKind.SETTLING,
+            "the model does not know its past before the motion has reversed",
+        )
+    return NO_DOUBT
 
 
 def doubt_of_current_age(
