@@ -17,11 +17,11 @@ _RIDGE = 1e-9
 _DECIDED = 3.0
 """Standard errors by which the share must lie above or below one half to be believed."""
 
-_ENOUGH = 64
-"""Samples that are looked at together, and at least before anything is said."""
+_TOGETHER, _ENOUGH = 32, 30
+"""Samples that are looked at together where none is lost, and at least before anything is said."""
 
-_FORGETTING = 0.98
-"""Part of what was seen before that still counts with each further such number."""
+_FORGETTING = 0.9997
+"""Part of what was seen before that still counts with each further sample."""
 
 
 def on_a_line(before: Array, after: Array, count: int) -> Array:
@@ -111,15 +111,18 @@ class UnevenSampling:
         ``index`` is that of its first sample; where it does not go on, none is a neighbour.
         """
         if index != self._next:
+            self._look()
             self._late, self._values, self._waiting = [], [], 0
         self._next = index + displacement.size
         self._late.append(np.full(displacement.size, late))
         self._values.append(displacement)
         self._waiting += displacement.size
-        if self._waiting >= _ENOUGH:
+        if self._waiting >= _TOGETHER:
             self._look()
 
     def _look(self) -> None:
+        if self._waiting == 0:
+            return
         late, values = np.concatenate(self._late), np.concatenate(self._values)
         # The last two are the neighbours of the next ones.
         self._late, self._values, self._waiting = [late[-2:]], [values[-2:]], 0
@@ -127,10 +130,11 @@ class UnevenSampling:
         expected = 0.5 * (values[2:] - values[:-2]) * (late[1:-1] - 0.5 * (late[:-2] + late[2:]))
         moved = expected != 0.0
         off, expected = off[moved], expected[moved]
-        self._product = _FORGETTING * self._product + float(off @ expected)
-        self._square = _FORGETTING * self._square + float(expected @ expected)
-        self._rest = _FORGETTING * self._rest + float(off @ off)
-        self._count = _FORGETTING * self._count + off.size
+        known = _FORGETTING**off.size
+        self._product = known * self._product + float(off @ expected)
+        self._square = known * self._square + float(expected @ expected)
+        self._rest = known * self._rest + float(off @ off)
+        self._count = known * self._count + off.size
         if self._count < _ENOUGH or self._square == 0.0:
             return
         share = self._product / self._square

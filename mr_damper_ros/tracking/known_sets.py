@@ -64,6 +64,10 @@ _BETTER = 0.6
 """What takes over from a force that is wrong leaves less than this part of its error."""
 
 
+_MOST_SHOWN, _STILL = 1.0, 0.5
+"""How a force turns one cycle may hardly show: it says so much at most, half at the next look."""
+
+
 class Choice(NamedTuple):
     """A set to go on with, and what it leaves of the newest forces [N]; NaN where none came."""
 
@@ -94,6 +98,7 @@ class KnownSets:
         self._half_cycle = 0.0
         self._since_search = math.inf
         self._since_turning = 0.0
+        self._turning = 0.0  # log of the error of a jumping force over that of a gradual one
         self._over_current = SetsOverCurrent()
         # The present current [A], that which the identification found last, and whether another
         # is in use for the present current.
@@ -347,14 +352,16 @@ class KnownSets:
         if law.continuous is law or self._count * self._period < self._half_cycle:
             return None
         newest = self._newest(math.inf)
-        usual, other = (
-            _root_mean_square(self._force(present, newest, gradual) - newest.measured)
-            for gradual in (self.gradual, not self.gradual)
-        )
-        if not other < _BETTER * usual:
+        left = [
+            max(_root_mean_square(self._force(present, newest, gradual) - newest.measured), 1e-9)
+            for gradual in (False, True)
+        ]
+        shown = min(max(math.log(left[0] / left[1]), -_MOST_SHOWN), _MOST_SHOWN)
+        self._turning = _STILL * self._turning + shown
+        if not (-self._turning if self.gradual else self._turning) > -math.log(_BETTER):
             return None
         self.gradual = not self.gradual
-        return Choice(present, other)
+        return Choice(present, left[self.gradual])
 
     def settled_stream(self, chosen: KnownSet) -> ForceStream:
         """A stream of the set's force that has followed the newest samples."""

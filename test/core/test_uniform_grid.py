@@ -295,3 +295,12 @@ def test_a_repeat_of_a_jittered_block_is_a_repeat() -> None:
     placed_in(grid, blocks)
     for one in blocks[-20:]:
         assert judged(grid, replace(one, start_ns=one.start_ns + 300_000)).kind == "repeat"
+
+
+def test_that_samples_were_taken_unevenly_is_seen_though_some_are_lost() -> None:
+    # Never so many in a row that they would be looked at together.
+    late = jittered(400)
+    blocks = stream([1] * 400, late, sampled=True)
+    grid = UniformGrid()
+    placed_in(grid, [block for k, block in enumerate(blocks) if k % 20])
+    assert grid.uneven
