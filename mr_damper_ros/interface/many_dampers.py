@@ -146,8 +146,7 @@ def identify_many(
     model, method, start, seed, generations, accept_doubtful
         As in :func:`identify`.
     workers
-        Processes of this machine. A script that asks for more than one needs the usual
-        ``if __name__ == "__main__":``.
+        Processes of this machine.
     executor
         Any executor of ``concurrent.futures`` instead; its workers must see the same paths.
     scheduler

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.recording_list import RECORD_ENDINGS
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
@@ -159,6 +158,8 @@ def _recordings(path: Path) -> list[Recording]:
             f"{path} is no bag: its columns and units must be told, to read_record in Python or "
             "to import_record, which makes a bag of it"
         )
+    from mr_damper_ros.io.bag_reader import read_bag  # here: only bags need it
+
     return read_bag(path)
 
 

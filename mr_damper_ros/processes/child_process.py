@@ -14,6 +14,10 @@ import signal
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.process import BaseProcess
+from types import ModuleType
+from typing import Any, ClassVar
 
 SINGLE_THREADED = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment in which BLAS computes with one thread: the arrays here are small, more threads
@@ -48,6 +52,30 @@ def live_with(parent: int) -> None:
     # It may have died before that was said.
     if os.getppid() != parent:
         os._exit(1)
+
+
+class _FreshProcess(SpawnProcess):
+    """One that does not read its parent's program."""
+
+    @staticmethod
+    def _Popen(process_obj: BaseProcess) -> Any:  # noqa: N802
+        program = sys.modules["__main__"]
+        # There is nothing to be read in it.
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            return SpawnProcess._Popen(process_obj)  # type: ignore[attr-defined]
+        finally:
+            sys.modules["__main__"] = program
+
+
+class FreshContext(SpawnContext):
+    """Of processes that multiprocessing starts for functions of modules, not of the program.
+
+    It has its children read their parent's program first, whose imports may take seconds and are
+    of no use to them; and what is not guarded in it they would do again.
+    """
+
+    Process: ClassVar[type[_FreshProcess]] = _FreshProcess  # type: ignore[assignment]
 
 
 def _run(parent: str, module: str, function: str, *arguments: str) -> None:

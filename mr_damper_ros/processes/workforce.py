@@ -66,8 +66,7 @@ class LocalProcesses:
         os.environ.update({**child_process.SINGLE_THREADED, **os.environ})
         self._pool = ProcessPoolExecutor(
             self._count,
-            # Not fork: the threads of DDS or BLAS do not survive one.
-            multiprocessing.get_context("spawn"),
+            child_process.FreshContext(),
             initializer=child_process.live_with,
             initargs=(os.getpid(),),
         )

@@ -54,6 +54,25 @@ def test_the_import_paths_of_the_environment_do_not_leak_in(
     assert output(pool_tasks.told) == "[]\n"
 
 
+_UNGUARDED = """
+import sys
+sys.path[:] = {paths!r}
+print("read", flush=True)
+from concurrent.futures import ProcessPoolExecutor
+from mr_damper_ros.processes.child_process import FreshContext
+with ProcessPoolExecutor(2, FreshContext()) as pool:
+    print(*pool.map(abs, range(-4, 0)))
+"""
+
+
+def test_processes_of_a_pool_do_not_read_the_program(tmp_path: Path) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(_UNGUARDED.format(paths=sys.path), encoding="utf-8")
+    command = [sys.executable, str(program)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
+    assert done.stdout == "read\n4 3 2 1\n"
+
+
 def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
     command = child_process.command(pool_tasks.answering)
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
