@@ -26,8 +26,8 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.window_problem import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 
-_CONTRADICTED = 24.3
-"""Seven squared normal numbers exceed this once in a thousand times."""
+_CONTRADICTED = 1e-3
+"""A change so rare, were the running set right, says that it is not."""
 
 _MORE_LEFT = 1.25
 """A running set that makes the fit of a sine leave so many times as much is refuted by it."""
@@ -55,11 +55,10 @@ def with_prior(
 
     ``fastest`` [m/s] is the largest peak velocity that the running set holds for, infinite where
     that is not known: what an unknown does to the force is seen in the window and in a sine so
-    fast. Where the window determines the unknowns, the fit hardly changes; that of a model which is
-    not ``weighed`` does not change at all.
+    fast. Where the window determines the unknowns, the fit hardly changes.
     """
-    if not model.weighed:
-        return fit
+    from scipy.special import chdtri  # here: see mr_damper_ros.entry_points
+
     problem = model.window_problem(window, running)
     prior = problem.start
     width = problem.usual_change(WANDER, fastest)
@@ -68,6 +67,7 @@ def with_prior(
     noise = _effective_noise(problem, fit, window)
     alone = float(np.linalg.norm(problem.residual(fit.scales)))
     evaluations = fit.evaluations
+    most = float(chdtri(width.size, _CONTRADICTED))  # of so many squared normal numbers
     for _ in range(_MOST_DOUBLINGS):
         search = LocalSearch(_Weighed(problem, prior, noise / width), prior)
         search.try_out(prior)
@@ -77,7 +77,7 @@ def with_prior(
             search.reweighted_least_squares()
         unknowns = search.best
         evaluations += search.evaluations
-        usual = float(np.sum(((unknowns - prior) / width) ** 2)) <= _CONTRADICTED
+        usual = float(np.sum(((unknowns - prior) / width) ** 2)) <= most
         left = float(np.linalg.norm(problem.residual(unknowns)))
         # In random motion a fit on its own leaves less because it follows what no law has.
         if usual and (window.motion.sine is None or left <= _MORE_LEFT * alone):

@@ -7,6 +7,8 @@ past have no residual.
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +19,9 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.models.search_effort import SearchEffort
 from mr_damper_ros.signals.arrays import Array
+
+_CYCLES, _PER_CYCLE = 3, 64
+"""Of a sine in which a change of an unknown is seen, and samples in each."""
 
 
 class WindowProblem(Protocol):
@@ -145,8 +150,21 @@ class DifferenceProblem:
         return values, gradient @ covariance @ gradient.T
 
     def usual_change(self, part: float, fastest: float) -> Array:
-        """Change (f,) of each unknown that changes the force of the window by this part of it."""
-        return relative_change(self, part)
+        """Change (f,) of each unknown that changes the force by this part, see the protocol."""
+        change = relative_change(self, part)
+        if not math.isfinite(fastest):
+            return change
+        model, sine = self.model, self._sine(fastest)
+        sine = replace(sine, force=model.window_force(sine, self._given))
+        return np.minimum(change, relative_change(model.window_problem(sine, self._given), part))
+
+    def _sine(self, peak_velocity: float) -> Window:
+        """Cycles of a sine about as often as the window has them, without force."""
+        rate = self._reading.speed / self._reading.amplitude
+        angle: Array = 2.0 * np.pi * np.arange(_CYCLES * _PER_CYCLE) / _PER_CYCLE
+        displacement = peak_velocity / rate * np.sin(angle)
+        current, period = self.window.operating_point[1], 2.0 * np.pi / (rate * _PER_CYCLE)
+        return Window.from_samples(displacement, np.zeros(angle.size), current, period)
 
 
 def relative_change(problem: WindowProblem, part: float) -> Array:

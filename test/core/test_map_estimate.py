@@ -34,6 +34,12 @@ NEARLY_AS_WELL = 1.3
 BETTER = 0.5
 """Most that the error elsewhere may be of that of the fit to a short window alone."""
 
+FAST = 0.3
+"""Peak velocity [m/s] that the running set holds for."""
+
+SPOILT = 0.1
+"""Least NRMSE in the usual motion of what a window of a small one has spoilt."""
+
 ROUNDING = 1e-9
 """Relative."""
 
@@ -42,11 +48,22 @@ def steady(parameters: Array = RUNNING) -> Window:
     return known.run(parameters, current=1.0, seed=3).window
 
 
-def random_window(first: int, samples: int, *, unmodelled: float = 0.2, seed: int = 0) -> Window:
-    """A window of random motion; ``unmodelled`` [1]: a slow part of the force that no law has."""
-    whole = RANDOM.at(np.arange(20_000) * 1e-3).displacement
+def random_window(
+    first: int,
+    samples: int,
+    *,
+    name: str = "sigmoid",
+    size: float = 1.0,
+    unmodelled: float = 0.2,
+    seed: int = 0,
+) -> Window:
+    """A window of random motion of an example of a law, ``size`` [1] of the usual one.
+
+    ``unmodelled`` [1]: a slow part of the force that no law has.
+    """
+    whole = size * RANDOM.at(np.arange(20_000) * 1e-3).displacement
     window = Window.from_samples(whole, np.zeros(whole.size), 1.0, 1e-3)
-    clean = SIGMOID.window_force(window, RUNNING)
+    clean = MODELS[name].window_force(window, known.EXAMPLES[name])
     slow = BandLimitedRandom(rms=1.0, low=0.2, high=4.0, seed=10 + seed)
     rest = unmodelled * np.std(clean) * slow.at(np.arange(20_000) * 1e-3).displacement
     force = clean + rest + np.random.default_rng(seed).normal(0.0, known.NOISE, clean.size)
@@ -151,7 +168,25 @@ def test_a_running_set_without_force_does_not_spoil_the_fit(fastest: float) -> N
     assert weighed.rmse < AS_WELL * alone.rmse
 
 
-def test_other_models_are_left_alone() -> None:
-    window = steady()
-    alone = own(window)
-    assert with_prior(MODELS["bingham"], alone, window, RUNNING) is alone
+@pytest.mark.parametrize("name", ["hyperbolic_tangent", "series_springs"])
+def test_viscous_damping_that_a_slow_window_hardly_shows_stays(name: str) -> None:
+    model, running = MODELS[name], known.EXAMPLES[name]
+    window = random_window(1500, 1500, name=name, size=0.15, seed=1)
+    alone = fit_window(model, window, running, method="least_squares")
+    weighed = with_prior(model, alone, window, running, fastest=FAST)
+    sine = Window.from_samples(
+        FAST / 6.0 * np.sin(6.0 * np.arange(4000) * 1e-3), np.zeros(4000), 1.0, 1e-3
+    )
+    before, after = (model.window_force(sine, v) for v in (running, weighed.parameters))
+    assert known.rms(after - before) < 3.0 * WANDER * known.rms(before)
+
+
+@pytest.mark.parametrize("name", sorted(known.EXAMPLES))
+def test_a_motion_that_dies_away_spoils_no_law(name: str) -> None:
+    model, running = MODELS[name], known.EXAMPLES[name]
+    elsewhere = random_window(10_000, 4000, name=name, unmodelled=0.0)
+    window = random_window(1500, 1500, name=name, size=0.15, seed=1)
+    alone = fit_window(model, window, running, method="least_squares")
+    weighed = with_prior(model, alone, window, running)
+    error = known.rms(model.window_force(elsewhere, weighed.parameters) - elsewhere.force)
+    assert error < SPOILT * np.std(elsewhere.force)

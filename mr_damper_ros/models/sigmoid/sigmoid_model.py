@@ -71,7 +71,6 @@ class SigmoidModel(Model):
     parameters = SIXTEEN
     free_in_one_run: ClassVar[tuple[str, ...]] = SCALE_PARAMETER_NAMES
     strength = ("f0",)
-    weighed = True
     many_at_once = True
     coefficient_quantities = (
         Quantity("f_t", "N", "yield force"),
