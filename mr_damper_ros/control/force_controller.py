@@ -22,7 +22,6 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.reckoned_force import AtEnd
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
 _MOMENTS = (0.5, 1.0, 1.5)
@@ -146,7 +145,6 @@ class ForceController:
         if not math.isfinite(force):
             return f"the desired force is {force}: it must be a finite number"
         self._demand = Demand(stamp_ns, force)
-        self._rehearse()
         return ""
 
     def command(self, block: SampleBlock, now_ns: int | None = None) -> Command:
@@ -164,7 +162,7 @@ class ForceController:
         assert self._inverse is not None
         self._feedback.follow(block.force, duration)
         horizon = max(duration, self.settings.horizon)
-        now = _at_end(prediction, self._predictor.memory)
+        now = _Now.after(prediction, self._predictor.memory)
         aim = self._inverse.aim(now, wanted * self._feedback.factor, self._wanted, horizon)
         self._wanted = aim.current
         self._feedback.expect(wanted if aim.attainable else math.nan)
@@ -178,18 +176,7 @@ class ForceController:
     def catch_up(self) -> None:
         """Do what only later blocks need; call it once the command is on its way."""
         self._predictor.catch_up()
-        self._rehearse()
-
-    def _rehearse(self) -> None:
-        """Find already what the next block will ask for, if it comes as foreseen."""
-        if self._inverse is None or self._demand is None or self._wanted is None:
-            return
-        foreseen, last = self._predictor.look_ahead(), self._predictor.sequence.last
-        if foreseen is None or last is None:
-            return
-        horizon = max(last.sample_count * last.period, self.settings.horizon)
-        wanted = self._demand.force * self._feedback.factor
-        self._inverse.aim(foreseen, wanted, self._wanted, horizon)
+        self._predictor.look_ahead()
 
     def give_up(self) -> float:
         """Forget what was commanded: returns the safe current [A]."""
@@ -225,13 +212,21 @@ class _Aim(NamedTuple):
     attainable: bool
 
 
-def _at_end(prediction: Prediction, memory: State | None) -> AtEnd:
-    """That of a prediction without a doubt."""
-    motion, current = prediction.motion, prediction.current
-    assert motion is not None
-    assert current is not None
-    supplied = current if isinstance(current, float) else float(current[-1])
-    return AtEnd(MotionSample.of(motion, -1), memory, supplied)
+class _Now(NamedTuple):
+    """The last sample of a motion, what the law remembers after it, the supply's current [A]."""
+
+    sample: MotionSample
+    memory: State | None
+    supplied: float
+
+    @classmethod
+    def after(cls, prediction: Prediction, memory: State | None) -> _Now:
+        """That after a prediction without a doubt."""
+        motion, current = prediction.motion, prediction.current
+        assert motion is not None
+        assert current is not None
+        supplied = current if isinstance(current, float) else float(current[-1])
+        return cls(MotionSample.of(motion, -1), memory, supplied)
 
 
 class _Inverse:
@@ -254,22 +249,9 @@ class _Inverse:
         self._drive = CoilDrive(settings, self._time_constant)
         self._lowest = low
         self._deadband = settings.force_deadband
-        self._asked: tuple[MotionSample, float, float | None, float] | None = None
-        self._memory: State | None = None
-        self._answer = _Aim(math.nan, math.nan, False)
 
-    def aim(self, now: AtEnd, wanted: float, last: float | None, horizon: float) -> _Aim:
-        """The current for a force at the end of the horizon [s]; ``last`` [A] is that before.
-
-        The last answer is remembered: what is foreseen may be asked ahead.
-        """
-        asked = now.sample, wanted, last, horizon
-        if asked != self._asked or now.memory is not self._memory:
-            self._answer = self._found(now, wanted, last, horizon)
-            self._asked, self._memory = asked, now.memory
-        return self._answer
-
-    def _found(self, now: AtEnd, wanted: float, last: float | None, horizon: float) -> _Aim:
+    def aim(self, now: _Now, wanted: float, last: float | None, horizon: float) -> _Aim:
+        """The current for a force at the end of the horizon [s]; ``last`` [A] is that before."""
         ahead = horizon if self._time_constant > 0.0 else 0.5 * horizon
         responses = []
         for part in _MOMENTS:
@@ -292,7 +274,7 @@ class _Inverse:
         return _Aim(currents[best], forces[best][_MIDDLE], met)
 
     def drive(
-        self, now: AtEnd, wanted: float, before: float, horizon: float, duration: float
+        self, now: _Now, wanted: float, before: float, horizon: float, duration: float
     ) -> float:
         """Command [A] of the supply, whose last command was ``before``, for a current [A]."""
         coil = now.supplied

@@ -22,7 +22,7 @@ from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
 from mr_damper_ros.tracking.known_sets import Choice, KnownSets
 from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.reckoned_force import AtEnd, ForceDoubt, Foreseen, Reckoned, Unlearned
+from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Foreseen, Reckoned, Unlearned
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
     Doubt,
@@ -118,11 +118,13 @@ class ForcePredictor:
             return self._foreseen.memory_after(self._foreseen.count)
         return None if self._stream is None else self._stream.state
 
-    def look_ahead(self) -> AtEnd | None:
-        """How the next block ends if it comes as foreseen; None where nothing is, yet."""
-        if self._foreseen is None or self._sequence.last is None:
-            return None
-        return self._foreseen.end_after(self._sequence.last.sample_count)
+    def look_ahead(self) -> None:
+        """Find out what :attr:`memory` will be if the next block comes as foreseen.
+
+        It is found out when it is asked for, too; call it after :meth:`catch_up`.
+        """
+        if self._foreseen is not None and self._sequence.last is not None:
+            self._foreseen.memory_after(self._foreseen.count + self._sequence.last.sample_count)
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
         """Predict with this set from the next block on, unless another is for the current of now.

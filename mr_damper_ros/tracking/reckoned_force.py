@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.force_stream import Ahead, ForceStream
 from mr_damper_ros.signals.arrays import Array
@@ -18,14 +17,6 @@ class ForceDoubt(NamedTuple):
 
     current: Doubt
     motion: Doubt
-
-
-class AtEnd(NamedTuple):
-    """The last sample of a block, what the law remembers after it, the supply's current [A]."""
-
-    sample: MotionSample
-    memory: State | None
-    supplied: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +67,6 @@ class Foreseen:
         part = slice(self.count, came - self.first)
         self.count = came - self.first
         return self.ahead.force[part]
-
-    def end_after(self, count: int) -> AtEnd | None:
-        """How so many samples more end; None where there are not so many."""
-        end = self.count + count
-        if end > self.ahead.force.size:
-            return None
-        sample = MotionSample.of(self.motion, self.first + end - 1)
-        return AtEnd(sample, self.memory_after(end), self.current)
 
     def memory_after(self, count: int) -> State | None:
         """What the law remembers after so many of the samples; of more than there are, after all.

@@ -42,9 +42,6 @@ WHOLE = ParameterSet(
 TRACKED = 0.1
 """NRMSE of the force against the wanted one, where that can be had: the bar for a lag of 10 ms."""
 
-SAME_CURRENT = 1e-9
-"""Amperes: the same search, for a motion that was reckoned for more samples at once."""
-
 SETTLED = 2.5
 """Seconds after which motion and peak velocity are known."""
 
@@ -66,10 +63,7 @@ class ControlTrial:
 
 
 class ControlLoop:
-    """A rig whose supply does what the controller commands, from the next block on.
-
-    The controller is told its current with every so many samples.
-    """
+    """A rig whose supply does what the controller commands, from the next block on."""
 
     def __init__(
         self,
@@ -79,10 +73,8 @@ class ControlLoop:
         coil: float = 0.0,
         noise: float = 5.53,
         excitation: object | None = None,
-        told_each: int = 1,
     ) -> None:
         self.controller = controller
-        self._told_each = told_each
         self._times, self._currents = [0.0], [controller.settings.safe_current]
         self._rig = EmulatedRig(
             damper,
@@ -97,7 +89,7 @@ class ControlLoop:
         """Blocks of samples, whose currents the controller has been told."""
         for number in range(round(duration / PERIOD / BLOCK)):
             made = self._rig.next_block(BLOCK)
-            for place in range(0, BLOCK, self._told_each):
+            for place in range(BLOCK):
                 self.controller.predictor.add_current(made.stamp_ns(place), made.current[place])
             self._now = (number + 1) * BLOCK * PERIOD
             yield SampleBlock(made.start_ns, made.sequence, PERIOD, made.displacement, made.force)
@@ -198,46 +190,6 @@ def test_the_current_does_not_chatter() -> None:
     moves = moves[np.abs(moves) > 0.02]
     reversals = np.count_nonzero(np.diff(np.sign(moves)) != 0)
     assert reversals / (commands.size * BLOCK * PERIOD) <= 20.0
-
-
-@pytest.mark.parametrize("coil", [0.0, 0.01])
-@pytest.mark.parametrize("gain", [0.0, 0.5])
-def test_what_is_found_ahead_is_what_the_block_asks_for(coil: float, gain: float) -> None:
-    known = lagging_coil("sigmoid_lag", coil) if coil > 0.0 else WHOLE
-    ahead, late = (controlled(known, feedback_gain=gain) for _ in range(2))
-    loops = [
-        ControlLoop(
-            controller,
-            ModelDamper(WHOLE, PERIOD),
-            coil=coil,
-            noise=0.0,
-            excitation=SineMotion(5e-3, 2.0),
-            told_each=BLOCK,
-        )
-        for controller in (ahead, late)
-    ]
-    rng = np.random.default_rng(0)
-    foreseen = active = 0
-    for blocks in zip(*(loop.blocks(5.0) for loop in loops), strict=True):
-        # None, one or two new demands before a block.
-        wanted = rng.uniform(-800.0, 800.0, rng.integers(3)).tolist()
-        supplied = float(rng.choice([0.3, 0.9])) if rng.random() < 0.05 else None
-        commands = []
-        for loop, block in zip(loops, blocks, strict=True):
-            for force in (400.0, *wanted):
-                loop.controller.want(block.end_ns, force)
-            commands.append(loop.controller.command(block))
-            if supplied is not None:
-                loop.command(supplied)
-        active += not commands[0].doubt
-        assert commands[0].doubt == commands[1].doubt
-        assert commands[0].current == pytest.approx(commands[1].current, abs=SAME_CURRENT)
-        # The other one is left with what a block needs at once, so that it foresees nothing.
-        ahead.catch_up()
-        foreseen += ahead.predictor.look_ahead() is not None
-    assert late.predictor.look_ahead() is None
-    assert foreseen > 100
-    assert active > 100
 
 
 # -- nothing uncertain -----------------------------------------------------------------------------
