@@ -63,6 +63,8 @@ class MotionFollower:
         self.foreseen: Motion | None = None
         self.came = 0
         self._steady = False
+        # Whether the sine that is foreseen is more than noise.
+        self._moves = False
 
     @property
     def steady(self) -> bool:
@@ -84,10 +86,8 @@ class MotionFollower:
 
         A steady sine is slow at its dead centres, and a rest is a sine of nothing but noise.
         """
-        if self._steady and self.foreseen is not None:
-            top_speed = float(self.foreseen.peak_velocity.max())
-            if top_speed > _NOISE_SPEED:
-                return False
+        if self._steady and self.foreseen is not None and self._moves:
+            return False
         return self._centre.resting
 
     @property
@@ -161,6 +161,8 @@ class MotionFollower:
         """Foresee a block of so many samples that begins before the time to learn again."""
         sine = self._sine.ahead(self._ahead + count)
         self.foreseen = None if sine is None else _steady_motion(*sine)
+        if self.foreseen is not None:
+            self._moves = float(self.foreseen.peak_velocity.max()) > _NOISE_SPEED
 
     def _observe(self, displacement: Array) -> Motion:
         u, v, a = self._differentiator.follow(displacement)
