@@ -119,24 +119,39 @@ def test_the_c_code_is_the_law_point_by_point(law: ExportedLaw, compiled: Compil
     assert_same(force, vectors.force)
 
 
-def test_the_c_inverse_gives_what_was_wanted(law: ExportedLaw, compiled: Compiled) -> None:
-    inputs = Vectors.of(law, 4000, seed=1).inputs
+def wanted_forces(law: ExportedLaw, count: int) -> tuple[Array, Array]:
+    """Inputs (n, 5) and forces [N] (n,), some of which no current gives; ``count`` is about n."""
+    inputs = Vectors.of(law, count, seed=1).inputs
     inputs = np.ascontiguousarray(inputs[np.abs(inputs[:, 0]) < 1.0])
+    least, most = attainable(law, inputs)
+    further = 0.3 * (most - least)
+    return inputs, np.random.default_rng(2).uniform(least - further, most + further)
+
+
+def attainable(law: ExportedLaw, inputs: Array) -> tuple[Array, Array]:
+    """Least and most force [N] (n,) over the current."""
     every = np.linspace(law.nodes[0], law.nodes[-1], 201)
     forces = np.stack(
         [law.formulas.expected(law.parameters.values, _at(inputs, i))[1] for i in every]
     )
-    least, most = forces.min(axis=0), forces.max(axis=0)
-    span = most - least
-    wanted = np.random.default_rng(2).uniform(least - 0.3 * span, most + 0.3 * span)
-    current, _ = compiled.inverse(inputs, wanted)
+    return forces.min(axis=0), forces.max(axis=0)
+
+
+def assert_gives(law: ExportedLaw, inputs: Array, wanted: Array, current: Array) -> None:
+    """The currents (n,) give the forces that are wanted, or the nearest."""
+    least, most = attainable(law, inputs)
     assert current.min() >= law.nodes[0]
     assert current.max() <= law.nodes[-1]
     force = law.formulas.expected(law.parameters.values, _at(inputs, current))[1]
     further = np.abs(force - wanted) - np.abs(np.clip(wanted, least, most) - wanted)
     size = np.maximum(np.maximum(np.abs(least), np.abs(most)), 1.0)
     if law.parameters.model == "sigmoid":  # that of the other is late, and has an offset
-        assert np.all(further <= MISSED * span + SAME * size)
+        assert np.all(further <= MISSED * (most - least) + SAME * size)
+
+
+def test_the_c_inverse_gives_what_was_wanted(law: ExportedLaw, compiled: Compiled) -> None:
+    inputs, wanted = wanted_forces(law, 4000)
+    assert_gives(law, inputs, wanted, compiled.inverse(inputs, wanted)[0])
 
 
 def _at(inputs: Array, current: Array | float) -> Array:
@@ -210,22 +225,46 @@ def test_the_m_code_is_the_law_point_by_point(law: ExportedLaw) -> None:
     assert_same(names["force"], vectors.force)
 
 
-@pytest.mark.skipif(shutil.which("octave") is None, reason="Octave is not installed")
-def test_octave_runs_the_m_code(law: ExportedLaw, tmp_path: Path) -> None:
+needs_octave = pytest.mark.skipif(
+    shutil.which("octave") is None, reason="Octave is not installed: apt install octave"
+)
+
+
+def octave(law: ExportedLaw, folder: Path, script: str) -> Array:
+    """The numbers that a script prints beside the M-code of a law."""
     for name, text in functions(law).items():
-        (tmp_path / name).write_text(text)
-    (tmp_path / "vectors.csv").write_text(Vectors.of(law, POINTS).csv())
-    script = "printf('%.17g ', damper_check('vectors.csv')); damper_inverse(300, 0.05, 0.1, 1);"
+        (folder / name).write_text(text)
     done = subprocess.run(
         ["octave", "--no-gui", "--quiet", "--eval", script],
-        *(),
-        cwd=tmp_path,
+        cwd=folder,
         capture_output=True,
         text=True,
         check=True,
         timeout=120,
     )
-    assert float(done.stdout.split()[0]) < SAME
+    return np.array(done.stdout.split(), dtype=float)
+
+
+@needs_octave
+def test_octave_finds_the_m_code_to_be_the_law(law: ExportedLaw, tmp_path: Path) -> None:
+    (tmp_path / "vectors.csv").write_text(Vectors.of(law, POINTS).csv())
+    (worst,) = octave(law, tmp_path, "printf('%.17g ', damper_check('vectors.csv'));")
+    assert worst < SAME
+
+
+@needs_octave
+def test_octave_finds_the_current_for_a_force(law: ExportedLaw, tmp_path: Path) -> None:
+    inputs, wanted = wanted_forces(law, 60)
+    inputs[:, 4] = 0.0  # the M-code knows nothing of how the motion turns
+    v, v_m, _, s, _ = inputs.T
+    np.savetxt(tmp_path / "wanted.csv", np.column_stack((wanted, v, v_m, s)), "%.17g", ",")
+    script = """
+        rows = dlmread('wanted.csv', ',');
+        for k = 1:size(rows, 1)
+          printf('%.17g ', damper_inverse(rows(k, 1), rows(k, 2), rows(k, 3), rows(k, 4)));
+        end
+    """
+    assert_gives(law, inputs, wanted, octave(law, tmp_path, script))
 
 
 # -- FMU -------------------------------------------------------------------------------------------
