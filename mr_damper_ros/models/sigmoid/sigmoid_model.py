@@ -17,9 +17,7 @@ from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.quantities import LoopReading, Quantity
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws, searched_laws, shape_bounds
-from mr_damper_ros.models.sigmoid.extension import (
-    SIGMOID_COUNT,
-)
+from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_INDICES,
@@ -33,9 +31,7 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.models.sigmoid.law_formulas import SigmoidFormulas
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.sample_response import (
-    SigmoidSampleResponses,
-)
+from mr_damper_ros.models.sigmoid.sample_response import SigmoidSampleResponses
 from mr_damper_ros.models.sigmoid.scale_misfit import (
     ScaleMisfit,
     coefficients_along,
