@@ -1,4 +1,4 @@
-"""Force of the sigmoid laws without jumps over the current, sample by sample, in plain numbers.
+"""Force of the sigmoid laws over the current, sample by sample, in plain numbers.
 
 The force at the nodes is that of the arrays, for the factors of the sample; what the currents of
 the nodes make of it is computed once for a set. Where a number goes beyond all measure the arrays
