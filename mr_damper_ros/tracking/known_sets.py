@@ -63,7 +63,6 @@ _TURNING_EVERY = 5.0
 _BETTER = 0.6
 """What takes over from a force that is wrong leaves less than this part of its error."""
 
-
 _MOST_SHOWN, _STILL = 1.0, 0.5
 """How a force turns one cycle may hardly show: it says so much at most, half at the next look."""
 
@@ -243,8 +242,9 @@ class KnownSets:
         first = newest.current.size - int(np.argmax(elsewhere[::-1])) if elsewhere.any() else 0
         if (newest.current.size - first) * newest.stride * self._period < _JUDGED:
             return False
+        judged = slice(first, None)
         errors = [
-            _root_mean_square((self._force(each, newest, self.gradual) - newest.measured)[first:])
+            _root_mean_square(newest.left_by(self._force(each, newest, self.gradual), judged))
             for each in (found, self._sets[0])
         ]
         if errors[0] < errors[1]:
@@ -276,20 +276,20 @@ class KnownSets:
         forces: tuple[Array, Array],
         period: float,
         half_cycle: float,
+        bridged: int = 0,
     ) -> None:
         """Keep the newest samples: motion, current [A], predicted and measured ``forces`` [N].
 
         Each has shape (n,). They are ``period`` [s] apart; ``half_cycle`` [s] is that of the
-        motion, NaN where it is not known.
+        motion, NaN where it is not known. The force of the first ``bridged`` was not measured.
         """
-        predicted, measured = forces
-        self._since_search += measured.size * period
-        self._since_turning += measured.size * period
+        newest, count = JudgedSamples.of(motion, current, forces, bridged), forces[1].size
+        self._since_search += count * period
+        self._since_turning += count * period
         self._period = period
         self._half_cycle = 0.0 if math.isnan(half_cycle) else half_cycle
-        amperes = np.broadcast_to(current, measured.shape)
-        self._newest_samples.append(JudgedSamples(motion, amperes, predicted, measured))
-        self._newest_count += measured.size
+        self._newest_samples.append(newest)
+        self._newest_count += count
         if self._newest_count < _TOGETHER:
             return
         self._samples.append(JudgedSamples.joined(self._newest_samples))
@@ -332,11 +332,11 @@ class KnownSets:
         ]
         if math.isinf(allowed):
             return Choice(candidates[0], math.nan) if candidates else None
-        left = newest.predicted - newest.measured
-        limit = _root_mean_square(left[judged]) * (_BETTER if wrong else 1.0)
+        limit = _root_mean_square(newest.left_by(newest.predicted, judged))
+        limit *= _BETTER if wrong else 1.0
         best = None
         for each in (present, *candidates) if wrong else candidates:
-            left = (self._force(each, newest, self.gradual) - newest.measured)[judged]
+            left = newest.left_by(self._force(each, newest, self.gradual), judged)
             error = _root_mean_square(left)
             if error < limit and float(np.max(np.abs(left))) <= allowed:
                 best, limit = Choice(each, error), error
@@ -353,7 +353,7 @@ class KnownSets:
             return None
         newest = self._newest(math.inf)
         left = [
-            max(_root_mean_square(self._force(present, newest, gradual) - newest.measured), 1e-9)
+            max(_root_mean_square(newest.left_by(self._force(present, newest, gradual))), 1e-9)
             for gradual in (False, True)
         ]
         shown = min(max(math.log(left[0] / left[1]), -_MOST_SHOWN), _MOST_SHOWN)
@@ -397,4 +397,4 @@ class KnownSets:
 
 
 def _root_mean_square(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

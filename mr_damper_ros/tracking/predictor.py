@@ -195,10 +195,10 @@ class ForcePredictor:
         unlearned, self._unlearned = self._unlearned, None
         if unlearned is not None and self._watch is not None and self._motion is not None:
             half_cycle, steady = self._motion.half_cycle, self._motion.steady
-            forces, motion, current, period = unlearned
+            forces, motion, current, period, bridged = unlearned
             if current is not None:
-                self._known.follow(motion, current, forces, period, half_cycle)
-            self._watch.learn(forces, motion.velocity, half_cycle, steady=steady)
+                self._known.follow(motion, current, forces, period, half_cycle, bridged)
+            self._watch.learn(*unlearned.measured, half_cycle, steady=steady)
             if self._newest_doubt.kind in _OF_THE_SET and self._known.search_is_due():
                 self._go_on_with(self._another(self._watch), self._watch)
             elif self._known.look_at_turning_is_due():
@@ -325,7 +325,7 @@ class ForcePredictor:
         assert self._watch is not None
         largest = (1.0 + self._settings.force_margin) * self.parameters.largest_force
         force = self._fading.follow(reckoned.force, motion, reckoned.current, largest)
-        self._newest_doubt = self._doubt(block, motion, reckoned)
+        self._newest_doubt = self._doubt(block, bridged, motion, reckoned)
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
@@ -339,7 +339,7 @@ class ForcePredictor:
             current=reckoned.current,
         )
 
-    def _doubt(self, block: SampleBlock, motion: Motion, reckoned: Reckoned) -> Doubt:
+    def _doubt(self, block: SampleBlock, bridged: int, motion: Motion, reckoned: Reckoned) -> Doubt:
         """Why not to rely on the force of a block: what is known of the motion comes first."""
         assert self._motion is not None
         assert self._stream is not None
@@ -351,10 +351,10 @@ class ForcePredictor:
             self._watch.forget_moment()
             self._known.forget_samples()
             if settling.kind is not DoubtKind.AT_REST:
-                self._unlearned = Unlearned(forces, motion, None, block.period)
+                self._unlearned = Unlearned(forces, motion, None, block.period, bridged)
             return settling
-        self._unlearned = Unlearned(forces, motion, reckoned.current, block.period)
-        measured = self._watch.judge(*forces)
+        self._unlearned = Unlearned(forces, motion, reckoned.current, block.period, bridged)
+        measured = self._watch.judge(reckoned.force[bridged:], block.force[bridged:])
         settings, live, present = self._settings, self._freshness.live, self._known.present
         assert present is not None
         return (

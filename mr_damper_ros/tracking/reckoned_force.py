@@ -33,13 +33,20 @@ class Unlearned(NamedTuple):
     """What is yet to be learnt from a block, of samples ``period`` [s] apart.
 
     Predicted and measured force [N], motion, and the current [A]; without it the force could not be
-    known.
+    known. The force of the first ``bridged`` samples was not measured.
     """
 
     forces: tuple[Array, Array]
     motion: Motion
     current: Array | float | None
     period: float
+    bridged: int
+
+    @property
+    def measured(self) -> tuple[tuple[Array, Array], Array]:
+        """The forces [N] and the velocity [m/s] of the samples whose force was measured."""
+        part = slice(self.bridged, None)
+        return (self.forces[0][part], self.forces[1][part]), self.motion.velocity[part]
 
 
 @dataclass(eq=False)

@@ -21,6 +21,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.validity import DoubtKind
 
 PERIOD = 1e-3
 SAMPLES = 6000
@@ -40,6 +41,9 @@ SAME_FORCE = 1e-6
 
 NEVER_WRONG = 100.0
 """Of the peak force: a maximum error that none has."""
+
+SMALL_ERROR = 0.05
+"""Of the peak force: what is predicted of a motion across a gap is off by less."""
 
 CENTRE = 0.02
 """[m] that a motion is moved by."""
@@ -413,6 +417,18 @@ def test_after_a_gap_the_force_comes_back() -> None:
     late = predicted(made, blocks[210:])
     assert late[-1].valid, late[-1].reason
     assert nrmse(forces(late)[-1000:], RUN.clean[-1000:]) < PREDICTED
+
+
+def test_a_force_that_was_not_measured_says_nothing_of_the_parameters() -> None:
+    """Across a lost reversal the force lies far from the straight line that bridges it."""
+    run = known.run(current=1.0, frequency=1.0, samples=1200, period=5e-3, seed=None)
+    blocks = known.blocks(run.displacement, run.clean, (10,), period=5e-3)
+    turns = {61, 71, 81, 91, 101, 111}
+    made = predictor(maximum_error=SMALL_ERROR)
+    kept = [block for block in blocks if block.sequence // 10 not in turns]
+    doubts = {p.doubt.kind for p in predicted(made, kept)[55:]}
+    assert made.sequence.bridged_samples == 10 * len(turns)
+    assert doubts == {DoubtKind.NONE}
 
 
 def test_a_repeated_block_has_no_force_and_disturbs_nothing() -> None:
