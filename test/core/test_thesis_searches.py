@@ -203,7 +203,7 @@ def test_tables_do_not_depend_on_the_number_of_workers(tmp_path, capsys, monkeyp
 
 
 PROGRAM = """
-import signal, sys, time
+import sys, time
 from pathlib import Path
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 def task(place, seconds):
@@ -212,8 +212,6 @@ def task(place, seconds):
 def say(text):
     print(text, flush=True)
 if __name__ == "__main__":
-    # Where the tests run in the background of a shell, they were started with Ctrl-C ignored.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     campaign = Campaign(Settings(Path(sys.argv[1]), workers=2), say)
     seconds = [0, 0, float(sys.argv[2]), float(sys.argv[2])]
     campaign.each("name", task, [{"place": k, "seconds": s} for k, s in enumerate(seconds)])

@@ -1,0 +1,9 @@
+"""What all tests need of the process that they run in."""
+
+from __future__ import annotations
+
+import signal
+
+# A shell starts what runs in its background with Ctrl-C ignored, and so would be all programs that
+# the tests start: those that are to end by it would not.
+signal.signal(signal.SIGINT, signal.default_int_handler)
