@@ -139,6 +139,17 @@ def test_the_diagnostics_are_told_by_sign_and_word(page: Browser) -> None:
     assert "✓ good: window 40% full" in shown
 
 
+def ink_at_rest(page: Browser, chart: str) -> str:
+    """What is drawn once that is the same as half a second ago; some of it may be under way."""
+    deadline = time.monotonic() + PATIENCE
+    before, now = "", ink(page, chart)
+    while now != before:
+        assert time.monotonic() < deadline, "it never stands still"
+        time.sleep(0.5)
+        before, now = now, ink(page, chart)
+    return now
+
+
 def test_it_moves_and_stands_still_while_it_is_paused(page: Browser) -> None:
     chart = '[data-chart="force-time"]'
     first = ink(page, chart)
@@ -146,10 +157,7 @@ def test_it_moves_and_stands_still_while_it_is_paused(page: Browser) -> None:
     page.press(" ")
     assert page.text("#state") == "❚❚ paused"
     page.until("document.querySelector('#pause').innerText === 'Go on'")
-    time.sleep(0.3)  # what was under way
-    still = ink(page, chart)
-    time.sleep(0.5)
-    assert ink(page, chart) == still
+    still = ink_at_rest(page, chart)
     page.press(" ")
     page.until(f"document.querySelector('{chart} canvas').toDataURL() !== {still!r}")
     page.until("document.querySelector('#state').innerText.includes('live')")

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import known
@@ -283,7 +284,9 @@ PROGRESS = GlobalProgress("laws", 3, 9, 0.5, 10.0)
 def shown_progress(monkeypatch: pytest.MonkeyPatch, *told: GlobalProgress) -> list[str]:
     """What the line shows of each progress, a second after the one before."""
     clock = iter(float(second) for second in range(len(told)))
-    monkeypatch.setattr("mr_damper_ros.tools.progress.time.monotonic", lambda: next(clock))
+    # Its own alone: others read the clock meanwhile.
+    stand_in = SimpleNamespace(monotonic=lambda: next(clock))
+    monkeypatch.setattr("mr_damper_ros.tools.progress.time", stand_in)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     written: list[str] = []
     monkeypatch.setattr("sys.stderr.write", written.append, raising=False)

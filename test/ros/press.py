@@ -7,6 +7,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
+from rcl_interfaces.srv import ListParameters
 from rclpy.duration import Duration
 from std_msgs.msg import Header
 from support import Listener
@@ -18,9 +19,17 @@ from mr_damper_ros.signals.recording import Recording
 
 BLOCK = 100
 
+_NAMELESS = "_NODE_NAME_UNKNOWN_"
+"""What rmw calls a node of which it has heard no name yet."""
+
 
 class Press:
-    """Publishes for ``listeners`` nodes, which must have subscribed before it starts."""
+    """Publishes for ``listeners`` nodes, which must have subscribed before it starts.
+
+    It waits until each of them answers. What comes for a node that has subscribed but does not
+    spin yet waits in a queue for each topic, and a test should not depend on which is emptied
+    first.
+    """
 
     def __init__(self, listener: Listener, listeners: int = 1) -> None:
         self.samples = listener.node.create_publisher(MtsSamples, "mts/samples", quality.stream())
@@ -32,6 +41,16 @@ class Press:
                 lambda publisher=publisher: publisher.get_subscription_count() >= listeners,
                 f"{listeners} subscribers of {publisher.topic}",
             )
+        listener.until(lambda: self._subscribers(listener), "the names of the subscribers")
+        for node in self._subscribers(listener):
+            listener.call(ListParameters, f"{node}/list_parameters")
+
+    def _subscribers(self, listener: Listener) -> list[str]:
+        """Full names of the nodes that take the samples; none before all are known."""
+        found = listener.node.get_subscriptions_info_by_topic(self.samples.topic_name)
+        if any(info.node_name == _NAMELESS for info in found):
+            return []
+        return [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found]
 
     def run(self, recording: Recording, *, with_current: bool = True) -> list[MtsSamples]:
         """Publish a recording as fast as possible; returns the blocks sent.

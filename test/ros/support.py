@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,12 @@ class Listener(Observer):
 
     def __init__(self) -> None:
         super().__init__("listener")
+        self._findings: list[tuple[int, DiagnosticStatus]] = []
+        # From the start: some things are told once, and must not be missed.
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_findings, 1000)
+
+    def _hear_findings(self, array: DiagnosticArray, info: dict[str, int]) -> None:
+        self._findings += [(info["source_timestamp"], status) for status in array.status]
 
     def until(
         self, condition: Callable[[], Any], what: str, patience: float = PATIENCE, tick: float = 0.1
@@ -111,18 +118,17 @@ class Listener(Observer):
         return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
 
     def wait_for_finding(self, name: str, part: str) -> DiagnosticStatus:
-        """Wait for a diagnostic of this name whose message has this text."""
-        heard = self.listen(DiagnosticArray, "/diagnostics")
+        """Wait for a diagnostic of this name whose message has this text, sent from now on."""
+        now_ns = time.time_ns()
         found: list[DiagnosticStatus] = []
 
         def look() -> bool:
             found.extend(
                 status
-                for array in heard
-                for status in array.status
-                if status.name == name and part in status.message
+                for sent_ns, status in self._findings
+                if sent_ns >= now_ns and status.name == name and part in status.message
             )
-            heard.clear()
+            self._findings.clear()
             return bool(found)
 
         self.until(look, f"{part!r} of {name} on /diagnostics")

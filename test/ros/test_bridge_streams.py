@@ -90,6 +90,7 @@ def test_lines_over_tcp_come_on_the_topics_also_after_a_cut(
     # Sine and cosine: 5 mm, 1 kN.
     np.testing.assert_allclose(np.hypot(moved / 0.005, pulled / 1000.0), 1.0, atol=1e-4)
     assert samples[0].period == pytest.approx(1.0 / RATE, rel=1e-6)
+    listener.until(lambda: current, "the current, which is on a topic of its own")
     assert {message.current for message in current} == {1.5}
 
     sender.cut()
