@@ -72,7 +72,8 @@ def test_colcon_sees_both_packages():
 def collected(*options: str) -> list[str]:
     """Tests that pytest finds in this repository, with these options."""
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "--collect-only", "-q", *options],
+        # Nothing is run: the assertions stay as they are written, which takes half the time.
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", "--assert=plain", *options],
         cwd=ROOT,
         capture_output=True,
         text=True,

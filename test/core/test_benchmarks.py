@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import cache
 from pathlib import Path
 
 import known
@@ -44,6 +45,7 @@ from mr_damper_ros.interface.rig_trouble import Trouble
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import scaled
+from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import recordings
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.trackers import TRACKERS
@@ -114,6 +116,15 @@ AT_THE_NOISE = 1.6
 """Median NRMSE [%]: the noise is 2.0 % and 0.8 % of the forces."""
 
 
+thirty_windows = cache(clean_windows)
+
+
+@cache
+def heated() -> Recording:
+    """A minute in which the damper heats from 28 to 71 degrees."""
+    return drift.bag(60.0)
+
+
 # -- figures and the program -----------------------------------------------------------------
 
 
@@ -175,15 +186,17 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (exports, inverse):
         monkeypatch.setattr(module, "CONDITIONS", module.CONDITIONS[:1])
         monkeypatch.setattr(module, "POINTS", 100)
-    monkeypatch.setattr(switched_current, "SETTLED", 4.0)
+    monkeypatch.setattr(switched_current, "SETTLED", 3.0)
+    monkeypatch.setattr(jitter, "SETTLED", 2.0)
+    monkeypatch.setattr(jitter, "_SETS", {"thesis": jitter._SETS["thesis"]})
     short = {
         **bench.FULL,
         "window_refit": lambda: window_refit.figures(1, (CONDITION,), 1000),
-        "whole_damper": lambda: whole_damper.figures(1, 1, clean_windows()[:2]),
+        "whole_damper": lambda: whole_damper.figures(1, 1, thirty_windows()[:2]),
         "repeated_evolution": lambda: repeated_evolution.figures(1, 1, 1),
         "noise_limit": lambda: noise_limit.figures(2, 1000),
         "honest_errors": lambda: honest_errors.figures(6, 2, 8),
-        "switched_current": lambda: switched_current.figures(8.0, switched_current.CASES[:1]),
+        "switched_current": lambda: switched_current.figures(5.0, switched_current.CASES[:1]),
         "step_current": lambda: step_current.figures(step_current.CASES[:1], (0.2, 1.0), (0.2,)),
         "drift": lambda: drift.figures(8.0),
         # It identifies for minutes: test_series_springs.py.
@@ -213,7 +226,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "topic_samples": list,
         "rig_troubles": lambda: rig_troubles.figures(FEW_FAULTS, (0,), ("steps",)),
         "topic_pairing": lambda: topic_pairing.figures(4.0),
-        "jitter": lambda: jitter.figures(8.0, (10,), (200.0,)),
+        "jitter": lambda: jitter.figures(4.0, (10,), (200.0,)),
         "many_recordings": lambda: many_recordings.figures(4, 4),
         "planned_runs": lambda: planned_runs.figures_of(
             [planned_runs.PlannedTrial("some", 4.0, 0.01, 0.01, inside=True, random=12.0)]
@@ -268,7 +281,7 @@ def test_a_refit_is_compared_at_the_same_residual() -> None:
 
 
 def test_the_reference_search_stays_within_the_bounds_it_is_given() -> None:
-    windows = clean_windows()[:2]
+    windows = thirty_windows()[:2]
     found = known.PLAUSIBLE
     bounds = dict(zip(PARAMETER_NAMES, whole_damper.search_bounds(windows, found), strict=True))
     assert bounds["f0"] == (-120.0, 120.0)
@@ -277,7 +290,7 @@ def test_the_reference_search_stays_within_the_bounds_it_is_given() -> None:
 
 
 def test_the_thirty_clean_conditions_are_whole() -> None:
-    windows = clean_windows()
+    windows = thirty_windows()
     assert [window.sample_count for window in windows] == [7001] * 30
 
 
@@ -303,7 +316,7 @@ def test_most_intervals_and_not_all_hold_the_truth(scatter: noise_limit.Scatter)
 
 
 def test_the_thermal_model_reaches_71_degrees_in_the_time_given() -> None:
-    run = drift.bag(60.0)
+    run = heated()
     assert run.temperature is not None
     assert run.temperature[0] == pytest.approx(28.0)
     assert run.temperature[-1] == pytest.approx(71.0, abs=END_OF_THE_DRIFT)
@@ -312,7 +325,7 @@ def test_the_thermal_model_reaches_71_degrees_in_the_time_given() -> None:
 @pytest.mark.parametrize("tracker", TRACKERS)
 def test_a_drift_is_followed_and_compared_with_the_truth(tracker: str) -> None:
     settings = TrackerSettings(tracker=tracker, method="least_squares", global_period=0)
-    found = drift.measure(drift.bag(60.0), settings)
+    found = drift.measure(heated(), settings)
     assert found.scale_errors.size > 40
     assert found.scale_error_p95 < FOLLOWED
     assert found.predicted.shape == found.fitted.shape

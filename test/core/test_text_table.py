@@ -32,7 +32,7 @@ def written(path: Path, rows: int) -> Path:
 
 
 def test_memory_is_that_of_the_numbers(tmp_path: Path) -> None:
-    rows = 300_000
+    rows = 150_000
     path = written(tmp_path / "run.csv", rows)
     tracemalloc.start()
     table = read_text_table(path, parse_columns(COLUMNS), None, rows)

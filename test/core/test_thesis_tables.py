@@ -368,7 +368,7 @@ PLACES = np.array([-250.0, -249.0, -100.0, 0.0, 30.0, 249.0, 250.0])
 """Values crowd at few places, where outliers and large variances meet."""
 
 
-@fixed(200)
+@fixed(80)
 @given(st.lists(st.integers(0, 60), min_size=PLACES.size, max_size=PLACES.size).filter(any))
 def test_a_large_variance_leaves_no_room_for_outliers(counts):
     values = np.repeat(PLACES, 10 * np.array(counts))

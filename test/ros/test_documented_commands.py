@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import shlex
 import subprocess
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -98,13 +99,18 @@ def check_node(node: str, arguments: list[str]) -> None:
         check_path(text)
 
 
-def check_tool(tool: str, arguments: list[str]) -> None:
+@cache
+def help_of(tool: str) -> str:
     done = subprocess.run(
         [installed_programs() / tool, "--help"], capture_output=True, text=True, check=True
     )
+    return done.stdout
+
+
+def check_tool(tool: str, arguments: list[str]) -> None:
     for word in arguments:
         if word.startswith("--"):
-            assert word in done.stdout, f"{tool} has no option {word}"
+            assert word in help_of(tool), f"{tool} has no option {word}"
         check_path(word)
 
 
