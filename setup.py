@@ -123,6 +123,7 @@ setup(
     install_requires=["setuptools"],
     extras_require={
         "test": ["pytest"],
+        "fast": ["numba==0.68.1"],
         "many": ["distributed==2026.8.0", "pyarrow==26.0.1"],
         "files": ["openpyxl==3.1.5", "npTDMS==1.13.0"],
         "serial": ["pyserial==3.5"],

@@ -128,7 +128,7 @@ QUICK: dict[str, Measure] = {
     "healthy": lambda: healthy.figures(healthy.PROGRAMMES[2:5], ("viscous_tanh",)),
     "switched_current": lambda: switched_current.figures(30.0, switched_current.CASES[:1]),
     "step_current": lambda: step_current.figures(step_current.CASES[:1]),
-    "state_law": lambda: state_law.figures(5.0, 10.0),
+    "state_law": lambda: state_law.figures(5.0, 8.0, 16.0),
     "many_recordings": lambda: many_recordings.figures(60, 20),
     "planned_runs": lambda: planned_runs.figures(2),
     "car_on_roads": lambda: car_on_roads.figures(3.0),

@@ -97,12 +97,13 @@ def law_us_per_sample(duration: float = 20.0) -> float:
     return 1e6 * min(cpu_seconds(follow) for _ in range(3)) / window.sample_count
 
 
-def worker_share(law: str, duration: float = 40.0) -> float:
-    """Processor time of the worker over data time: 1 kHz, as the nodes do by default.
+def worker_shares(law: str, start: float, duration: float) -> tuple[float, float]:
+    """Processor time of the worker over data time, in the first seconds and in those after them.
 
-    A damper of the state law in random motion at 1 A, from a cold start; windows of two seconds
-    every second with three looks between them, and global identifications as the node makes them:
-    six in the first half minute, later one after every twenty windows that fit.
+    A damper of the state law in random motion at 1 A, 1 kHz, as the nodes do by default, from a
+    cold start; windows of two seconds every second with three looks between them, and global
+    identifications as the node makes them: six in the first half minute, later one after every
+    twenty windows that fit.
     """
     rig = EmulatedRig(ModelDamper(_TRUTH, 1e-3), random_motion(4e-3, 0.3, 3.0, duration, 1), 1.0)
     record = rig.record(duration)
@@ -118,18 +119,23 @@ def worker_share(law: str, duration: float = 40.0) -> float:
         ready += assembler.add_block(block)
         ready += assembler.add_current(block.end_ns, 1.0)
 
-    def work() -> None:
-        for window in ready:
-            report = tracker.follow(window)
-            if report is not None and report.global_due:
-                tracker.identify()
+    def work(first: float, last: float) -> float:
+        def follow() -> None:
+            for window in ready:
+                if first <= window.start_ns / NANOSECONDS < last:
+                    report = tracker.follow(window)
+                    if report is not None and report.global_due:
+                        tracker.identify()
 
-    return cpu_seconds(work) / duration
+        return cpu_seconds(follow) / (last - first)
+
+    return work(0.0, start), work(start, duration)
 
 
-def figures(half: float = _HALF, duration: float = 40.0) -> list[Figure]:
+def figures(half: float = _HALF, start: float = 40.0, duration: float = 100.0) -> list[Figure]:
     """``law_us_per_sample``, ``switched_current_nrmse``, ``switched_current_lag_error``..."""
     found = [switched(STATE_LAW, coil, half) for coil in COILS]
+    shares = [worker_shares(law, start, duration) for law in LAWS]
     coils = ", ".join(f"{1e3 * coil:g}" for coil in COILS)
     return [
         Figure(
@@ -155,9 +161,14 @@ def figures(half: float = _HALF, duration: float = 40.0) -> list[Figure]:
         ),
         Figure(
             "worker_core_percent",
-            [100.0 * worker_share(law, duration) for law in LAWS],
-            "Processor time [% of a core] of the worker at the nodes' defaults, 1 kHz, first "
-            f"{duration:g} s from a cold start, random motion: {', '.join(LAWS)}.",
+            [100.0 * later for _, later in shares],
+            "Processor time [% of a core] of the worker at the nodes' defaults, 1 kHz, from "
+            f"{start:g} to {duration:g} s after a cold start, random motion: {', '.join(LAWS)}.",
             (0.0, 30.0),
+        ),
+        Figure(
+            "worker_start_percent",
+            [100.0 * first for first, _ in shares],
+            f"The same in the first {start:g} s, with six global identifications.",
         ),
     ]

@@ -52,6 +52,17 @@ class Motion:
     peak_velocity: Array
     sine: Sine | None
 
+    @classmethod
+    def of_sine(cls, sine: Sine, time: Array, peak_velocity: float) -> Motion:
+        """Motion of a sine of this peak velocity [m/s] at times (n,) [s]."""
+        return cls(
+            displacement=sine.displacement(time),
+            velocity=sine.velocity(time),
+            acceleration=sine.acceleration(time),
+            peak_velocity=np.full(time.size, peak_velocity),
+            sine=sine,
+        )
+
     def held_within(self, low: float, high: float) -> Motion:
         """The same motion, its peak velocity held within ``low`` and ``high`` [m/s].
 
@@ -143,13 +154,7 @@ def window_motion(displacement: Array, period: float) -> Motion:
         if sine.residual_rms <= limit and cycles >= 0.5:
             time: Array = np.arange(u.size, dtype=float) * period
             top_speed = 2.0 * np.pi * sine.frequency * sine.amplitude
-            return Motion(
-                displacement=sine.displacement(time),
-                velocity=sine.velocity(time),
-                acceleration=sine.acceleration(time),
-                peak_velocity=np.full(u.size, top_speed),
-                sine=sine,
-            )
+            return Motion.of_sine(sine, time, top_speed)
     smooth, velocity, acceleration = _smooth(u, period)
     centred = smooth - 0.5 * (smooth.max() + smooth.min())
     return Motion(

@@ -51,13 +51,7 @@ class MotionHistory:
         count = _SAMPLES_PER_CYCLE
         period = 1.0 / (sine.frequency * count)
         cycle: Array = np.arange(count, dtype=float) * period
-        motion = Motion(
-            displacement=sine.displacement(cycle),
-            velocity=sine.velocity(cycle),
-            acceleration=sine.acceleration(cycle),
-            peak_velocity=np.full(count, peak_velocity),
-            sine=sine,
-        )
+        motion = Motion.of_sine(sine, cycle, peak_velocity)
         places = time / period % count
         branch = np.sign(sine.acceleration(time))
         return cls(motion, np.full(count, current), period, places, branch, periodic=True)

@@ -7,6 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.white_noise import white_noise
+
+_ENOUGH_CYCLES = 2.0
+_FAR_FROM_SINE = 0.4
+"""Of a sine of so many cycles or more, the strongest line of the spectrum leaves 0.15 of the
+displacement at most (standard deviations). What leaves more than this is none, but for noise ..."""
+
+_NOISE_FACTOR = 2.0
+"""... so many times that of the displacement."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +51,8 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
 
     The spectrum's peak gives the start. Frequency is the only unknown that enters nonlinearly;
     the other three are solved linearly at each step. Returns None where the samples hold less
-    than half a cycle of the strongest frequency or do not move at all: then there is no sine.
+    than half a cycle of the strongest frequency or do not move at all, or where the spectrum shows
+    already that the motion is far from a sine: then there is none.
     """
     u = np.asarray(displacement, dtype=float)
     n = u.size
@@ -66,9 +76,13 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
         weights = np.linalg.lstsq(columns, u, rcond=None)[0]
         return weights, columns @ weights - u
 
+    scale = float(np.std(u))
+    if start * n >= _ENOUGH_CYCLES:
+        left = float(np.std(solve(start)[1]))
+        if left > max(_FAR_FROM_SINE * scale, _NOISE_FACTOR * white_noise(u)):
+            return None
     from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
 
-    scale = float(np.std(u))
     fit = least_squares(
         lambda x: solve(x[0])[1] / scale,
         x0=[start],

@@ -10,10 +10,14 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion, window_motion
 from mr_damper_ros.kinematics.motion_history import MotionHistory, following_stride
+from mr_damper_ros.kinematics.sine import Sine
 from mr_damper_ros.signals.arrays import Array
 
 _FOLLOWS_CURRENT = 1e-3
 """A history of samples this far apart [s] shows how a coil follows a step of the current."""
+
+_CYCLE = 256
+"""Samples in a cycle that is made to see a law on."""
 
 _ALL_BUT_SPIKES = 0.995
 """Part of the samples of which none is a spike: more of them spoil a window anyway."""
@@ -66,6 +70,14 @@ class Window:
             motion = replace(motion, peak_velocity=peak_velocity)
         amperes = np.broadcast_to(np.asarray(current, float), np.shape(force))
         return cls(motion, force, amperes, period)
+
+    @classmethod
+    def of_sine(cls, peak_velocity: float, frequency: float, current: float) -> Window:
+        """A cycle of a steady sine [m/s, Hz] at a current [A], to see a law on; without force."""
+        sine = Sine(peak_velocity / (2.0 * np.pi * frequency), frequency, 0.0, 0.0, 0.0)
+        period = 1.0 / (frequency * _CYCLE)
+        motion = Motion.of_sine(sine, period * np.arange(_CYCLE, dtype=float), peak_velocity)
+        return cls(motion, np.zeros(_CYCLE), np.full(_CYCLE, current), period)
 
     def part(self, chosen: slice | Array) -> Window:
         """The chosen samples: a slice, or a mask of shape (n,)."""

@@ -13,7 +13,7 @@ from mr_damper_ros.models.current_dependence import Coefficient
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import (
     HYSTERESIS,
-    each_sample,
+    follow_yield,
     hysteresis_step,
     integrated,
     memory_length,
@@ -24,7 +24,9 @@ from mr_damper_ros.models.known_derivatives import (
     accumulated,
     along,
     at_samples,
+    driven,
 )
+from mr_damper_ros.models.machine_code import run_loop
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
@@ -68,10 +70,8 @@ class BoucWen(DifferentiatedModel):
         strength, length, share, power = values[3:]
         z = _yielded([length, share, power], motion, period, [math.nan, math.nan])
         steps = step_derivatives(z, motion.velocity, length, share, power, period)
-        driven = sum(
-            by[:, np.newaxis] * chain[place] for place, by in enumerate(steps[1:], start=4)
-        )
-        result = chain[2] + strength[:, np.newaxis] * accumulated(steps.kept, np.asarray(driven))
+        added = driven(dict(enumerate(steps[1:], start=4)), chain)
+        result = chain[2] + strength[:, np.newaxis] * accumulated(steps.kept, added)
         for place, by in ((0, motion.velocity), (1, motion.displacement), (3, z)):
             result += by[:, np.newaxis] * chain[place]
         return at_samples(window, result)
@@ -92,15 +92,9 @@ def _yielded(
 ) -> Array:
     """State z at the samples, shape (n,); the memory holds the last z and the last velocity."""
     share, power = (float(c[0]) for c in coefficients[1:])
-    lengths = each_sample(coefficients[0], motion.velocity.size)
-    z, last = memory
-    states = []
-    for v, length in zip(motion.velocity.tolist(), lengths, strict=True):
-        if math.isnan(z):
-            z = 0.0
-        else:
-            z = hysteresis_step(z, 0.5 * (v + last), 0.0, length, share, power, period)
-        last = v
-        states.append(z)
-    memory[:] = z, last
-    return np.array(states)
+    lengths = np.broadcast_to(coefficients[0], motion.velocity.shape)
+    given = motion.velocity, lengths
+    (states,), memory[:] = run_loop(
+        follow_yield, (hysteresis_step,), given, 1, period, share, power, *memory
+    )
+    return states

@@ -196,6 +196,12 @@ class CurrentDependentModel(Model):
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
         if np.all(current == current[..., :1]):
             current = current[..., :1]
+        if parameters.ndim == 1 and current.size == 1:  # in plain numbers, as windows ask often
+            values, one = parameters.tolist(), float(current.item())
+            return [
+                np.full(current.shape, self.number_at(values, place, one))
+                for place in range(len(self.at_one_current))
+            ]
         return [self._at(parameters, place, current) for place in range(len(self.at_one_current))]
 
     def coefficients_along(self, parameters: Array, current: Array) -> list[Array]:
@@ -242,6 +248,12 @@ class CurrentDependentModel(Model):
         )[0]
         values = self._all_at(parameters, amperes)
         return np.stack([np.broadcast_to(value, amperes.shape) for value in values])
+
+    def coefficient_gradient(
+        self, parameters: Array, peak_velocity: float, current: float
+    ) -> Array:
+        """Derivatives (c, p) of the coefficients at one current by the parameters."""
+        return self.dependences(parameters, np.array([current]), np.zeros(1))[:, 0]
 
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float

@@ -147,7 +147,9 @@ def next_lagged(values: Array, time_constant: Array, period: float, state: LagSt
 
 
 def _one_earlier(values: Array) -> Array:
-    return np.roll(values, 1, axis=0)
+    earlier = np.empty_like(values)
+    earlier[:1], earlier[1:] = values[-1:], values[:-1]
+    return earlier
 
 
 def lagged(

@@ -226,10 +226,10 @@ class Model(ABC):
         if not self.remembers:
             return self.force(parameters, window.motion, window.current, 1.0)
         history = window.history.coarse
-        stream = self.stream(history.period)
-        force = stream.follow(parameters, history.motion, history.current)
+        along = parameters, history.motion, history.current, history.period
+        force, state = self.follow(*along, None)
         if history.periodic:
-            force = stream.follow(parameters, history.motion, history.current)
+            force, _ = self.follow(*along, state)
         return np.moveaxis(history.at_samples(np.moveaxis(force, -1, 0)), 0, -1)
 
     @np.errstate(over="ignore", invalid="ignore")
@@ -238,10 +238,9 @@ class Model(ABC):
         if not self.remembers or window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
         history = window.history.coarse
-        stream = self.stream(history.period)
-        first, second = (
-            stream.follow(parameters, history.motion, history.current) for _ in range(2)
-        )
+        along = parameters, history.motion, history.current, history.period
+        first, state = self.follow(*along, None)
+        second, _ = self.follow(*along, state)
         differs = np.abs(first - second) > _FORGOTTEN * float(np.ptp(first))
         # The true past may be further off than either of the two.
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)

@@ -15,7 +15,7 @@ that |z| never exceeds 1 is kept, so it is stable for any period.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableSequence, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +82,64 @@ def hysteresis_step(
     moved = z + period * gain * w * (math.expm1(x) / x if x != 0.0 else 1.0)
     # The exact solution never leaves this range, which a step much longer than the yield could.
     return 1.0 if moved > 1.0 else -1.0 if moved < -1.0 else moved
+
+
+def follow_yield(
+    velocity: Sequence[float],
+    lengths: Sequence[float],
+    states: MutableSequence[float],
+    period: float,
+    share: float,
+    power: float,
+    z: float,
+    last: float,
+) -> tuple[float, float]:
+    """The last z and the last velocity of a hysteresis that the rod drives; fills z (n,)."""
+    for k in range(len(velocity)):
+        v = velocity[k]
+        if z != z:  # NaN: a start
+            z = 0.0
+        else:
+            z = hysteresis_step(z, 0.5 * (v + last), 0.0, lengths[k], share, power, period)
+        last = v
+        states[k] = z
+    return z, last
+
+
+def follow_inner_point(
+    velocity: Sequence[float],
+    numbers: Sequence[Sequence[float]],
+    inner: MutableSequence[float],
+    period: float,
+    k0: float,
+    share: float,
+    power: float,
+    z: float,
+    s: float,
+    last: float,
+) -> tuple[float, float, float]:
+    """The last z, s and velocity where a hysteresis and a damper are in series with another.
+
+    Fills the velocity (n,) [m/s] of the point between. ``numbers`` (n, 5): damping beside the
+    hysteresis and both dampings [N s/m], force of full yield [N], what half a step of s is to its
+    rate [s], way to the yield [m].
+    """
+    for k in range(len(velocity)):
+        v = velocity[k]
+        c0, both, alpha = numbers[k][0], numbers[k][1], numbers[k][2]
+        easing, length = numbers[k][3], numbers[k][4]
+        if z != z:  # NaN: a start
+            z = s = 0.0
+        else:
+            # Strang's splitting: half a step of s, a step of z, half a step of s.
+            w = 0.5 * (v + last)
+            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
+            slip = w - (alpha * z + c0 * w + k0 * s) / both
+            z = hysteresis_step(z, slip, alpha / both, length, share, power, period)
+            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
+        last = v
+        inner[k] = (alpha * z + c0 * v + k0 * s) / both
+    return z, s, last
 
 
 class StepDerivatives(NamedTuple):
@@ -162,8 +220,3 @@ def integrated(
         result[place] = integrate([c[place] for c in every], motion, period, memory)
         kept[(slice(None), *place)] = memory
     return result, tuple(kept)
-
-
-def each_sample(coefficient: Array, count: int) -> list[float]:
-    """A coefficient (1,) or (n,) as the numbers of n samples."""
-    return coefficient.tolist() * (count // coefficient.size)

@@ -7,7 +7,7 @@ would take as many times as long as there are parameters.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,8 @@ _STEP_OF_COIL = 1e-6
 class Along(NamedTuple):
     """What a law is differentiated along: the motion, coefficients (n,) each, and their chain.
 
-    ``chain`` (c, n, p): derivatives of the coefficients by the parameters.
+    ``chain`` (c, n, p): derivatives of the coefficients by the parameters; (c, 1, p) where the
+    current is constant.
     """
 
     motion: Motion
@@ -44,13 +45,13 @@ def along(model: CurrentDependentModel, window: Window, parameters: Array) -> Al
         twice = np.concatenate((np.arange(count), np.arange(count)))
         motion, current = motion.part(twice), current[twice]
     tau, late = float(parameters[-1]), current
-    by_coil = np.zeros(current.size)
     if float(np.ptp(current)) > 0.0:
         constants = np.array([tau, tau + _STEP_OF_COIL])
         late, later = coil_current(current, constants, history.period, None)
-        by_coil = (later - late) / _STEP_OF_COIL
+        chain = model.dependences(parameters, late, (later - late) / _STEP_OF_COIL)
+    else:
+        chain = model.dependences(parameters, current[:1], np.zeros(1))
     values = model.coefficients_along(parameters, late)
-    chain = model.dependences(parameters, late, by_coil)
     return Along(motion, history.period, values, chain)
 
 
@@ -58,6 +59,14 @@ def at_samples(window: Window, derivatives: Array) -> Array:
     """Derivatives (m, p) along the history of a window at its samples (n, p)."""
     history = window.history.coarse
     return history.at_samples(derivatives[-history.current.size :])
+
+
+def driven(by: Mapping[int, Array], chain: Array) -> Array:
+    """What steps add by the parameters (n, p), from what they add (n,) by coefficients."""
+    places = list(by)
+    if chain.shape[1] == 1:
+        return np.asarray(np.stack(list(by.values()), axis=-1) @ chain[places, 0])
+    return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
 
 
 def accumulated(kept: Array, driven: Array) -> Array:

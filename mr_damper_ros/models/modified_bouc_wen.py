@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,12 +11,13 @@ from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependen
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import (
     HYSTERESIS,
-    each_sample,
+    follow_inner_point,
     hysteresis_step,
     integrated,
     memory_length,
     relaxation,
 )
+from mr_damper_ros.models.machine_code import run_loop
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
@@ -79,28 +79,15 @@ def _inner_velocity(
     The memory holds z, the displacement s of the rod against the inner point, and the velocity of
     the last sample. Only s enters the equations, so the centre of the motion may move.
     """
-    count = motion.velocity.size
     # The dampings, the force of full yield and the way to it may follow the current.
-    c0s, c1s, alphas = coefficients[0], coefficients[2], coefficients[5]
+    c0s, c1s, alphas, lengths = (coefficients[place] for place in (0, 2, 5, 6))
     k0, share, power = (float(coefficients[place][0]) for place in (1, 7, 8))
     rates = -0.5 * period * k0 / (c0s + c1s)
     easings = 0.5 * period * np.array([relaxation(rate) for rate in rates.tolist()])
-    each = (
-        each_sample(values, count) for values in (c0s, c0s + c1s, alphas, easings, coefficients[6])
+    each = motion.velocity, c0s, c0s + c1s, alphas, easings, lengths
+    velocity, *numbers = np.broadcast_arrays(*each)
+    given = velocity, np.stack(numbers, axis=-1)
+    (inner,), memory[:] = run_loop(
+        follow_inner_point, (hysteresis_step,), given, 1, period, k0, share, power, *memory
     )
-    z, s, last = memory
-    inner = []
-    for v, c0, both, alpha, easing, length in zip(motion.velocity.tolist(), *each, strict=True):
-        if math.isnan(z):
-            z = s = 0.0
-        else:
-            # Strang's splitting: half a step of s, a step of z, half a step of s.
-            w = 0.5 * (v + last)
-            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
-            slip = w - (alpha * z + c0 * w + k0 * s) / both
-            z = hysteresis_step(z, slip, alpha / both, length, share, power, period)
-            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
-        last = v
-        inner.append((alpha * z + c0 * v + k0 * s) / both)
-    memory[:] = z, s, last
-    return np.array(inner)
+    return inner

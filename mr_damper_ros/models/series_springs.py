@@ -10,17 +10,14 @@ no peak velocity. What rounds a small motion more than a large one is the way si
 not the speed: a part of the yield force is carried by a softer spring (two elements of the kind
 that Iwan, J. Applied Mechanics 33, 1966, puts side by side), each with a yield of its own.
 
-A step is the two-stage method of order two with gamma = 1 - 1/sqrt(2) (Alexander, SIAM J. Numerical
-Analysis 14, 1977), L-stable: stable at any period, and a spring far too stiff for the period is
-rigid, not ringing. Either stage is one rising equation for w. The derivatives by the parameters
-follow the same steps, linearised: a recursion along the samples, solved for all of them at once.
+Either path is stepped as :mod:`mr_damper_ros.models.spring_path` says. The derivatives by the
+parameters are a recursion along the samples, solved for all of them at once.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,23 +26,19 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_unsettled, few_in_coil
 from mr_damper_ros.models.current_dependence import Coefficient
 from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.hysteresis import each_sample, integrated
+from mr_damper_ros.models.hysteresis import integrated
 from mr_damper_ros.models.known_derivatives import (
     DifferentiatedModel,
     accumulated,
     along,
     at_samples,
+    driven,
 )
+from mr_damper_ros.models.machine_code import MANY_SAMPLES
 from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.models.spring_path import PathState, SpringPath, follow_path
 from mr_damper_ros.signals.arrays import Array
 
-_GAMMA = 1.0 - math.sqrt(0.5)
-_REST = 1.0 - _GAMMA
-_CLOSE = 1e-4
-"""A flow is found once a step changes it by less than this part of the width of the yield: the next
-would change it by a part of the order of this one's square."""
-
-_MOST_STEPS = 60
 _FORGOTTEN = 0.01
 """A past is forgotten where it changes the force by less than this part of its span."""
 
@@ -95,19 +88,20 @@ class SeriesSprings(DifferentiatedModel):
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N]; of one set in plain numbers, since blocks of few samples come often."""
-        if parameters.ndim > 1:
+        if parameters.ndim > 1 or current.size >= MANY_SAMPLES:
             return super().follow(parameters, motion, current, period, state)
         amperes, supply = self._one_in_coil(parameters, current, period, state)
         paths, (stiffness, offset) = self._numbers_at(parameters, amperes)
         velocity = motion.velocity.tolist()
         memory = [math.nan] * self.memory if state is None else [float(s) for s in state[:5]]
-        first, second = (
-            _followed(velocity, path, period, memory[place], memory[place + 1], memory[4])
-            for place, path in zip((0, 2), paths, strict=True)
-        )
-        force = np.array(first[2]) + np.array(second[2]) + stiffness * motion.displacement + offset
-        kept = (*first[:2], *second[:2], velocity[-1], *supply)
-        return force, tuple(np.array(value) for value in kept)
+        force: Array = stiffness * motion.displacement + offset
+        kept: list[float] = []
+        for place, path in zip((0, 2), paths, strict=True):
+            forces, early, flows = ([0.0] * len(velocity) for _ in range(3))
+            start = memory[place], memory[place + 1], memory[4]
+            kept += follow_path(velocity, path, forces, early, flows, period, *start)
+            force += forces
+        return force, tuple(np.array(value) for value in (*kept, velocity[-1], *supply))
 
     def _one_in_coil(
         self, parameters: Array, current: Array, period: float, state: State | None
@@ -191,13 +185,12 @@ class SeriesSprings(DifferentiatedModel):
         motion, period, values, chain = along(self, window, parameters)
         result = motion.displacement[:, np.newaxis] * chain[6] + chain[7]
         for spring, path, recursion, carried in self._derivatives_along(values, motion, period):
-            driven = np.zeros(result.shape)
-            for place, by_coefficient in path.items():
-                driven += by_coefficient[:, np.newaxis] * chain[place]
-            # A spring keeps its deflection while its stiffness changes: the force changes.
-            stiffened = np.diff(chain[spring] / values[spring][:, np.newaxis], axis=0)
-            driven[1:] += carried[1:, np.newaxis] * stiffened
-            result += accumulated(recursion, driven)
+            added = driven(path, chain)
+            if chain.shape[1] > 1:
+                # A spring keeps its deflection while its stiffness changes: the force changes.
+                stiffened = np.diff(chain[spring] / values[spring][:, np.newaxis], axis=0)
+                added[1:] += carried[1:, np.newaxis] * stiffened
+            result += accumulated(recursion, added)
         return at_samples(window, result)
 
     def _derivatives_along(
@@ -210,8 +203,8 @@ class SeriesSprings(DifferentiatedModel):
         """
         f_y, w_y, c, stiffness, share, softer = values[:6]
         nothing = np.zeros(f_y.size)
-        first = _Path((1.0 - share) * f_y, w_y, c, stiffness)
-        second = _Path(share * f_y, w_y, nothing, softer)
+        first = SpringPath((1.0 - share) * f_y, w_y, c, stiffness)
+        second = SpringPath(share * f_y, w_y, nothing, softer)
         ways = []
         for spring, path, part, sign, others in (
             (3, first, 1.0 - share, -1.0, {2: "damping"}),
@@ -233,142 +226,19 @@ def _both_paths(
     The memory holds the deflection [m] and the flow w of either, and the velocity.
     """
     f_y, w_y, c, stiffness, share, softer = coefficients
-    velocity = motion.velocity.tolist()
-    last, force = memory[4], np.zeros(len(velocity))
+    last, force = memory[4], np.zeros(motion.velocity.size)
     paths = (
-        _Path((1.0 - share) * f_y, w_y, c, stiffness),
-        _Path(share * f_y, w_y, np.zeros(1), softer),
+        SpringPath((1.0 - share) * f_y, w_y, c, stiffness),
+        SpringPath(share * f_y, w_y, np.zeros(1), softer),
     )
     for place, path in zip((0, 2), paths, strict=True):
-        numbers = path.numbers(len(velocity))
-        after = _followed(velocity, numbers, period, memory[place], memory[place + 1], last)
-        memory[place], memory[place + 1], forces = after
+        state = PathState(memory[place], memory[place + 1], last)
+        (*memory[place : place + 2], memory[4]), (forces, *_) = path.follow(
+            motion.velocity, period, state
+        )
         force += forces
-    memory[4] = velocity[-1]
     return force
 
 
 _Numbers = list[tuple[float, float, float, float]]
-"""Strength [N], width [m/s], damping [N s/m] and stiffness [N/m], of all samples or of each."""
-
-
-def _followed(
-    velocity: list[float],
-    path: _Numbers,
-    period: float,
-    deflection: float,
-    flow: float,
-    last: float,
-    stages: list[tuple[float, float]] | None = None,
-) -> tuple[float, float, list[float]]:
-    """Deflection and flow after the samples, and the force at each; NaN: a start, settled.
-
-    ``stages`` takes the flows of both stages of each step.
-    """
-    forces = []
-    steps = [_step(*numbers, period) for numbers in path]
-    each = steps if len(steps) > 1 else steps * len(velocity)
-    for v, (strength, width, damping, stiffness, held, near, far) in zip(
-        velocity, each, strict=True
-    ):
-        if deflection != deflection:  # NaN; three times as fast as math.isnan
-            flow = early = v
-            force = strength * math.tanh(v / width) + damping * v
-        else:
-            between = last + _GAMMA * (v - last)
-            force = deflection * stiffness
-            before = flow
-            early = _flow(strength, width, held, force + near * between, flow)
-            load = force + far * (between - early) + near * v
-            ahead = early + _REST / _GAMMA * (early - before)
-            flow = _flow(strength, width, held, load, ahead)
-            force = load - near * flow
-        last = v
-        deflection = force / stiffness
-        forces.append(force)
-        if stages is not None:
-            stages.append((early, flow))
-    return deflection, flow, forces
-
-
-def _step(
-    strength: float, width: float, damping: float, stiffness: float, period: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """The four numbers of a path, and what its steps have in common."""
-    near = _GAMMA * period * stiffness
-    return strength, width, damping, stiffness, damping + near, near, _REST * period * stiffness
-
-
-class _Path(NamedTuple):
-    """A spring in series with a yield and a damper; each (n,) or (1,), at the samples."""
-
-    strength: Array
-    width: Array
-    damping: Array
-    stiffness: Array
-
-    def numbers(self, count: int) -> _Numbers:
-        """The same in plain numbers, for so many samples."""
-        if all(values.size == 1 for values in self):
-            count = 1
-        return list(zip(*(each_sample(values, count) for values in self), strict=True))
-
-    def derivatives(self, velocity: Array, period: float) -> tuple[dict[str, Array], Array, Array]:
-        """What each step adds (n,) by each of the four, and the part (n,) of the force it keeps.
-
-        Last: how much (n,) [N] is left of the force that a step begins with.
-        """
-        stages: list[tuple[float, float]] = []
-        numbers = self.numbers(velocity.size)
-        start = math.nan
-        *_, forces = _followed(velocity.tolist(), numbers, period, start, start, start, stages)
-        early, flow = np.array(stages).T
-        strength, width, damping, stiffness = (np.broadcast_to(c, flow.shape) for c in self)
-        before = np.concatenate((velocity[:1], velocity[:-1]))
-        between = before + _GAMMA * (velocity - before)
-        near, far = (part * period * stiffness for part in (_GAMMA, _REST))
-        slopes, by_both = [], []
-        for w in (early, flow):
-            tanh = np.tanh(w / width)
-            steep = strength / width * (1.0 - tanh**2)
-            slopes.append(steep + damping)
-            by_both.append({"strength": tanh, "width": -steep * w / width, "damping": w})
-        first, second = (1.0 / (slope + near) for slope in slopes)
-        kept = slopes[1] * second * (1.0 - far * first)
-        kept[0] = 0.0
-        added = {}
-        for name in ("strength", "width", "damping"):
-            # Of the first stage: the flow, and through it the force that the second begins with.
-            begin = far * first * by_both[0][name]
-            added[name] = slopes[1] * second * begin + near * second * by_both[1][name]
-            added[name][0] = by_both[1][name][0]
-        of_near, of_far = near / stiffness, far / stiffness
-        begin = of_far * (between - early) - far * first * of_near * (between - early)
-        added["stiffness"] = slopes[1] * second * (begin + of_near * (velocity - flow))
-        added["stiffness"][0] = 0.0
-        kept[1:] *= stiffness[1:] / stiffness[:-1]
-        carried = kept * np.concatenate(([0.0], forces[:-1]))
-        return added, kept, carried
-
-
-def _flow(strength: float, width: float, held: float, load: float, guess: float) -> float:
-    """Flow w [m/s] with strength tanh(w / width) + held w = load."""
-    # The left side is odd in w, and bends down where w > 0: from below Newton's steps rise.
-    sign = 1.0
-    if load < 0.0:
-        sign, load, guess = -1.0, -load, -guess
-    steepest, close = strength / width, _CLOSE * width
-    least = load / (steepest + held)
-    beyond = (load - strength) / held
-    if beyond > least:
-        least = beyond
-    flow = guess if guess > least else least
-    for _ in range(_MOST_STEPS):
-        tanh = math.tanh(flow / width)
-        step = (load - strength * tanh - held * flow) / (steepest * (1.0 - tanh * tanh) + held)
-        flow += step
-        if flow < least:
-            flow = least
-        elif -close < step < close:
-            break
-    return sign * flow
+"""Strength, width, damping and stiffness of a path, at each sample or once for all."""

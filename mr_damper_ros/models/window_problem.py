@@ -20,9 +20,6 @@ from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.models.search_effort import SearchEffort
 from mr_damper_ros.signals.arrays import Array
 
-_CYCLES, _PER_CYCLE = 3, 64
-"""Of a sine in which a change of an unknown is seen, and samples in each."""
-
 
 class WindowProblem(Protocol):
     """Residual (n,) of a window and its Jacobian (n, f) for unknowns (f,).
@@ -83,6 +80,7 @@ class DifferenceProblem:
         self.model = model
         self.window = window
         self.differences = 0
+        self._latest: tuple[Array, Array] | None = None
         self._given = np.array(parameters, dtype=float)
         self._free = model.free_indices
         reading = LoopReading.of(window)
@@ -120,8 +118,12 @@ class DifferenceProblem:
 
     def residual(self, unknowns: Array) -> Array:
         """Model minus measurement [N], shape (n,); zero where the past is not known."""
-        force = self.model.window_force(self.window, self.parameters(unknowns))
-        return np.where(self.settled, force - self.window.force, 0.0)
+        # A search asks for its start and its end more than once.
+        if self._latest is None or not np.array_equal(self._latest[0], unknowns):
+            force = self.model.window_force(self.window, self.parameters(unknowns))
+            left = np.where(self.settled, force - self.window.force, 0.0)
+            self._latest = np.array(unknowns), left
+        return self._latest[1]
 
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual by the unknowns, shape (n, f)."""
@@ -154,17 +156,10 @@ class DifferenceProblem:
         change = relative_change(self, part)
         if not math.isfinite(fastest):
             return change
-        model, sine = self.model, self._sine(fastest)
+        rate = self._reading.speed / (2.0 * math.pi * self._reading.amplitude)
+        model, sine = self.model, Window.of_sine(fastest, rate, self.window.operating_point[1])
         sine = replace(sine, force=model.window_force(sine, self._given))
         return np.minimum(change, relative_change(model.window_problem(sine, self._given), part))
-
-    def _sine(self, peak_velocity: float) -> Window:
-        """Cycles of a sine about as often as the window has them, without force."""
-        rate = self._reading.speed / self._reading.amplitude
-        angle: Array = 2.0 * np.pi * np.arange(_CYCLES * _PER_CYCLE) / _PER_CYCLE
-        displacement = peak_velocity / rate * np.sin(angle)
-        current, period = self.window.operating_point[1], 2.0 * np.pi / (rate * _PER_CYCLE)
-        return Window.from_samples(displacement, np.zeros(angle.size), current, period)
 
 
 def relative_change(problem: WindowProblem, part: float) -> Array:

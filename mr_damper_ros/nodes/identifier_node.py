@@ -15,6 +15,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
+from mr_damper_ros.models import MODELS, machine_code
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import check_plausible
@@ -110,6 +111,12 @@ class IdentifierNode(Node):
             f"{self.resolve_topic_name(CURRENT_TOPIC)}; "
             + (f"state is kept in {kept}" if kept else "no state is kept: state_dir is not set")
         )
+        law = options.tracking.model
+        if MODELS[law].remembers and not machine_code.is_available():
+            self.get_logger().info(
+                f"Numba is not installed: the law '{law}' is identified several times as fast with "
+                "it (pip install numba==0.68.1)"
+            )
 
     def destroy_node(self) -> None:
         """Keep and publish what waits, then end."""

@@ -62,7 +62,8 @@ _EFFORT = SearchEffort(
 )
 """Seven scales are well posed: the cheapest of the starts leads where the others do."""
 
-_SINE_SAMPLES = 256
+_ANY_FREQUENCY = 1.0
+"""[Hz], of a sine: the sigmoid law knows its velocities alone."""
 
 
 def longest_lag(windows: Sequence[Window], parameters: Array) -> float:
@@ -220,7 +221,7 @@ class ScaleMisfit:
         change = relative_change(self, part)
         if not math.isfinite(fastest):
             return change
-        sine = _sine(fastest, self.window.operating_point[1])
+        sine = Window.of_sine(fastest, _ANY_FREQUENCY, self.window.operating_point[1])
         return np.minimum(
             change, relative_change(ScaleMisfit(sine, self._start[:SIGMOID_COUNT]), part)
         )
@@ -255,16 +256,6 @@ class _Late:
         derivatives, _ = late_force_jacobian(self._history, plain, past, by_scales, self._extension)
         derivatives[self.unsettled] = 0.0
         return derivatives
-
-
-def _sine(peak_velocity: float, current: float) -> Window:
-    """A cycle of a sine, to see what scales do to the force of it."""
-    angle: Array = 2.0 * np.pi * np.arange(_SINE_SAMPLES) / _SINE_SAMPLES
-    nothing = np.zeros(_SINE_SAMPLES)
-    velocity, acceleration = peak_velocity * np.cos(angle), -np.sin(angle)
-    speeds = np.full(_SINE_SAMPLES, peak_velocity)
-    motion = Motion(nothing, velocity, acceleration, speeds, sine=None)
-    return Window(motion, nothing, np.full(_SINE_SAMPLES, current))
 
 
 def _one_if_steady(base: Array) -> Array:

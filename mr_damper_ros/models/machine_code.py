@@ -1,0 +1,63 @@
+"""Loops over samples as machine code, where Numba is installed.
+
+The state of a law goes on from sample to sample, which no operation on arrays replaces. Numba
+compiles such a loop as it stands: it is written once, and runs without Numba as well. It takes part
+where samples are many, as in a window: to load it takes a second, which no block may wait for.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+
+MANY_SAMPLES = 200
+"""From so many samples on, a loop is worth its machine code."""
+
+Loop = Callable[..., Any]
+
+
+def run_loop(
+    loop: Loop, called: tuple[Loop, ...], given: Sequence[Array], results: int, *numbers: float
+) -> tuple[list[Array], Any]:
+    """Run ``loop(*given, *results, *numbers)``: the results (n,) that it fills, what it returns.
+
+    The first of ``given`` has shape (n,). The loop gets lists, or arrays where it is compiled: it
+    may index them and ask for their length. ``called`` are the functions that it calls, which must
+    stand in its file: a change of theirs in another one would not be noticed.
+    """
+    count = len(given[0])
+    machine = machine_code(loop, called) if count >= MANY_SAMPLES else None
+    if machine is not None:
+        filled = [np.empty(count) for _ in range(results)]
+        arrays = (np.ascontiguousarray(values, dtype=float) for values in given)
+        return filled, machine(*arrays, *filled, *numbers)
+    lists = [[0.0] * count for _ in range(results)]
+    returned = loop(*(values.tolist() for values in given), *lists, *numbers)
+    return [np.array(values) for values in lists], returned
+
+
+def is_available() -> bool:
+    """Whether there is a compiler for loops: Numba is installed."""
+    return importlib.util.find_spec("numba") is not None
+
+
+@functools.cache
+def machine_code(loop: Loop, called: tuple[Loop, ...]) -> Loop | None:
+    """The loop as machine code, kept on disk for the next program; None without Numba."""
+    try:
+        from numba import njit
+        from numba.extending import register_jitable
+    except ImportError:
+        return None
+    for function in called:
+        register_jitable(function)
+    try:
+        return cast(Loop, njit(cache=True, error_model="numpy")(loop))
+    except RuntimeError:  # there is no place on disk to keep it
+        return cast(Loop, njit(error_model="numpy")(loop))

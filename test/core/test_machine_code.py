@@ -1,0 +1,106 @@
+"""Loops as machine code: the same law, only where samples are many, and not without Numba."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mr_damper_ros.models import hysteresis, machine_code, spring_path
+from mr_damper_ros.models.machine_code import MANY_SAMPLES, run_loop
+
+COUNT = 2 * MANY_SAMPLES
+ALIKE = 1e-12
+"""Of the largest value: the same steps, but the last digit of a hyperbolic tangent is another."""
+
+PERIOD = 2e-3
+RNG = np.random.default_rng(3)
+VELOCITY = np.cumsum(RNG.normal(0.0, 0.01, COUNT))
+SPRING = np.array([[600.0, 4e-3, 2500.0, 1e7]])
+CHANGING = SPRING * RNG.uniform(0.5, 2.0, (COUNT, 1))
+INNER = np.array([800.0, 60000.0, 900.0, 4e-4, 3e-4]) * RNG.uniform(0.5, 2.0, (COUNT, 1))
+START = math.nan, math.nan, math.nan
+LOOPS = [
+    (spring_path.follow_path, (spring_path.flow_of,), (VELOCITY, SPRING), 3, (PERIOD, *START)),
+    (spring_path.follow_path, (spring_path.flow_of,), (VELOCITY, CHANGING), 3, (PERIOD, *START)),
+    (
+        hysteresis.follow_yield,
+        (hysteresis.hysteresis_step,),
+        (VELOCITY, RNG.uniform(2e-4, 1e-3, COUNT)),
+        1,
+        (PERIOD, 0.4, 1.5, *START[:2]),
+    ),
+    (
+        hysteresis.follow_inner_point,
+        (hysteresis.hysteresis_step,),
+        (VELOCITY, INNER),
+        1,
+        (PERIOD, 500.0, 0.4, 1.5, *START),
+    ),
+]
+
+
+@pytest.fixture
+def without_numba(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    machine_code.machine_code.cache_clear()
+    monkeypatch.setitem(sys.modules, "numba", None)
+    yield
+    machine_code.machine_code.cache_clear()
+
+
+def running_sum(values: Sequence[float], sums: Any, start: float) -> float:
+    for k in range(len(values)):
+        start += values[k]
+        sums[k] = start
+    return start
+
+
+@pytest.mark.parametrize(("loop", "called", "given", "results", "numbers"), LOOPS)
+def test_machine_code_gives_what_the_loop_gives(
+    loop: Callable[..., Any], called: Any, given: Any, results: int, numbers: Any
+) -> None:
+    pytest.importorskip("numba")
+    filled, last = run_loop(loop, called, given, results, *numbers)
+    plain = [[0.0] * COUNT for _ in range(results)]
+    plain_last = loop(*(values.tolist() for values in given), *plain, *numbers)
+    for values, expected in zip([*filled, last], [*plain, plain_last], strict=True):
+        size = np.max(np.abs(expected))
+        np.testing.assert_allclose(values, expected, rtol=0.0, atol=ALIKE * size)
+
+
+@pytest.mark.usefixtures("without_numba")
+def test_without_numba_the_loop_runs_as_it_is() -> None:
+    (sums,), last = run_loop(running_sum, (), (VELOCITY,), 1, 1.0)
+    np.testing.assert_allclose(sums, 1.0 + np.cumsum(VELOCITY), rtol=ALIKE)
+    assert last == sums[-1]
+
+
+def test_a_loop_whose_machine_code_cannot_be_kept_is_compiled_all_the_same() -> None:
+    pytest.importorskip("numba")
+    place: dict[str, Any] = {}
+    # No file to keep it beside: as where neither the package nor the user's folder can be written.
+    exec("def first(values, results):\n    results[0] = values[0]\n    return 0.0", place)
+    (result,), _ = run_loop(place["first"], (), (np.full(MANY_SAMPLES, 7.0),), 1)
+    assert result[0] == 7.0
+
+
+def test_a_block_of_few_samples_does_not_wait_for_a_compiler() -> None:
+    code = f"""
+import sys
+sys.path[:] = {sys.path!r}
+import numpy as np
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.kinematics.motion import Motion
+for name in ("series_springs", "bouc_wen", "modified_bouc_wen"):
+    model = MODELS[name]
+    motion = Motion(*(np.linspace(0.0, 0.1, 10) for _ in range(4)), sine=None)
+    model.stream(1e-3).follow(model.initial_values()[0], motion, 1.0)
+print("numba" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
