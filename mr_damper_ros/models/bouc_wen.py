@@ -26,7 +26,7 @@ from mr_damper_ros.models.known_derivatives import (
     at_samples,
     driven,
 )
-from mr_damper_ros.models.machine_code import run_loop
+from mr_damper_ros.models.machine_code import as_machine_code, run_loop
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
@@ -63,6 +63,7 @@ class BoucWen(DifferentiatedModel):
         """Some ways to the yield."""
         return memory_length(self, parameters, current)
 
+    @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
     def window_derivatives(self, window: Window, parameters: Array) -> Array:
         """Derivatives (n, p) of :meth:`window_force` by all parameters (p,)."""

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch, PooledProblem
 from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
 from mr_damper_ros.models.search_effort import SearchEffort
@@ -220,6 +221,7 @@ class Model(ABC):
         return ForceStream(self, period)
 
     # A set may hold any finite numbers: what overflows, here and below, is judged by its misfit.
+    @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
@@ -232,6 +234,7 @@ class Model(ABC):
             force, _ = self.follow(*along, state)
         return np.moveaxis(history.at_samples(np.moveaxis(force, -1, 0)), 0, -1)
 
+    @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
     def settled(self, window: Window, parameters: Array) -> np.ndarray:
         """Mask (n,) of samples whose force does not depend on what came before the window."""

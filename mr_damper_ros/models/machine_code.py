@@ -1,25 +1,41 @@
 """Loops over samples as machine code, where Numba is installed.
 
 The state of a law goes on from sample to sample, which no operation on arrays replaces. Numba
-compiles such a loop as it stands: it is written once, and runs without Numba as well. It takes part
-where samples are many, as in a window: to load it takes a second, which no block may wait for.
+compiles such a loop as it stands: it is written once, and runs without Numba as well. It is for
+windows, which are followed many times: to load it takes seconds, which no block may wait for.
 """
 
 from __future__ import annotations
 
 import functools
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, cast
 
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
 
-MANY_SAMPLES = 200
-"""From so many samples on, a loop is worth its machine code."""
-
 Loop = Callable[..., Any]
+
+_MACHINE_CODE: ContextVar[bool] = ContextVar("loops run as machine code", default=False)
+
+
+@contextmanager
+def as_machine_code() -> Iterator[None]:
+    """Loops run as machine code meanwhile, where Numba is installed; also decorates a function."""
+    before = _MACHINE_CODE.set(True)
+    try:
+        yield
+    finally:
+        _MACHINE_CODE.reset(before)
+
+
+def runs_machine_code() -> bool:
+    """Whether loops run as machine code now, where there is any."""
+    return _MACHINE_CODE.get()
 
 
 def run_loop(
@@ -32,7 +48,7 @@ def run_loop(
     stand in its file: a change of theirs in another one would not be noticed.
     """
     count = len(given[0])
-    machine = machine_code(loop, called) if count >= MANY_SAMPLES else None
+    machine = machine_code(loop, called) if runs_machine_code() else None
     if machine is not None:
         filled = [np.empty(count) for _ in range(results)]
         arrays = (np.ascontiguousarray(values, dtype=float) for values in given)

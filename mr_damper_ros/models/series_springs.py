@@ -34,7 +34,7 @@ from mr_damper_ros.models.known_derivatives import (
     at_samples,
     driven,
 )
-from mr_damper_ros.models.machine_code import MANY_SAMPLES
+from mr_damper_ros.models.machine_code import as_machine_code, runs_machine_code
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.models.spring_path import PathState, SpringPath, follow_path
 from mr_damper_ros.signals.arrays import Array
@@ -88,7 +88,7 @@ class SeriesSprings(DifferentiatedModel):
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
         """Force [N]; of one set in plain numbers, since blocks of few samples come often."""
-        if parameters.ndim > 1 or current.size >= MANY_SAMPLES:
+        if parameters.ndim > 1 or runs_machine_code():
             return super().follow(parameters, motion, current, period, state)
         amperes, supply = self._one_in_coil(parameters, current, period, state)
         paths, (stiffness, offset) = self._numbers_at(parameters, amperes)
@@ -154,6 +154,7 @@ class SeriesSprings(DifferentiatedModel):
             ]
         )
 
+    @as_machine_code()
     def settled(self, window: Window, parameters: Array) -> np.ndarray:
         """Mask (n,) of samples at which the two springs and the coil have forgotten the past.
 
@@ -179,6 +180,7 @@ class SeriesSprings(DifferentiatedModel):
         known = history.places >= min(count, _LONGEST_MEMORY * apart.size)
         return known & ~coil_unsettled(window, float(parameters[-1]))
 
+    @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
     def window_derivatives(self, window: Window, parameters: Array) -> Array:
         """Derivatives (n, p) of :meth:`window_force` by all parameters (p,)."""

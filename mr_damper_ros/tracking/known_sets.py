@@ -10,7 +10,6 @@ tells whether the force of this damper jumps where the motion turns.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,6 +27,7 @@ from mr_damper_ros.tracking.known_set import (
     joined,
     within,
 )
+from mr_damper_ros.tracking.newest_samples import NewestSamples
 from mr_damper_ros.tracking.sets_over_current import (
     SetsOverCurrent,
     force_ratio,
@@ -46,13 +46,6 @@ _JUDGED = 0.1
 
 _PART = 0.1
 """... this part of a half-cycle, if that is more."""
-
-_MOST_KEPT = 40_000
-_MOST_TRIED = 2000
-"""Samples of the last cycle that are kept, and that are tried out."""
-
-_TOGETHER = 64
-"""Samples that are kept in one piece."""
 
 _EVERY = 0.05
 """Seconds between two searches: each costs as much as some blocks of prediction."""
@@ -89,10 +82,7 @@ class KnownSets:
         # The one in use, then those before.
         self._sets: list[KnownSet] = []
         self._newest_ns: int | None = None
-        self._samples: deque[JudgedSamples] = deque()
-        self._newest_samples: list[JudgedSamples] = []
-        self._newest_count = 0
-        self._count = 0
+        self._samples = NewestSamples()
         self._period = math.nan
         self._half_cycle = 0.0
         self._since_search = math.inf
@@ -214,8 +204,8 @@ class KnownSets:
         parameters = whole.parameters
         if present.whole:
             parameters = present.parameters  # with the force of when it took over
-        elif self._kept:
-            newest = self._newest(math.inf)
+        elif self._samples:
+            newest = self._samples.last(math.inf)
             low, high = parameters.current_range
             known = (newest.current >= low - SAME_CURRENT) & (newest.current <= high + SAME_CURRENT)
             now, all_along = (
@@ -235,9 +225,9 @@ class KnownSets:
             return True
         if not found.fits_at(self._current):
             return False
-        if not self._measured or not self._kept:
+        if not self._measured or not self._samples:
             return True
-        newest = self._newest(math.inf)
+        newest = self._samples.last(math.inf)
         elsewhere = np.abs(newest.current - self._current) > SAME_CURRENT
         first = newest.current.size - int(np.argmax(elsewhere[::-1])) if elsewhere.any() else 0
         if (newest.current.size - first) * newest.stride * self._period < _JUDGED:
@@ -252,22 +242,15 @@ class KnownSets:
         self._sets[0] = replace(self._sets[0], confirmed_ns=found.confirmed_ns)
         return False
 
-    @property
-    def _kept(self) -> bool:
-        """Whether there are samples."""
-        return self._count + self._newest_count > 0
-
     def _speed(self) -> float:
         """Root mean square of the peak velocity [m/s] of the newest samples; NaN without any."""
-        if not self._kept:
+        if not self._samples:
             return math.nan
-        return _root_mean_square(self._newest(math.inf).motion.peak_velocity)
+        return _root_mean_square(self._samples.last(math.inf).motion.peak_velocity)
 
     def forget_samples(self) -> None:
         """Others do not go on from them."""
         self._samples.clear()
-        self._newest_samples.clear()
-        self._count = self._newest_count = 0
 
     def follow(
         self,
@@ -283,27 +266,17 @@ class KnownSets:
         Each has shape (n,). They are ``period`` [s] apart; ``half_cycle`` [s] is that of the
         motion, NaN where it is not known. The force of the first ``bridged`` was not measured.
         """
-        newest, count = JudgedSamples.of(motion, current, forces, bridged), forces[1].size
+        count = forces[1].size
         self._since_search += count * period
         self._since_turning += count * period
         self._period = period
         self._half_cycle = 0.0 if math.isnan(half_cycle) else half_cycle
-        self._newest_samples.append(newest)
-        self._newest_count += count
-        if self._newest_count < _TOGETHER:
-            return
-        self._samples.append(JudgedSamples.joined(self._newest_samples))
-        self._newest_samples.clear()
-        self._count += self._newest_count
-        self._newest_count = 0
         span = max(2.0 * self._half_cycle, self._judged + _SETTLES)
-        most = min(span / period, _MOST_KEPT)
-        while self._count - self._samples[0].measured.size >= most:
-            self._count -= self._samples.popleft().measured.size
+        self._samples.add(JudgedSamples.of(motion, current, forces, bridged), span / period)
 
     def search_is_due(self) -> bool:
         """Whether it is time to look for another set: not every time that the force is wrong."""
-        if not self._count or self._since_search < _EVERY:
+        if not self._samples.count or self._since_search < _EVERY:
             return False
         self._since_search = 0.0
         return True
@@ -322,7 +295,8 @@ class KnownSets:
         is allowed where no force is measured: the set last used for the motion is then taken. Where
         the present force goes on from a wrong past, it is the present set that starts again.
         """
-        present, newest = self._sets[0], self._newest(self._judged + _SETTLES)
+        present = self._sets[0]
+        newest = self._samples.last((self._judged + _SETTLES) / self._period)
         judged = slice(-max(round(self._judged / self._period / newest.stride), 1), None)
         speed = float(np.median(newest.motion.peak_velocity[judged]))
         candidates = [
@@ -349,9 +323,9 @@ class KnownSets:
         """
         present = self._sets[0]
         law = present.parameters.law
-        if law.continuous is law or self._count * self._period < self._half_cycle:
+        if law.continuous is law or self._samples.count * self._period < self._half_cycle:
             return None
-        newest = self._newest(math.inf)
+        newest = self._samples.last(math.inf)
         left = [
             max(_root_mean_square(newest.left_by(self._force(present, newest, gradual))), 1e-9)
             for gradual in (False, True)
@@ -365,7 +339,7 @@ class KnownSets:
 
     def settled_stream(self, chosen: KnownSet) -> ForceStream:
         """A stream of the set's force that has followed the newest samples."""
-        newest = self._newest(self._judged + _SETTLES)
+        newest = self._samples.every_one_of_the_last((self._judged + _SETTLES) / self._period)
         stream = self._stream(chosen, self._period, self.gradual)
         held = newest.motion.held_within(*chosen.parameters.peak_velocity_range)
         stream.follow(chosen.parameters.values, held, newest.current)
@@ -383,17 +357,6 @@ class KnownSets:
         held = newest.motion.held_within(*chosen.parameters.peak_velocity_range)
         stream = self._stream(chosen, self._period * newest.stride, gradual)
         return stream.follow(chosen.parameters.values, held, newest.current)
-
-    def _newest(self, span: float) -> JudgedSamples:
-        """The samples of the last so many seconds, as far as they are kept."""
-        parts: list[JudgedSamples] = []
-        count = 0
-        for part in reversed([*self._samples, *self._newest_samples]):
-            if count * self._period >= span:
-                break
-            parts.append(part)
-            count += part.measured.size
-        return JudgedSamples.joined(parts[::-1], count // _MOST_TRIED + 1)
 
 
 def _root_mean_square(values: Array) -> float:

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models import hysteresis, machine_code, spring_path
-from mr_damper_ros.models.machine_code import MANY_SAMPLES, run_loop
+from mr_damper_ros.models.machine_code import as_machine_code, run_loop
 
-COUNT = 2 * MANY_SAMPLES
+COUNT = 400
 ALIKE = 1e-12
 """Of the largest value: the same steps, but the last digit of a hyperbolic tangent is another."""
 
@@ -65,7 +65,8 @@ def test_machine_code_gives_what_the_loop_gives(
     loop: Callable[..., Any], called: Any, given: Any, results: int, numbers: Any
 ) -> None:
     pytest.importorskip("numba")
-    filled, last = run_loop(loop, called, given, results, *numbers)
+    with as_machine_code():
+        filled, last = run_loop(loop, called, given, results, *numbers)
     plain = [[0.0] * COUNT for _ in range(results)]
     plain_last = loop(*(values.tolist() for values in given), *plain, *numbers)
     for values, expected in zip([*filled, last], [*plain, plain_last], strict=True):
@@ -75,7 +76,8 @@ def test_machine_code_gives_what_the_loop_gives(
 
 @pytest.mark.usefixtures("without_numba")
 def test_without_numba_the_loop_runs_as_it_is() -> None:
-    (sums,), last = run_loop(running_sum, (), (VELOCITY,), 1, 1.0)
+    with as_machine_code():
+        (sums,), last = run_loop(running_sum, (), (VELOCITY,), 1, 1.0)
     np.testing.assert_allclose(sums, 1.0 + np.cumsum(VELOCITY), rtol=ALIKE)
     assert last == sums[-1]
 
@@ -85,11 +87,12 @@ def test_a_loop_whose_machine_code_cannot_be_kept_is_compiled_all_the_same() -> 
     place: dict[str, Any] = {}
     # No file to keep it beside: as where neither the package nor the user's folder can be written.
     exec("def first(values, results):\n    results[0] = values[0]\n    return 0.0", place)
-    (result,), _ = run_loop(place["first"], (), (np.full(MANY_SAMPLES, 7.0),), 1)
+    with as_machine_code():
+        (result,), _ = run_loop(place["first"], (), (np.full(COUNT, 7.0),), 1)
     assert result[0] == 7.0
 
 
-def test_a_block_of_few_samples_does_not_wait_for_a_compiler() -> None:
+def test_a_stream_does_not_wait_for_a_compiler() -> None:
     code = f"""
 import sys
 sys.path[:] = {sys.path!r}
@@ -98,7 +101,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.kinematics.motion import Motion
 for name in ("series_springs", "bouc_wen", "modified_bouc_wen"):
     model = MODELS[name]
-    motion = Motion(*(np.linspace(0.0, 0.1, 10) for _ in range(4)), sine=None)
+    motion = Motion(*(np.linspace(0.0, 0.1, 3000) for _ in range(4)), sine=None)
     model.stream(1e-3).follow(model.initial_values()[0], motion, 1.0)
 print("numba" in sys.modules)
 """
