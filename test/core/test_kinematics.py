@@ -119,6 +119,11 @@ def test_without_motion_there_is_no_sine(u: Array) -> None:
     assert fit_sine(u, PERIOD) is None
 
 
+def test_a_motion_far_from_a_sine_has_none() -> None:
+    t = np.arange(2000) * PERIOD
+    assert fit_sine(sum(np.sin(2.0 * np.pi * f * t) for f in (1.7, 2.3, 3.1, 4.9)), PERIOD) is None
+
+
 def test_too_few_samples_have_no_sine() -> None:
     assert fit_sine(np.sin(np.arange(7.0)), PERIOD) is None
 
