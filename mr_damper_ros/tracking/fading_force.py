@@ -79,9 +79,12 @@ class FadingForce:
         self._largest = abs(self._difference) * float(left[0])
         return np.asarray(force + self._difference * left)
 
-    def doubt(self, allowed: float) -> Doubt:
-        """Whether more of another force than an ``allowed`` error [N] is in the last samples."""
-        if self._largest <= allowed:
+    def doubt(self, allowed: float, force: Array, measured: Array) -> Doubt:
+        """Whether the ``force`` (m,) that goes on is off by more than ``allowed`` [N].
+
+        That of the set in use may be right then, and the difference small: both count together.
+        """
+        if self._largest == 0.0 or float(np.abs(force - measured).max()) <= allowed:
             return NO_DOUBT
         return Doubt(
             DoubtKind.WRONG,

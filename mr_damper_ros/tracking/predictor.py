@@ -326,6 +326,7 @@ class ForcePredictor:
         largest = (1.0 + self._settings.force_margin) * self.parameters.largest_force
         force = self._fading.follow(reckoned.force, motion, reckoned.current, largest)
         self._newest_doubt = self._doubt(block, bridged, motion, reckoned)
+        fading = self._fading.doubt(self._watch.allowed, force[bridged:], block.force[bridged:])
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
@@ -333,7 +334,7 @@ class ForcePredictor:
             force=force,
             velocity=motion.velocity,
             set_id=self.parameters.set_id,
-            doubt=self._newest_doubt or self._fading.doubt(self._watch.allowed) or stale,
+            doubt=self._newest_doubt or fading or stale,
             continuity=verdict.sentence,
             motion=motion,
             current=reckoned.current,
@@ -345,8 +346,7 @@ class ForcePredictor:
         assert self._stream is not None
         assert self._watch is not None
         forces = reckoned.force, block.force
-        settling = doubt_of_motion(self._motion, self._stream, self._begun_at)
-        if settling:
+        if settling := doubt_of_motion(self._motion, self._stream, self._begun_at):
             # A force that nobody could know says nothing of the parameters.
             self._watch.forget_moment()
             self._known.forget_samples()

@@ -106,10 +106,12 @@ def test_no_force_goes_on_that_no_such_damper_gives() -> None:
     np.testing.assert_array_equal(found, forces(predicted(set_of("sigmoid")))[rest])
 
 
-def test_what_is_left_of_a_wrong_force_is_not_valid() -> None:
-    after = set_of("sigmoid")
-    truth = forces(predicted(after))
-    rest = predicted(set_of("sigmoid", 1.6), after, force=truth)[CHANGED:]
+@pytest.mark.parametrize(("before", "after"), [(1.6, 1.0), (1.3, 1.15)])
+def test_what_is_left_of_a_wrong_force_is_not_valid(before: float, after: float) -> None:
+    """Nor where that of the set in use is off, too, and each of both is within what is allowed."""
+    truth = forces(predicted(set_of("sigmoid")))
+    sets = set_of("sigmoid", before), set_of("sigmoid", after)
+    rest = predicted(*sets, force=truth)[CHANGED:]
     wrong = [np.abs(p.force - truth[p.sequence : p.sequence + BLOCK]).max() for p in rest]
     peak = np.abs(truth).max()
     assert max(wrong) > 0.2 * peak
