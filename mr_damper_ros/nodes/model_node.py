@@ -182,7 +182,8 @@ class ModelNode(Node):
             self._signals.restart()
         self._signals.publish(prediction, block)
         if prediction.valid:
-            self._error.add(prediction.force, block.force, block.period)
+            measured = prediction.at_its_samples(block.force)
+            self._error.add(prediction.force, measured, block.period)
             self._mirror(prediction)
         self._predictor.catch_up()
 

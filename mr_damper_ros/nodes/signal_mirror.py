@@ -46,9 +46,8 @@ class SignalMirror:
         """Publish the samples of a block that are due; only its new ones have a prediction."""
         if self._interval_ns == 0 or not quality.heard(self._publisher):
             return
-        new = prediction.force.size
         message = self._message
-        displacement, measured = block.displacement[-new:], block.force[-new:]
+        displacement, measured = map(prediction.at_its_samples, (block.displacement, block.force))
         for k, stamp_ns in self._due(prediction):
             set_stamp(message.header.stamp, stamp_ns)
             predicted = float(prediction.force[k])

@@ -66,6 +66,10 @@ class Prediction:
         """The doubt in words; empty where it is valid."""
         return self.doubt.sentence
 
+    def at_its_samples(self, values: Array) -> Array:
+        """Those of the values (m,) of a block that are at the predicted samples: its last n."""
+        return values[-self.force.size :]
+
     def of_arrived(self, placed: Placed) -> Prediction:
         """The part for the samples that came, without those that were bridged."""
         return replace(

@@ -379,6 +379,25 @@ def test_lost_samples_are_reported_and_the_prediction_starts_again(
     listener.wait_for_finding("model: input", "100 samples were lost")
 
 
+def test_of_a_block_of_which_a_part_came_before_the_rest_is_predicted(
+    rig: Rig, recording: Recording
+) -> None:
+    rig.run(recording)
+    count, cycle = recording.sample_count, round(1.0 / recording.period)
+    later = replace(recording, start_ns=recording.stamp_ns(cycle))
+    rig.press.send_current(recording.stamp_ns(count), 1.5)
+    forces = rig.send(
+        *(
+            block_message(later, first - cycle, seq=first)
+            for first in (count - BLOCK // 2, count + BLOCK // 2)
+        )
+    )
+    assert [(f.seq, len(f.force), f.valid) for f in forces] == [
+        (count, BLOCK // 2, True),
+        (count + BLOCK // 2, BLOCK, True),
+    ]
+
+
 def test_it_predicts_with_what_the_identifier_finds(
     start: Any, listener: Listener, recording: Recording
 ) -> None:
