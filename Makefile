@@ -66,7 +66,7 @@ test: setup ## Run all tests: core, packaging, and nodes over real DDS
 
 test-noble: ## Run the core tests with the package versions of Ubuntu 24.04, without ROS
 	@scripts/setup.bash noble
-	exec env -u PYTHONPATH $(SINGLE) .venv-noble/bin/python -m $(TESTED) test/core $(ARGS)
+	exec env -u PYTHONPATH -u PYTHONDONTWRITEBYTECODE $(SINGLE) .venv-noble/bin/python -m $(TESTED) test/core $(ARGS)
 
 lint: setup ## Check style, types and the package.xml files
 	@. ./env.bash

@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from mr_damper_ros.interface import report_page
 from mr_damper_ros.interface.figure_style import styled
 from mr_damper_ros.interface.report_page import (
     Chapter,
@@ -191,6 +192,7 @@ def test_results_do_not_depend_on_workers_and_are_kept(tmp_path, monkeypatch):
 
 def test_tables_do_not_depend_on_the_number_of_workers(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(repeated, "GENERATIONS", 20)
+    monkeypatch.setattr(report_page, "write_picture", lambda folder, picture: b"")
     tables = []
     for workers in ("1", "2"):
         folder = tmp_path / workers
