@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from bisect import bisect_left, bisect_right
 
 import numpy as np
@@ -18,6 +19,11 @@ _LATE_NS = NANOSECONDS // 2
 """A stamp this much before the newest one is late; further back, time itself was set back."""
 
 
+_SURPLUS = 8
+"""One part in so many may be older than what is kept: to let go of them moves all the others, which
+takes milliseconds where an hour of a fast supply is kept."""
+
+
 class CurrentError(ValueError):
     """A value of the current that cannot be used; the message says why."""
 
@@ -28,8 +34,8 @@ class ZeroOrderHold:
     def __init__(self, keep: float) -> None:
         """Keep at least the last ``keep`` seconds of values."""
         self._keep_ns = round(keep * NANOSECONDS)
-        self._stamps: list[int] = []
-        self._values: list[float] = []
+        self._stamps = array("q")
+        self._values = array("d")
         self._jumped = False
 
     @property
@@ -56,7 +62,7 @@ class ZeroOrderHold:
         self._values.insert(place, current)
         # One value older than the horizon stays: it holds up to the next.
         surplus = bisect_right(self._stamps, self._stamps[-1] - self._keep_ns) - 1
-        if surplus > 0:
+        if surplus > len(self._stamps) // _SURPLUS:
             del self._stamps[:surplus], self._values[:surplus]
 
     def follow_jump(self) -> None:
@@ -65,8 +71,7 @@ class ZeroOrderHold:
         If the current jumped first, its values are those of the new time already.
         """
         if not self._jumped:
-            self._stamps.clear()
-            self._values.clear()
+            del self._stamps[:], self._values[:]
         self._jumped = False
 
     def known_from(self, stamp_ns: int) -> bool:

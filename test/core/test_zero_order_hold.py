@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect
 
 import known
 import numpy as np
@@ -43,6 +44,19 @@ def test_what_is_called_constant_is(values: dict[int, float], start: int, count:
         np.testing.assert_array_equal(samples, np.full(count, constant))
     else:
         assert any(start < time < start + count for time in values)
+
+
+def test_values_that_are_too_old_go_many_at_once() -> None:
+    """Each time moves all that stay: at every one of a million values it would hold up a stream."""
+    made = ZeroOrderHold(keep=1.0)
+    begins = []
+    for time in range(5000):
+        made.add(time * MILLISECOND, 1.0)
+        begins.append(bisect(range(time), False, key=lambda t: made.known_from(t * MILLISECOND)))
+    kept = np.arange(5000) - begins
+    assert np.min(kept[1000:]) >= 1000
+    assert np.max(kept) <= 1250
+    assert np.count_nonzero(np.diff(begins)) < 50
 
 
 def test_a_result_belongs_to_who_asked_for_it() -> None:
