@@ -74,6 +74,35 @@ def machine_code(loop: Loop, called: tuple[Loop, ...]) -> Loop | None:
     for function in called:
         register_jitable(function)
     try:
-        return cast(Loop, njit(cache=True, error_model="numpy")(loop))
+        kept = njit(cache=True, error_model="numpy")(loop)
     except RuntimeError:  # there is no place on disk to keep it
         return cast(Loop, njit(error_model="numpy")(loop))
+    return _KeptLoop(kept, njit(error_model="numpy")(loop))
+
+
+class _KeptLoop:
+    """A loop that is compiled at its first call, unless it is found on disk.
+
+    What is there may be damaged, by a power failure for one, or the disk may be full: Numba then
+    raises whatever it likes. The loop itself raises nothing.
+    """
+
+    def __init__(self, kept: Any, not_kept: Loop) -> None:
+        self._kept = kept
+        self._not_kept = not_kept
+
+    def __call__(self, *arguments: Any) -> Any:
+        if self._kept is not None:
+            try:
+                return self._kept(*arguments)
+            except Exception:
+                return self._called_afresh(arguments)
+        return self._not_kept(*arguments)
+
+    def _called_afresh(self, arguments: tuple[Any, ...]) -> Any:
+        try:
+            self._kept.recompile()  # what is on disk is forgotten
+            return self._kept(*arguments)
+        except Exception:
+            self._kept = None
+            return self._not_kept(*arguments)
