@@ -31,6 +31,9 @@ _FEWEST = 8
 _MOST = 400
 """More windows than this are averaged in pairs of neighbouring temperature."""
 
+_LARGEST = 1e6
+"""No temperature [°C] and no force scale [1] is beyond this."""
+
 
 @dataclass(frozen=True)
 class FluidTemperature:
@@ -168,6 +171,14 @@ class TemperatureHistory:
     seen: Array
 
 
+def can_be_seen(seen: Array) -> bool:
+    """Whether these (n, 3) can be those of a :class:`TemperatureHistory`.
+
+    A thermometer whose sensor is not connected tells 9.9e37 °C: SCPI's word for it.
+    """
+    return bool(np.all(np.abs(seen) < _LARGEST) and np.all(seen[:, 1:] > 0.0))
+
+
 class TemperatureMaps:
     """Temperatures and force scales of good windows, and the maps that they identify.
 
@@ -192,14 +203,15 @@ class TemperatureMaps:
 
     def add(self, operating_point: OperatingPoint, celsius: float, scale: ForceScale) -> None:
         """Take in a window, if its temperature [°C] and its force scale are known."""
-        if not np.isfinite([celsius, scale.value, scale.standard_error]).all():
+        row = (celsius, scale.value, scale.standard_error)
+        if not can_be_seen(np.array([row])):
             return
         place = nearest_same(self._points, operating_point)
         if place is None:
             place = len(self._points)
             self._points.append(operating_point)
             self._seen.append([])
-        self._seen[place].append((celsius, scale.value, scale.standard_error))
+        self._seen[place].append(row)
         if len(self._seen[place]) > _MOST:
             self._seen[place] = _paired(self._seen[place])
         self._maps.pop(place, None)

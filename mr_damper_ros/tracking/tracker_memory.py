@@ -24,16 +24,13 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.tracking.acceptance import AcceptanceHistory
 from mr_damper_ros.tracking.cusum import ChangeWatch
-from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory
+from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory, can_be_seen
 from mr_damper_ros.tracking.force_scale import SeenScale
 from mr_damper_ros.tracking.reservoir import OperatingPoint
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.unscented_filter import FilterState
 
 T = TypeVar("T")
-
-_LARGEST = 1e6
-"""No temperature [°C] and no force scale [1] is beyond this."""
 
 _DATA = "float64"
 """Key of an array's doubles (little endian, base64); its shape goes with it."""
@@ -215,8 +212,7 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
         seen = warming.seen
         sound = seen.ndim == 2 and seen.shape[0] > 0 and seen.shape[1] == 3
         yield sound, "such a temperature history"
-        yield bool(np.all(np.abs(seen) < _LARGEST)), "such a temperature or force scale"
-        yield bool(np.all(seen[:, 1:] > 0.0)), "such a force scale"
+        yield can_be_seen(seen), "such a temperature or force scale"
     for scale in memory.scales:
         yield max(abs(scale.start_ns), abs(scale.end_ns)) < _STAMP_LIMIT, "such a stamp"
         numbers = [scale.value, scale.standard_error]
