@@ -228,6 +228,9 @@ class SupplyNode(LifecycleNode):
             self._commands = None
         if self._drive is not None:
             self._drive.stop()
+            if self._supply is not None and self._supply.switched_on:
+                self._problem = f"{self._drive.failure}; the output may still be on"
+                self.get_logger().error(self._problem)
             self._drive = None
 
     def _let_go(self) -> None:
@@ -361,7 +364,7 @@ class _Drive:
         while self._supply.switched_on:
             try:
                 self._supply.rescue()
-            except (ValueError, OSError):
+            except Exception:  # whatever it is, as above
                 if self._ended:
                     return
                 self._wake.wait(_RESCUE)

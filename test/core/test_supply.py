@@ -279,6 +279,26 @@ def test_a_command_changes_what_is_measured(supply: ScpiSupply, clock: SetClock)
     assert supply.measured() == pytest.approx(0.0, abs=1e-3)
 
 
+class AnsweringLink(EmulatedLink):
+    """A link to an instrument that measures what it is told to."""
+
+    def __init__(self, answer: str) -> None:
+        super().__init__(EmulatedInstrument())
+        self._answer = answer
+
+    def query(self, line: str) -> str:
+        return self._answer if line == "MEAS:CURR?" else super().query(line)
+
+
+@pytest.mark.parametrize("answer", ["", "nan", "9.91E+37", "-9.9E37"])
+def test_what_is_no_number_is_no_measured_current(answer: str) -> None:
+    profile = read_profile("emulated")
+    supply = ScpiSupply(lambda: AnsweringLink(answer), profile, voltage=12.0, watchdog=0.5)
+    supply.open()
+    with pytest.raises(SupplyError, match="is no current"):
+        supply.measured()
+
+
 def test_the_same_current_is_not_sent_again(supply: ScpiSupply, server: InstrumentServer) -> None:
     supply.open()
     supply.switch_on()

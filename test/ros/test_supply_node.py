@@ -178,6 +178,19 @@ def test_an_instrument_that_is_not_reached_switches_off_by_itself_and_the_node_s
     assert node.stop(signal.SIGINT) == 0
 
 
+def test_an_output_that_cannot_be_reached_is_not_said_to_be_off(
+    start: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    # It has no watchdog.
+    start_supply(start, server, profile="scpi", current=0.7, link_timeout=0.2)
+    listener.until(gives(server, 0.7), "the current")
+    server.deaf = True
+    assert change(listener, Transition.TRANSITION_DEACTIVATE)
+    found = listener.wait_for_finding("supply: supply", "the output may still be on")
+    assert found.level == DiagnosticStatus.ERROR
+    assert not server.instrument.is_off
+
+
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_where_the_node_is_gone_or_frozen_the_watchdog_switches_off(
     start: Any, server: InstrumentServer, listener: Listener, number: signal.Signals

@@ -12,6 +12,10 @@ _MOST_ERRORS = 50
 """More than a queue of errors holds: one that never ends is no queue."""
 
 
+_NOT_A_NUMBER = 9.9e37
+"""What is as large stands for infinity or for no number at all (SCPI-99, volume 1, 7.2.1)."""
+
+
 class SupplyError(ValueError):
     """The instrument answers, but not what it should; the message is a sentence."""
 
@@ -97,7 +101,7 @@ class ScpiSupply:
             value = float(answer)
         except ValueError:
             value = math.nan
-        if not math.isfinite(value):
+        if not abs(value) < _NOT_A_NUMBER:
             raise SupplyError(
                 f"the supply answers '{answer[:80]}' to {self._profile.read_current}, which is no "
                 "current: does the profile fit it?"
