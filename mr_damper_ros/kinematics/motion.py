@@ -9,6 +9,7 @@ peak velocity of any motion is that of :mod:`mr_damper_ros.kinematics.peak_veloc
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,6 +62,17 @@ class Motion:
             acceleration=sine.acceleration(time),
             peak_velocity=np.full(time.size, peak_velocity),
             sine=sine,
+        )
+
+    @classmethod
+    def joined(cls, motions: Sequence[Motion]) -> Motion:
+        """Motions that follow each other, as one; which is no sine."""
+        return cls(
+            np.concatenate([motion.displacement for motion in motions]),
+            np.concatenate([motion.velocity for motion in motions]),
+            np.concatenate([motion.acceleration for motion in motions]),
+            np.concatenate([motion.peak_velocity for motion in motions]),
+            sine=None,
         )
 
     def held_within(self, low: float, high: float) -> Motion:

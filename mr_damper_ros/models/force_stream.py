@@ -20,6 +20,11 @@ _LONGEST_KEPT = 30.0
 """Seconds; a damper that hardly moves would else be remembered for ever."""
 
 
+_TOGETHER = 500
+"""Samples that are followed at once where the past is: sample by sample half a minute takes ten
+seconds, which no stream waits for."""
+
+
 @dataclass(frozen=True, eq=False)
 class Ahead:
     """Force [N] of samples with this motion and current [A], and the state after them."""
@@ -127,5 +132,11 @@ class ForceStream:
         past, self._past, self._past_count, self._past_way = self._past, deque(), 0, 0.0
         if past:
             self._state = past[0][0]
-        for _, motion, amperes, _ in past:
-            self.follow(parameters, motion, amperes)
+        while past:
+            motions, currents, count = [], [], 0
+            while past and count < _TOGETHER:
+                _, motion, amperes, _ = past.popleft()
+                motions.append(motion)
+                currents.append(amperes)
+                count += amperes.size
+            self.follow(parameters, Motion.joined(motions), np.concatenate(currents))

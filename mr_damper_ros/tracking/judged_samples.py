@@ -39,19 +39,12 @@ class JudgedSamples:
     @classmethod
     def joined(cls, parts: Sequence[JudgedSamples], stride: int = 1) -> JudgedSamples:
         """Samples that follow each other, every so many of them."""
-        motions = [part.motion for part in parts]
 
         def row(arrays: list[Array]) -> Array:
             return np.concatenate(arrays)[::stride]
 
         return cls(
-            Motion(
-                row([motion.displacement for motion in motions]),
-                row([motion.velocity for motion in motions]),
-                row([motion.acceleration for motion in motions]),
-                row([motion.peak_velocity for motion in motions]),
-                sine=None,
-            ),
+            Motion.joined([part.motion for part in parts]).part(slice(None, None, stride)),
             row([part.current for part in parts]),
             row([part.predicted for part in parts]),
             row([part.measured for part in parts]),

@@ -182,6 +182,25 @@ def test_a_retraced_state_is_that_of_the_newer_parameters():
     np.testing.assert_allclose(after, whole[800:], rtol=0.0, atol=RETRACED)
 
 
+def test_a_rest_of_single_samples_is_retraced_in_few_pieces(monkeypatch):
+    law, count = MODELS["bouc_wen"], 5000
+    stream = law.stream(PERIOD)
+    values = law.initial_values()[0]
+    still = Motion(*np.zeros((4, 1)), sine=None)
+    for _ in range(count):
+        stream.follow(values, still, 1.0)
+    follow, sizes = type(law).follow, []
+
+    def counted(self, parameters, motion, *rest):
+        sizes.append(motion.velocity.size)
+        return follow(self, parameters, motion, *rest)
+
+    monkeypatch.setattr(type(law), "follow", counted)
+    stream.retrace(values)
+    assert sum(sizes) == count
+    assert len(sizes) <= 10
+
+
 def test_a_slow_hysteresis_is_retraced_over_the_way_that_it_remembers():
     """It forgets by motion: in the half second after a reversal at 0.05 Hz there is hardly any."""
     model, values, period = MODELS["bouc_wen"], EXAMPLES["bouc_wen"].copy(), 0.02
