@@ -8,7 +8,7 @@ is the safe current.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
@@ -246,7 +246,9 @@ class _Inverse:
             )
         self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
         self._time_constant = coil_time_constant(parameters)
-        self._drive = CoilDrive(settings, self._time_constant)
+        # Also on the way to another current: beyond those identified no force would be valid.
+        within = replace(settings, lowest_current=low, highest_current=high)
+        self._drive = CoilDrive(within, self._time_constant)
         self._lowest = low
         self._deadband = settings.force_deadband
 

@@ -261,6 +261,15 @@ def test_no_current_beyond_the_identified_ones_is_commanded() -> None:
     assert max(currents) <= 0.8
 
 
+def test_a_coil_that_lags_is_not_hurried_by_currents_beyond_the_identified_ones() -> None:
+    """The force would not be valid for them: each rise would end in the safe current."""
+    late = replace(lagging_coil("sigmoid_lag", 0.03), current_range=(0.0, 0.4))
+    trial = tracked(ControlLoop(controlled(late), ModelDamper(late, PERIOD)), 12e3)
+    assert max(command.current for command in trial.commands) == 0.4
+    begun = trial.commands[round(SETTLED / PERIOD / BLOCK) :]
+    assert {command.doubt.kind for command in begun} == {DoubtKind.NONE}
+
+
 def test_a_prediction_that_the_measured_force_belies_commands_nothing() -> None:
     strong = PLAUSIBLE.copy()
     strong[0] *= 2.0
