@@ -2,12 +2,14 @@
 
 A damper is warmer, fuller or older from one record to the next, and a load cell is zeroed anew: the
 measured force of a record is s F + z, F that of the law. Scale s and zero z are unknown, normal
-about 1 and 0: s with a spread that is given, z with that of the force itself, so nearly free. They
-are linear, so they are integrated out: what is minimised over the parameters is the misfit at the
-most probable levels, the prior included (a linear mixed model: Laird and Ware, Biometrics 38,
-1982). Of the residual r and X, the effect of both levels in units of their spreads, with X = U S
-V', only U'r is damped, by 1 / sqrt(1 + S²). It gets two rows of its own, next to those of the
-record, so that it counts for the standard errors as the one draw that it is.
+about 1 and 0: s with a spread that is given, z with the same part of the smallest record's force.
+That is nearly free for a load cell, whose zero knows no current; a zero that grows with the force
+would be a force of the damper, which the law must hold. They are linear, so they are integrated
+out: what is minimised over the parameters is the misfit at the most probable levels, the prior
+included (a linear mixed model: Laird and Ware, Biometrics 38, 1982). Of the residual r and X, the
+effect of both levels in units of their spreads, with X = U S V', only U'r is damped, by 1 / sqrt(1
++ S²). It gets two rows of its own, next to those of the record, so that it counts for the standard
+errors as the one draw that it is.
 """
 
 from __future__ import annotations
@@ -81,10 +83,8 @@ class LevelledProblem:
         sizes = [window.sample_count for window in self.windows]
         of_sample = np.repeat(np.array(prior.records), sizes)
         self._records = [np.flatnonzero(of_sample == k) for k in sorted(set(prior.records))]
-        self._spreads = [
-            np.array([prior.spread, max(float(np.std(self._measured[rows])), 1e-12)])
-            for rows in self._records
-        ]
+        smallest = min(float(np.std(self._measured[rows])) for rows in self._records)
+        self._spreads = prior.spread * np.array([1.0, max(smallest, 1e-12)])
 
     @property
     def sample_weights(self) -> Array:
@@ -127,10 +127,10 @@ class LevelledProblem:
         plain = self._pooled.residual(parameters)
         noise = max(noise_level(self, parameters), 1e-12)
         found = []
-        for each, spread in zip(self._whitened(plain), self._spreads, strict=True):
+        for each in self._whitened(plain):
             scale, zero = _levels(each, plain)
             variances = each.right**2 @ (1.0 / (1.0 + (each.sizes / noise) ** 2))
-            errors = np.sqrt(np.minimum(variances, spread**2))
+            errors = np.sqrt(np.minimum(variances, self._spreads**2))
             weights, measured = self._weights[each.rows], self._measured[each.rows]
             counted = weights > 0.0
             force = measured + np.divide(
@@ -153,12 +153,12 @@ class LevelledProblem:
 
     def _whitened(self, plain: Array) -> list[_Whitened]:
         whitened = []
-        for rows, spread in zip(self._records, self._spreads, strict=True):
+        for rows in self._records:
             weights = self._weights[rows]
             force = plain[rows] + weights * self._measured[rows]
-            effect = np.column_stack((force, weights)) * spread
+            effect = np.column_stack((force, weights)) * self._spreads
             left, sizes, right = np.linalg.svd(effect, full_matrices=False)
-            whitened.append(_Whitened(rows, left, sizes, spread[:, np.newaxis] * right.T))
+            whitened.append(_Whitened(rows, left, sizes, self._spreads[:, np.newaxis] * right.T))
         return whitened
 
 

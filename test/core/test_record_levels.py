@@ -148,9 +148,10 @@ def by_brute_force(misfit: LevelledProblem, values: Array, spread: float) -> flo
     plain, weights = pooled.residual(values), pooled.sample_weights
     measured = np.concatenate([window.force for window in misfit.windows])
     total = 0.0
-    for rows in np.split(np.arange(plain.size), [2000, 3000]):
+    records = np.split(np.arange(plain.size), [2000, 3000])
+    spreads = spread * np.array([1.0, min(np.std(measured[rows]) for rows in records)])
+    for rows in records:
         force = plain[rows] / weights[rows] + measured[rows]
-        spreads = np.array([spread, np.std(measured[rows])])
         effect = np.column_stack((weights[rows] * force, weights[rows])) * spreads
         matrix = np.vstack((effect, np.eye(2)))
         target = np.concatenate((-plain[rows], np.zeros(2)))
