@@ -130,14 +130,15 @@ class KnownSets:
         """Remember a set that has come and is in use now, unless another is for the current of now.
 
         The stamp and ``half_cycle`` are those of :class:`KnownSet`. One of no age, or no younger
-        than those known, was chosen by somebody: they are forgotten.
+        than those known, was chosen by somebody: they are forgotten. So are those of another law.
         """
         model = parameters.model
         aged = stamp_ns is not None and self._newest_ns is not None and stamp_ns > self._newest_ns
-        if not aged or any(each.parameters.model != model for each in self._sets):
+        another_law = any(each.parameters.model != model for each in self._sets)
+        if not aged or another_law:
             self._sets.clear()
             self._elsewhere = False
-            if stamp_ns is None or self._newest_ns is not None:
+            if another_law or stamp_ns is None or self._newest_ns is not None:
                 self._over_current = SetsOverCurrent()
         self._newest_ns = stamp_ns
         set_id, currents = self._said

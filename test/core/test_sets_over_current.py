@@ -131,14 +131,18 @@ def course(
     *,
     whole: ParameterSet | None = None,
     currents: CurrentSchedule | None = None,
+    from_file: bool = False,
     **settings: float,
 ) -> Course:
-    """A sine of 5 mm at 1 Hz; with the set for all currents, then those that are said."""
+    """A sine of 5 mm at 1 Hz; with the set for all currents, then those that are said.
+
+    ``from_file``: somebody gave the former, so that it does not age.
+    """
     schedule = currents or CurrentSchedule([0.0, STEP], [LOW, HIGH])
     rig = EmulatedRig(ModelDamper(damper, known.PERIOD), SineMotion(5e-3, 1.0), schedule)
     made = ForcePredictor(PredictorSettings(**settings))
     first = whole or whole_of(SIGMOID)
-    made.set_parameters(first, rig.settings.start_ns)
+    made.set_parameters(first, None if from_file else rig.settings.start_ns)
     waiting, predictions, forces = list(said), [], []
     for _ in range(round(END / (20 * known.PERIOD))):
         block = rig.next_block(20)
@@ -254,6 +258,13 @@ def test_after_a_sudden_change_the_sets_of_before_are_forgotten() -> None:
     sets.add(at("early", LOW, known.T0 + 1, EARLY_SOURCE))
     assert sets.at_current(HIGH, known.T0 + 2) is None
     assert sets.at_current(LOW, known.T0 + 2) is not None
+
+
+def test_the_sets_of_another_law_are_forgotten() -> None:
+    """What is remembered of the motion is of no use to them."""
+    said = [Said(5.0, window_of(TANH, LOW, "low"))]
+    came = course(said, TANH, whole=whole_of(SIGMOID), from_file=True)
+    assert came.set_at(STEP - 0.1) == came.set_at(END - 0.1) == "low"
 
 
 def test_a_factor_is_believed_in_as_far_as_it_stands_out() -> None:
