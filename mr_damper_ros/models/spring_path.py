@@ -22,9 +22,12 @@ from mr_damper_ros.signals.arrays import Array
 _GAMMA = 1.0 - math.sqrt(0.5)
 _REST = 1.0 - _GAMMA
 _AHEAD = _REST / _GAMMA
-_CLOSE = 1e-4
+_CLOSE = 4e-3
 """A flow is found once a step changes it by less than this part of the width of the yield: the next
-would change it by a part of the order of this one's square."""
+would change it by a part of the order of this one's cube."""
+
+_MOST_BENT = 0.5
+"""Where the curve bends more within a step, it says nothing of where the flow is."""
 
 _MOST_STEPS = 60
 
@@ -143,7 +146,12 @@ def flow_of(strength: float, width: float, held: float, load: float, guess: floa
     flow = guess if guess > least else least
     for _ in range(_MOST_STEPS):
         tanh = math.tanh(flow / width)
-        step = (load - strength * tanh - held * flow) / (steepest * (1.0 - tanh * tanh) + held)
+        steep = steepest * (1.0 - tanh * tanh)
+        step = (load - strength * tanh - held * flow) / (steep + held)
+        # Halley's step: it knows how the curve bends.
+        bent = step * steep * tanh / (width * (steep + held))
+        if -_MOST_BENT < bent < _MOST_BENT:
+            step /= 1.0 - bent
         flow += step
         if flow < least:
             flow = least
