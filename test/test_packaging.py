@@ -152,7 +152,7 @@ KEYS = {
 }
 """Keys of rosdep for what is no ROS package; those are called like the modules they hold."""
 
-OPTIONAL = {"cma", "distributed", "nptdms", "openpyxl", "pyarrow", "pyvisa", "serial"}
+OPTIONAL = {"cma", "distributed", "nptdms", "numba", "openpyxl", "pyarrow", "pyvisa", "serial"}
 """What is used where it is installed."""
 
 BROUGHT_BY_ROSBAGS = {"lz4", "backports"}
