@@ -79,7 +79,7 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
     scale = float(np.std(u))
     if start * n >= _ENOUGH_CYCLES:
         left = float(np.std(solve(start)[1]))
-        if left > max(_FAR_FROM_SINE * scale, _NOISE_FACTOR * white_noise(u)):
+        if left > _FAR_FROM_SINE * scale and left > _NOISE_FACTOR * white_noise(u):
             return None
     from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
 

@@ -19,7 +19,6 @@ with the way: so much more is kept as its model asks for."""
 _LONGEST_KEPT = 30.0
 """Seconds; a damper that hardly moves would else be remembered for ever."""
 
-
 _TOGETHER = 500
 """Samples that are followed at once where the past is: sample by sample half a minute takes ten
 seconds, which no stream waits for."""

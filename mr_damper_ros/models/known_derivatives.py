@@ -69,13 +69,13 @@ def driven(by: Mapping[int, Array], chain: Array) -> Array:
     return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
 
 
-def accumulated(kept: Array, driven: Array) -> Array:
-    """Solve y[k] = kept[k] y[k-1] + driven[k] for columns (n, p)."""
+def accumulated(kept: Array, added: Array) -> Array:
+    """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, p)."""
     from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
 
     bands = np.ones((2, kept.size))
     bands[1, :-1] = -kept[1:]
-    return np.asarray(dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape))
+    return np.asarray(dtbtrs(bands, added, uplo="L", diag="U")[0].reshape(added.shape))
 
 
 class DifferentiatedModel(CurrentDependentModel):

@@ -18,7 +18,6 @@ come far ahead of the samples that it belongs to."""
 _LATE_NS = NANOSECONDS // 2
 """A stamp this much before the newest one is late; further back, time itself was set back."""
 
-
 _SURPLUS = 8
 """One part in so many may be older than what is kept: to let go of them moves all the others, which
 takes milliseconds where an hour of a fast supply is kept."""

@@ -11,7 +11,6 @@ from mr_damper_ros.rig.supplies.supply_profile import SupplyProfile
 _MOST_ERRORS = 50
 """More than a queue of errors holds: one that never ends is no queue."""
 
-
 _NOT_A_NUMBER = 9.9e37
 """What is as large stands for infinity or for no number at all (SCPI-99, volume 1, 7.2.1)."""
 
