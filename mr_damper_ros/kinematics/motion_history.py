@@ -63,6 +63,17 @@ class MotionHistory:
         return self.places.size == count and bool(np.all(self.places == np.arange(count)))
 
     @cached_property
+    def _picked(self) -> np.ndarray | None:
+        """Places (n,) of the window's samples as indices; None where some lie between two."""
+        places = self.places.astype(int)
+        return places if not self.periodic and np.array_equal(places, self.places) else None
+
+    @property
+    def holds_samples(self) -> bool:
+        """Whether all samples of the window are some of the history: nothing is interpolated."""
+        return self.is_window or self._picked is not None
+
+    @cached_property
     def _between(self) -> tuple[np.ndarray, np.ndarray, Array]:
         """Of each sample the earlier and the later place in the history, and the way between."""
         count = self.current.size
@@ -97,6 +108,9 @@ class MotionHistory:
         """Values (m, ...) along the history, interpolated at the samples of the window (n, ...)."""
         if self.is_window:
             return values
+        if self._picked is not None:
+            # By columns, as derivatives lie in memory.
+            return np.take(values.T, self._picked, axis=-1).T
         earlier, later, share = self._between
         share = share.reshape(-1, *(1,) * (values.ndim - 1))
         return np.asarray((1.0 - share) * values[earlier] + share * values[later])

@@ -37,7 +37,7 @@ class _Weights(NamedTuple):
     @classmethod
     def of(cls, before: Array, now: Array, period: float) -> _Weights:
         """Those between two samples with these time constants [s]."""
-        tau = np.clip(0.5 * (before + now), _SHORTEST * period, _LONGEST * period)
+        tau = (0.5 * (before + now)).clip(_SHORTEST * period, _LONGEST * period)
         ratio = period / tau
         decay = np.exp(-ratio)
         mean = -np.expm1(-ratio) / ratio
@@ -73,6 +73,8 @@ class FirstOrderLag:
         weights = _Weights.of(before, time_constant, period)
         self._periodic, self._state = periodic, state
         self._tau, self._ratio, self._decay, self._before, self._now = weights
+        self._bands = np.ones((2, self._decay.size), order="F")
+        self._bands[1, :-1] = -self._decay[1:]
 
     def __call__(self, values: Array) -> Array:
         """The lagged signal, shape (n,), of one of shape (n,)."""
@@ -98,12 +100,11 @@ class FirstOrderLag:
             + (mean_slope - decay_slope) * _one_earlier(values)
             - mean_slope * values
         )
-        driven = (
-            self._before[:, np.newaxis] * _one_earlier(of_values)
-            + self._now[:, np.newaxis] * of_values
-            + by_time_constant[:, np.newaxis]
-            * (0.5 * (_one_earlier(of_time_constant) + of_time_constant))
-        )
+        half = 0.5 * by_time_constant
+        # By columns, which lie together in memory. A step has to do with the sample before it.
+        driven = (of_values.T * self._now + of_time_constant.T * half).T
+        driven[1:] += (of_values[:-1].T * self._before[1:] + of_time_constant[:-1].T * half[1:]).T
+        driven[0] += self._before[0] * of_values[-1] + half[0] * of_time_constant[-1]
         if not self._periodic:
             driven[0] = of_values[0]
         return self._recursion(driven)
@@ -112,9 +113,8 @@ class FirstOrderLag:
         """Solve y[k] = decay[k] y[k-1] + driven[k] by forward substitution."""
         from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
 
-        bands = np.ones((2, self._decay.size))
-        bands[1, :-1] = -self._decay[1:]
-        result = dtbtrs(bands, driven, uplo="L", diag="U")[0].reshape(driven.shape)
+        solved = dtbtrs(self._bands, driven, uplo="L", diag="U", overwrite_b=True)[0]
+        result = solved.reshape(driven.shape)
         if self._periodic:
             passed = np.cumsum(self._ratio)
             before = result[-1] / -np.expm1(-passed[-1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -27,9 +28,9 @@ from mr_damper_ros.models.sigmoid.extension import (
     EXTENSION_NAMES,
     SIGMOID_COUNT,
     Extension,
+    LateForce,
     extension_of,
     force_and_damping,
-    late_force,
     without_extension,
 )
 from mr_damper_ros.models.sigmoid.law import (
@@ -151,11 +152,11 @@ class ExtendedSigmoidModel(SigmoidModel):
             return forces.reshape(*parameters.shape[:-1], window.sample_count)
         window = in_coil(window, float(parameters[-1]))
         sixteen = parameters[:SIGMOID_COUNT]
-        plain = super().window_force(window, sixteen)
         history = window.history
         past = force_and_damping(*coefficients_along(sixteen, history.motion, history.current))
-        displacement = window.motion.displacement
-        return late_force(history, plain, past, displacement, extension_of(parameters))
+        late = LateForce(history, past, extension_of(parameters))
+        plain = partial(super().window_force, window, sixteen)
+        return late.force(window.motion.displacement, plain)
 
     def settled(self, window: Window, parameters: Array) -> np.ndarray:
         """Mask (n,) of samples at which lag and coil have forgotten the past before the window."""

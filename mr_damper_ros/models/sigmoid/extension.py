@@ -18,20 +18,18 @@ constant of the coil.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.kinematics.motion_history import MotionHistory
 from mr_damper_ros.models.coil import COIL
-from mr_damper_ros.models.first_order_lag import FirstOrderLag, lagged
+from mr_damper_ros.models.first_order_lag import FirstOrderLag
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     Coefficients,
-    coefficient_jacobian,
-    force_from_coefficients,
-    secant_damping,
-    secant_damping_jacobian,
+    SigmoidTerms,
 )
 from mr_damper_ros.signals.arrays import Array
 
@@ -77,20 +75,16 @@ def force_and_damping(
     coefficients: Coefficients, velocity: Array, acceleration: Array
 ) -> ForceAndDamping:
     """Both of shape (..., n), for coefficients that broadcast against velocity (n,) [m/s]."""
-    return ForceAndDamping(
-        force_from_coefficients(coefficients, velocity, acceleration),
-        secant_damping(coefficients, velocity, acceleration),
-    )
+    terms = SigmoidTerms.of(coefficients, velocity, acceleration)
+    return ForceAndDamping(terms.force(), terms.damping())
 
 
 def force_and_damping_jacobian(
     coefficients: Coefficients, velocity: Array, acceleration: Array
 ) -> ForceAndDamping:
     """Derivatives of both by the seven coefficients, of shape (..., n, 7)."""
-    return ForceAndDamping(
-        coefficient_jacobian(coefficients, velocity, acceleration),
-        secant_damping_jacobian(coefficients, velocity, acceleration),
-    )
+    terms = SigmoidTerms.of(coefficients, velocity, acceleration)
+    return ForceAndDamping(terms.force_jacobian(), terms.damping_jacobian())
 
 
 def is_extended(parameters: Array) -> bool:
@@ -122,43 +116,49 @@ def without_extension(sixteen: Array) -> Array:
     return np.concatenate((sixteen, np.zeros(len(EXTENDED_NAMES) - SIGMOID_COUNT)))
 
 
-def late_force(
-    history: MotionHistory,
-    plain: Array,
-    past: ForceAndDamping,
-    displacement: Array,
-    extension: Extension,
-) -> Array:
-    """Force [N] of the extended law, shape (..., n), from that of the sigmoid law.
+class LateForce:
+    """What the compliance makes of the sigmoid force along a history, for one set of parameters.
 
-    ``plain`` (..., n) is the latter at the samples, ``past`` along the history.
+    ``plain``, where it is an argument, gives what belongs to the sigmoid law at the samples of the
+    window; it is asked only where these lie between those of the history.
     """
-    constant = extension.time_constant(past.damping)
-    missing = past.force - lagged(past.force, constant, history.period, periodic=history.periodic)
-    # Only what the lag changes is interpolated: it is smoother than the force.
-    late = plain - np.moveaxis(history.at_samples(np.moveaxis(missing, -1, 0)), 0, -1)
-    return np.asarray(late + extension.stiffness * displacement + extension.offset)
 
+    def __init__(self, history: MotionHistory, past: ForceAndDamping, extension: Extension) -> None:
+        """``past``, each of shape (m,), belongs to the sigmoid law along the history."""
+        self._history, self._past, self._extension = history, past, extension
+        constant = extension.time_constant(past.damping)
+        self._lag = FirstOrderLag(constant, history.period, periodic=history.periodic)
+        self._late = self._lag(past.force)
 
-def late_force_jacobian(
-    history: MotionHistory,
-    plain: Array,
-    past: ForceAndDamping,
-    by_sigmoid: ForceAndDamping,
-    extension: Extension,
-) -> tuple[Array, Array]:
-    """Derivatives (n, p) of :func:`late_force` by p parameters, and (n,) by the compliance.
+    def force(self, displacement: Array, plain: Callable[[], Array]) -> Array:
+        """Force [N] of the extended law at samples with this displacement (n,) [m]."""
+        late = self._at_samples(self._past.force, self._late, plain)
+        return np.asarray(late + self._extension.gas(displacement))
 
-    ``plain`` (n, p) are those of the sigmoid force at the samples, ``by_sigmoid`` (m, p) those of
-    ``past`` along the history.
-    """
-    constant = extension.time_constant(past.damping)
-    lag = FirstOrderLag(constant, history.period, periodic=history.periodic)
-    # A damping below zero makes no lag.
-    damping = np.maximum(past.damping, 0.0)
-    lagging = (past.damping > 0.0)[:, np.newaxis]
-    of_force = np.column_stack((by_sigmoid.force, np.zeros(damping.size)))
-    of_constant = np.column_stack((extension.compliance * by_sigmoid.damping * lagging, damping))
-    late = lag.derivative(past.force, lag(past.force), of_force, of_constant)
-    missing = history.at_samples(of_force - late)
-    return plain - missing[:, :-1], -missing[:, -1]
+    def jacobian(self, by_sigmoid: ForceAndDamping, plain: Callable[[], Array]) -> Array:
+        """Derivatives (n, p) of the force by p parameters of the sigmoid law.
+
+        ``by_sigmoid``, each of shape (m, p), are those along the history.
+        """
+        by_constant = by_sigmoid.damping * self._by_damping[:, np.newaxis]
+        late = self._lag.derivative(self._past.force, self._late, by_sigmoid.force, by_constant)
+        return self._at_samples(by_sigmoid.force, late, plain)
+
+    def by_compliance(self) -> Array:
+        """Derivative (n,) of the force."""
+        nothing = np.zeros((self._late.size, 1))
+        damping = np.maximum(self._past.damping, 0.0)[:, np.newaxis]
+        late = self._lag.derivative(self._past.force, self._late, nothing, damping)
+        return self._history.at_samples(late)[:, 0]
+
+    @property
+    def _by_damping(self) -> Array:
+        """Derivative (m,) of the time constant by the damping: one below zero makes no lag."""
+        return np.where(self._past.damping > 0.0, self._extension.compliance, 0.0)
+
+    def _at_samples(self, along: Array, late: Array, plain: Callable[[], Array]) -> Array:
+        """At the samples of the window what is late (m, ...) along the history."""
+        if self._history.holds_samples:
+            return self._history.at_samples(late)
+        # Only what the lag changes is interpolated: it is smoother than the force.
+        return np.asarray(plain() - self._history.at_samples(along - late))

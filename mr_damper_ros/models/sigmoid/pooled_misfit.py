@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
@@ -14,15 +14,14 @@ from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.first_order_lag import SETTLING
 from mr_damper_ros.models.operating_points import window_weights, windows_of_samples
 from mr_damper_ros.models.sigmoid.extension import (
+    EXTENDED_NAMES,
     SIGMOID_COUNT,
-    Extension,
     ForceAndDamping,
+    LateForce,
     extension_of,
     force_and_damping,
     force_and_damping_jacobian,
     is_extended,
-    late_force,
-    late_force_jacobian,
 )
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
@@ -36,13 +35,21 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.signals.arrays import Array
 
-_DEPENDENCES = tuple(
+_FORCE_BY = tuple(
     (COEFFICIENT_NAMES.index(coefficient), PARAMETER_NAMES.index(parameter))
     for coefficient, parameters in DEPENDENCES.items()
     for parameter in parameters
 )
+"""Places of the coefficients and of the parameters that they depend on."""
 
-_ALL = slice(None)
+_DAMPING_BY = tuple(
+    (coefficient, parameter)
+    for coefficient, parameter in _FORCE_BY
+    if COEFFICIENT_NAMES[coefficient] in ("f_t", "alpha", "v_h", "v_d")
+)
+"""The same of those coefficients that the damping depends on."""
+
+_COMPLIANCE, _STIFFNESS, _OFFSET, _COIL = range(SIGMOID_COUNT, len(EXTENDED_NAMES))
 
 _STEP_OF_COIL = 1e-6
 """Step [s] of the difference that tells how the force changes with the time constant."""
@@ -62,8 +69,8 @@ class PooledMisfit:
         """  # noqa: D205
         self.windows = tuple(windows)
         self._weights = window_weights(windows, noise)
-        self._own = _Motions([(w.motion, w.current, w.steady) for w in self.windows])
         self._slowest_lag = slowest_lag
+        self._latest: tuple[Array, list[LateForce]] | None = None
         self._in_coil: tuple[float, PooledMisfit] | None = None
         self.sample_count = sum(window.sample_count for window in windows)
 
@@ -104,10 +111,20 @@ class PooledMisfit:
 
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
         """Derivatives of :meth:`residual`, shape (n, p), or only the given columns of it."""
+        places = range(parameters.size) if columns is None else columns
         if not is_extended(parameters):
-            return np.concatenate(self._own.jacobians(parameters, columns, self._weights))
-        everything = self._extended_jacobian(parameters)
-        return everything if columns is None else everything[:, columns]
+            return self._weighted(self._own.jacobians(parameters, places))
+        return self._extended_jacobian(parameters, places)
+
+    def _weighted(self, blocks: Sequence[Array]) -> Array:
+        """Derivatives (p, n) of the windows' forces together and weighted, as (n, p)."""
+        result = np.empty((blocks[0].shape[0], self.sample_count))
+        first = 0
+        for weight, block in zip(self._weights, blocks, strict=True):
+            last = first + block.shape[1]
+            np.multiply(weight, block, out=result[:, first:last])
+            first = last
+        return result.T
 
     def _forces(self, parameters: Array) -> list[Array]:
         """Force [N] of each window, shape (..., n)."""
@@ -119,15 +136,31 @@ class PooledMisfit:
                 return self._with_coil(float(parameters[-1]))._forces(_without_coil(parameters))
             each = [self._forces(values) for values in parameters]
             return [np.stack(forces) for forces in zip(*each, strict=True)]
-        own = self._own.along(sixteen)
-        past = self._past(own, self._histories.along(sixteen))
+        plain = self._between.forces(sixteen)
         if parameters.ndim == 1:
-            return self._extended(own, past, extension_of(parameters))
-        sets = [
-            self._extended(_of_set(own, k), _of_set(past, k), extension_of(values))
-            for k, values in enumerate(parameters)
-        ]
+            return self._extended(self._late_forces(parameters), plain)
+        past = self._histories.along(sixteen)
+        sets = []
+        for k, values in enumerate(parameters):
+            of_set = [ForceAndDamping(force[k], damping[k]) for force, damping in past]
+            lates = self._late_of(of_set, values)
+            sets.append(self._extended(lates, [force[k] for force in plain]))
         return [np.stack(forces) for forces in zip(*sets, strict=True)]
+
+    def _late_forces(self, parameters: Array) -> list[LateForce]:
+        """What the compliance makes of the force of each window, for parameters (20,)."""
+        # A search asks for the Jacobian where it has just asked for the residual.
+        if self._latest is None or not np.array_equal(self._latest[0], parameters):
+            past = self._histories.along(parameters[:SIGMOID_COUNT])
+            self._latest = parameters.copy(), self._late_of(past, parameters)
+        return self._latest[1]
+
+    def _late_of(self, past: Sequence[ForceAndDamping], parameters: Array) -> list[LateForce]:
+        extension = extension_of(parameters)
+        return [
+            LateForce(window.history, along, extension)
+            for window, along in zip(self.windows, past, strict=True)
+        ]
 
     @cached_property
     def _current_changes(self) -> bool:
@@ -144,20 +177,19 @@ class PooledMisfit:
         return self._in_coil[1]
 
     @cached_property
-    def _histories(self) -> _Motions:
-        """Of the windows that are not their own history."""
-        histories = (window.history for window in self.windows)
-        return _Motions([(h.motion, h.current, h.periodic) for h in histories if not h.is_window])
+    def _own(self) -> _Motions:
+        return _Motions([(w.motion, w.current, w.steady) for w in self.windows])
 
-    def _past(
-        self, own: list[ForceAndDamping], histories: list[ForceAndDamping]
-    ) -> list[ForceAndDamping]:
-        """Of each window what belongs to its history, which may be the window itself."""
-        rest = iter(histories)
-        return [
-            values if window.history.is_window else next(rest)
-            for window, values in zip(self.windows, own, strict=True)
-        ]
+    @cached_property
+    def _between(self) -> _Motions:
+        """Of the windows some of whose samples lie between those of their history."""
+        few = [window for window in self.windows if not window.history.holds_samples]
+        return _Motions([(w.motion, w.current, w.steady) for w in few])
+
+    @cached_property
+    def _histories(self) -> _Motions:
+        histories = (window.history for window in self.windows)
+        return _Motions([(h.motion, h.current, h.periodic) for h in histories])
 
     @cached_property
     def _unsettled(self) -> list[np.ndarray]:
@@ -167,51 +199,54 @@ class PooledMisfit:
             for window in self.windows
         ]
 
-    def _extended(
-        self, own: list[ForceAndDamping], past: list[ForceAndDamping], extension: Extension
-    ) -> list[Array]:
+    def _extended(self, lates: Sequence[LateForce], plain: Sequence[Array]) -> list[Array]:
+        """Forces for one set; ``plain`` are those of the sigmoid law at samples in between."""
+        rest = iter(plain)
         forces = []
-        for place, window in enumerate(self.windows):
-            displacement, unsettled = window.motion.displacement, self._unsettled[place]
-            force = late_force(
-                window.history, own[place].force, past[place], displacement, extension
-            )
+        for window, late, unsettled in zip(self.windows, lates, self._unsettled, strict=True):
+            force = late.force(window.motion.displacement, partial(next, rest))
             force[unsettled] = window.force[unsettled]
             forces.append(force)
         return forces
 
-    def _extended_jacobian(self, parameters: Array) -> Array:
-        """All twenty columns."""
-        coil = float(parameters[-1])
+    def _extended_jacobian(self, parameters: Array, columns: Sequence[int]) -> Array:
+        """Of the twenty columns those wanted."""
+        coil = float(parameters[_COIL])
         if not self._current_changes:
-            return np.pad(self._without_lag_of_coil(parameters), ((0, 0), (0, 1)))
+            return self._without_lag_of_coil(parameters, columns)
         settled = self._with_coil(coil) if coil > 0.0 else self
-        changed = parameters + np.eye(parameters.size)[-1] * _STEP_OF_COIL
-        by_coil = (self.residual(changed) - self.residual(parameters)) / _STEP_OF_COIL
-        return np.column_stack((settled._without_lag_of_coil(parameters), by_coil))
+        jacobian = settled._without_lag_of_coil(_without_coil(parameters), columns)
+        if _COIL in columns:
+            changed = parameters + np.eye(parameters.size)[_COIL] * _STEP_OF_COIL
+            residual = self.residual(parameters)
+            by_coil = (self.residual(changed) - residual) / _STEP_OF_COIL
+            jacobian[:, list(columns).index(_COIL)] = by_coil
+        return jacobian
 
-    def _without_lag_of_coil(self, parameters: Array) -> Array:
-        """Derivatives by the other nineteen, for a coil without lag."""
-        sixteen, extension = parameters[:SIGMOID_COUNT], extension_of(parameters)
-        past = self._past(self._own.along(sixteen), self._histories.along(sixteen))
-        own_by_sixteen = self._own.jacobians_along(sixteen)
-        by_sixteen = self._past(own_by_sixteen, self._histories.jacobians_along(sixteen))
+    def _without_lag_of_coil(self, parameters: Array, columns: Sequence[int]) -> Array:
+        """Derivatives for a coil without lag, by which the derivative is left at zero."""
+        sixteen = parameters[:SIGMOID_COUNT]
+        lates = self._late_forces(parameters)
+        of_sixteen = [place for place in columns if place < SIGMOID_COUNT]
+        rows = {place: row for row, place in enumerate(columns)}
+        own = (block.T for block in self._between.jacobians(sixteen, of_sixteen))
+        past = self._histories.jacobians_along(sixteen, of_sixteen)
         blocks = []
         for place, window in enumerate(self.windows):
-            of_sixteen, of_compliance = late_force_jacobian(
-                window.history,
-                own_by_sixteen[place].force,
-                past[place],
-                by_sixteen[place],
-                extension,
-            )
-            displacement = window.motion.displacement
-            block = np.column_stack(
-                (of_sixteen, of_compliance, displacement, np.ones(displacement.size))
-            )
-            block[self._unsettled[place]] = 0.0
-            blocks.append(self._weights[place] * block)
-        return np.concatenate(blocks)
+            late, displacement = lates[place], window.motion.displacement
+            block = np.zeros((len(rows), displacement.size))
+            if of_sixteen:
+                found = late.jacobian(past[place], partial(next, own))
+                block[[rows[each] for each in of_sixteen]] = found.T
+            if _COMPLIANCE in rows:
+                block[rows[_COMPLIANCE]] = late.by_compliance()
+            if _STIFFNESS in rows:
+                block[rows[_STIFFNESS]] = displacement
+            if _OFFSET in rows:
+                block[rows[_OFFSET]] = 1.0
+            block[:, self._unsettled[place]] = 0.0
+            blocks.append(block)
+        return self._weighted(blocks)
 
 
 class _Motions:
@@ -230,7 +265,9 @@ class _Motions:
         edges = np.cumsum([0, *(speed.size for speed in speeds)]).tolist()
         self._places = [slice(*pair) for pair in pairwise(edges)]
         self._peak_velocity = np.concatenate([np.empty(0), *speeds])
-        self._current = np.concatenate([np.empty(0), *currents])
+        current = np.concatenate([np.empty(0), *currents])
+        # One value stands for all where none differs.
+        self._current = current[:1] if np.all(current == current[:1]) else current
 
     def _each(self, parameters: Array) -> Iterator[tuple[Coefficients, Array, Array]]:
         """Of each motion the coefficients for parameters (..., 16), the velocity, the branch."""
@@ -248,28 +285,24 @@ class _Motions:
         """The same with the damping of the sigmoid."""
         return [force_and_damping(*motion) for motion in self._each(parameters)]
 
-    def jacobians(
-        self, parameters: Array, columns: Sequence[int] | None, weights: Sequence[float]
-    ) -> list[Array]:
-        """Derivatives (n, p) of each motion's force by all or some parameters, times a weight."""
-        inner = self._inner_jacobian(parameters)
-        chosen = _ALL if columns is None else np.array(columns)
-        return [
-            _chain(coefficient_jacobian(*motion), inner[place], weight, chosen)
-            for motion, place, weight in zip(
-                self._each(parameters), self._places, weights, strict=True
-            )
-        ]
-
-    def jacobians_along(self, parameters: Array) -> list[ForceAndDamping]:
-        """Derivatives (n, 16) of what :meth:`along` gives by all parameters."""
+    def jacobians(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
+        """Derivatives (p, n) of each motion's force by some of the parameters."""
         inner = self._inner_jacobian(parameters)
         return [
-            ForceAndDamping(
-                *(_chain(outer, inner[place]) for outer in force_and_damping_jacobian(*motion))
-            )
+            _chain(coefficient_jacobian(*motion), inner[place], _FORCE_BY, columns)
             for motion, place in zip(self._each(parameters), self._places, strict=True)
         ]
+
+    def jacobians_along(self, parameters: Array, columns: Sequence[int]) -> list[ForceAndDamping]:
+        """Derivatives (n, p) of what :meth:`along` gives by some of the parameters."""
+        inner = self._inner_jacobian(parameters)
+        found = []
+        for motion, place in zip(self._each(parameters), self._places, strict=True):
+            by_force, by_damping = force_and_damping_jacobian(*motion)
+            by_force = _chain(by_force, inner[place], _FORCE_BY, columns).T
+            by_damping = _chain(by_damping, inner[place], _DAMPING_BY, columns).T
+            found.append(ForceAndDamping(by_force, by_damping))
+        return found
 
     def _inner_jacobian(self, parameters: Array) -> Array:
         return coefficient_parameter_jacobian(parameters, self._peak_velocity, self._current)
@@ -279,19 +312,19 @@ def _without_coil(parameters: Array) -> Array:
     return np.append(parameters[:-1], 0.0)
 
 
-def _of_set(motions: list[ForceAndDamping], number: int) -> list[ForceAndDamping]:
-    """One of the sets of parameters (s, ...) that the values of all motions are given for."""
-    return [ForceAndDamping(force[number], damping[number]) for force, damping in motions]
-
-
 def _chain(
-    outer: Array, inner: Array, weight: float = 1.0, columns: slice | np.ndarray = _ALL
+    outer: Array, inner: Array, dependences: Sequence[tuple[int, int]], columns: Sequence[int]
 ) -> Array:
-    """Derivatives (n, p) by parameters from those (n, 7) by coefficients and (n or 1, 7, 16)."""
+    """Derivatives (p, n) by the parameters of some ``columns``.
+
+    From those (n, 7) by the coefficients and those of the latter (n or 1, 7, 16).
+    """
     if inner.shape[0] == 1:
-        # Row by row in memory: the product is then twice as fast.
-        return np.asarray(outer @ np.ascontiguousarray(weight * inner[0][:, columns]))
-    result = np.zeros((inner.shape[2], inner.shape[0])).T
-    for coefficient, parameter in _DEPENDENCES:
-        result[:, parameter] += outer[:, coefficient] * inner[:, coefficient, parameter]
-    return np.asarray(weight * result[:, columns])
+        return np.asarray(inner[0][:, columns].T @ outer.T)
+    rows = {parameter: row for row, parameter in enumerate(columns)}
+    result = np.zeros((len(rows), outer.shape[0]))
+    for coefficient, parameter in dependences:
+        if parameter in rows:
+            row = result[rows[parameter]]
+            row += outer[:, coefficient] * inner[:, coefficient, parameter]
+    return result

@@ -21,13 +21,12 @@ from mr_damper_ros.models.search_effort import SearchEffort
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     ForceAndDamping,
+    LateForce,
     coil_time_constant_of,
     extension_of,
     force_and_damping,
     force_and_damping_jacobian,
     is_extended,
-    late_force,
-    late_force_jacobian,
 )
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
@@ -241,21 +240,31 @@ class _Late:
         damping = self._past.along(own.start).damping
         slowest = float(np.max(self._extension.time_constant(damping)))
         self.unsettled = unsettled | self._history.unsettled(SETTLING * slowest)
+        self._latest: tuple[Array, LateForce] | None = None
 
     def force(self, scales: Array) -> Array:
-        past, displacement = self._past.along(scales), self._window.motion.displacement
-        plain = past.force if self._past is self._own else self._own.plain_force(scales)
-        force = late_force(self._history, plain, past, displacement, self._extension)
-        force[..., self.unsettled] = self._window.force[self.unsettled]
+        if scales.ndim > 1:
+            sets = scales.reshape(scales.shape[0], -1).T
+            forces = np.array([self.force(one) for one in sets])
+            return forces.reshape(*scales.shape[1:-1], -1)
+        displacement = self._window.motion.displacement
+        force = self._late(scales).force(displacement, lambda: self._own.plain_force(scales))
+        force[self.unsettled] = self._window.force[self.unsettled]
         return force
 
     def jacobian(self, scales: Array) -> Array:
-        past, by_scales = self._past.along(scales), self._past.jacobian_along(scales)
-        own = self._past is self._own
-        plain = by_scales.force if own else self._own.plain_jacobian(scales)
-        derivatives, _ = late_force_jacobian(self._history, plain, past, by_scales, self._extension)
+        derivatives = self._late(scales).jacobian(
+            self._past.jacobian_along(scales), lambda: self._own.plain_jacobian(scales)
+        )
         derivatives[self.unsettled] = 0.0
         return derivatives
+
+    def _late(self, scales: Array) -> LateForce:
+        # A search asks for the Jacobian where it has just asked for the residual.
+        if self._latest is None or not np.array_equal(self._latest[0], scales):
+            late = LateForce(self._history, self._past.along(scales), self._extension)
+            self._latest = scales.copy(), late
+        return self._latest[1]
 
 
 def _one_if_steady(base: Array) -> Array:
