@@ -11,9 +11,11 @@ from benchmarks.figure import Figure
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published_conditions import Condition, find, parameters
-from mr_damper_ros.models.sigmoid.law import (
+from mr_damper_ros.models.sigmoid.coefficient_force import (
     Coefficients,
     coefficient_jacobian,
+)
+from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
 )
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE

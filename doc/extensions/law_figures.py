@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.models.sigmoid.coefficient_force import (
+    Coefficients,
+    force_from_coefficients,
+)
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     PARAMETER_NAMES,
-    Coefficients,
-    force_from_coefficients,
     operating_point_coefficients,
 )
 

@@ -15,18 +15,20 @@ from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.models import published_conditions as thesis
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.published_conditions import Condition
+from mr_damper_ros.models.sigmoid.coefficient_force import (
+    Coefficients,
+    coefficient_jacobian,
+    force_from_coefficients,
+    secant_damping,
+    secant_damping_jacobian,
+)
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     DEPENDENCES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    Coefficients,
-    coefficient_jacobian,
     coefficient_parameter_jacobian,
-    force_from_coefficients,
     operating_point_coefficients,
-    secant_damping,
-    secant_damping_jacobian,
     sine_force,
 )
 from mr_damper_ros.signals.arrays import Array

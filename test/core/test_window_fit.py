@@ -19,12 +19,14 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import published_conditions as thesis
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.published_conditions import Condition
-from mr_damper_ros.models.sigmoid.law import (
-    COEFFICIENT_NAMES,
-    SCALE_INDICES,
+from mr_damper_ros.models.sigmoid.coefficient_force import (
     Coefficients,
     coefficient_jacobian,
     force_from_coefficients,
+)
+from mr_damper_ros.models.sigmoid.law import (
+    COEFFICIENT_NAMES,
+    SCALE_INDICES,
     operating_point_coefficients,
 )
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit

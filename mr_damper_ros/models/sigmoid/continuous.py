@@ -6,8 +6,10 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.sigmoid.coefficient_force import (
+    Coefficients,
+)
 from mr_damper_ros.models.sigmoid.extended_model import ExtendedSigmoidModel
-from mr_damper_ros.models.sigmoid.law import Coefficients
 from mr_damper_ros.models.sigmoid.one_sample import FEW, follow_few, follow_few_extended
 from mr_damper_ros.models.sigmoid.reversal import REVERSAL_MEMORY, branch_along
 from mr_damper_ros.models.sigmoid.sigmoid_model import SigmoidModel

@@ -26,10 +26,12 @@ import numpy as np
 from mr_damper_ros.kinematics.motion_history import MotionHistory
 from mr_damper_ros.models.coil import COIL
 from mr_damper_ros.models.first_order_lag import FirstOrderLag
-from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
+from mr_damper_ros.models.sigmoid.coefficient_force import (
     Coefficients,
     SigmoidTerms,
+)
+from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
 )
 from mr_damper_ros.signals.arrays import Array
 

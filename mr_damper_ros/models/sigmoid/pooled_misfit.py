@@ -13,6 +13,11 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.first_order_lag import SETTLING
 from mr_damper_ros.models.operating_points import window_weights, windows_of_samples
+from mr_damper_ros.models.sigmoid.coefficient_force import (
+    Coefficients,
+    coefficient_jacobian,
+    force_from_coefficients,
+)
 from mr_damper_ros.models.sigmoid.extension import (
     EXTENDED_NAMES,
     SIGMOID_COUNT,
@@ -27,10 +32,7 @@ from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     DEPENDENCES,
     PARAMETER_NAMES,
-    Coefficients,
-    coefficient_jacobian,
     coefficient_parameter_jacobian,
-    force_from_coefficients,
     operating_point_coefficients,
 )
 from mr_damper_ros.signals.arrays import Array

@@ -16,16 +16,18 @@ from mr_damper_ros.models.force_model import Model, State
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.quantities import LoopReading, Quantity
+from mr_damper_ros.models.sigmoid.coefficient_force import (
+    Coefficients,
+    force_from_coefficients,
+)
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws, searched_laws, shape_bounds
 from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_INDICES,
     SCALE_PARAMETER_NAMES,
-    Coefficients,
     coefficient_parameter_jacobian,
     current_gains,
-    force_from_coefficients,
     operating_point_coefficients,
     sign_of_pair,
 )

@@ -14,13 +14,15 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.first_order_lag import LagState, next_lagged
 from mr_damper_ros.models.force_model import State
+from mr_damper_ros.models.sigmoid.coefficient_force import (
+    Coefficients,
+    secant_damping,
+)
 from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT, Extension, extension_of
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
-    Coefficients,
     GainTerms,
     motion_factors,
-    secant_damping,
 )
 from mr_damper_ros.models.sigmoid.reversal import NARROWEST
 from mr_damper_ros.signals.arrays import Array
