@@ -20,7 +20,7 @@ from mr_damper_ros.estimation.differential_evolution import (
 )
 from mr_damper_ros.estimation.global_search import Candidate, GlobalSearch
 from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
-from mr_damper_ros.estimation.record_levels import LevelPrior
+from mr_damper_ros.estimation.record_levels import LevelPrior, counted_samples
 from mr_damper_ros.estimation.repeatability import error_covariances, samples_per_cycle
 from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
@@ -31,6 +31,12 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import pooled
 
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
+
+_MOST_ROUNDS = 3
+"""So often the samples are counted anew that tell the levels of records."""
+
+_SETTLED = 0.3
+"""A count that changes by less, as a logarithm, does not change the levels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +109,9 @@ def identify_global(
     "differential_evolution" searches on the samples over all free parameters at once, as the thesis
     does. ``report`` hears of the progress and may stop the search: the best so far is then returned
     with ``success`` False. ``known`` (p,): the outcome of an earlier search, from which this one
-    starts as well. ``levels``: each record has a force scale and a zero of its own.
+    starts as well. ``levels``: each record has a force scale and a zero of its own. A search
+    without them comes first: how many samples count for the levels follows from what a set that is
+    about right leaves of the force.
 
     Raises ValueError where there are no windows, a force does not change, or for an unknown
     method.
@@ -112,13 +120,34 @@ def identify_global(
         raise ValueError(f"method '{method}' is unknown: use one of {', '.join(GLOBAL_METHODS)}")
     start = np.asarray(start, dtype=float)
     clock = ProgressClock(1, report)
-    search = GlobalSearch(model, windows, start, settings, clock, known, levels=levels)
-    try:
-        search.run(method)
-        ending = Ending.EXHAUSTED if search.exhausted else Ending.CONVERGED
-    except StopRequestedError:
-        ending = Ending.STOPPED
-    return replace(_result(search, method, ending), levels=levels)
+
+    def searched(known: Array | None, levels: LevelPrior | None) -> GlobalFit:
+        search = GlobalSearch(model, windows, start, settings, clock, known, levels=levels)
+        try:
+            search.run(method)
+            ending = Ending.EXHAUSTED if search.exhausted else Ending.CONVERGED
+        except StopRequestedError:
+            ending = Ending.STOPPED
+        return replace(_result(search, method, ending), levels=levels)
+
+    fit = searched(known, None)
+    if levels is None:
+        return fit
+    levels = _recounted(levels, fit, windows)
+    for _ in range(_MOST_ROUNDS):
+        if fit.stopped:
+            break
+        fit = searched(fit.parameter_set.values, levels)
+        before, levels = levels, _recounted(levels, fit, windows)
+        if abs(math.log(levels.counted_samples / before.counted_samples)) < _SETTLED:
+            break
+    return replace(fit, levels=fit.levels or levels)
+
+
+def _recounted(levels: LevelPrior, fit: GlobalFit, windows: Sequence[Window]) -> LevelPrior:
+    found = fit.parameter_set
+    misfit = found.law.pooled_problem(windows, fit.noise.tolist(), found.values)
+    return replace(levels, counted_samples=counted_samples(misfit, levels, found.values))
 
 
 def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:

@@ -38,7 +38,7 @@ from mr_damper_ros.signals.arrays import Array
 _AS_GOOD = 1.01
 """Searches that end with a cost up to this times the best have found as good a set."""
 
-_VERSION = 2
+_VERSION = 3
 
 
 class SearchRecordError(ValueError):
@@ -146,7 +146,7 @@ class SearchRecord:
                     "begin a new one, or search as then"
                 )
             fits = {
-                int(seed): replace(_from_document(fit), levels=self._levels)
+                int(seed): _from_document(fit, self._levels)
                 for seed, fit in document["found"].items()
             }
         except (KeyError, TypeError, AttributeError, ParameterError) as error:
@@ -264,10 +264,13 @@ def _to_document(fit: GlobalFit) -> dict[str, Any]:
             {"origin": c.origin, "parameters": c.parameters.tolist(), "cost": c.cost}
             for c in fit.candidates
         ],
+        "counted_samples": None if fit.levels is None else fit.levels.counted_samples,
     }
 
 
-def _from_document(document: dict[str, Any]) -> GlobalFit:
+def _from_document(document: dict[str, Any], levels: LevelPrior | None) -> GlobalFit:
+    if levels is not None:
+        levels = replace(levels, counted_samples=float(document["counted_samples"]))
     covariance = np.array(document["covariance"])
     unknown = np.full_like(covariance, math.nan)  # before there was any
     return GlobalFit(
@@ -285,4 +288,5 @@ def _from_document(document: dict[str, Any]) -> GlobalFit:
             Candidate(c["origin"], np.array(c["parameters"]), float(c["cost"]))
             for c in document["candidates"]
         ),
+        levels=levels,
     )

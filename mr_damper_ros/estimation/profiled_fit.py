@@ -44,7 +44,7 @@ def record_levels(fit: GlobalFit, windows: Sequence[Window]) -> list[Level]:
     misfit = search_misfit(fit, windows)
     if not isinstance(misfit, LevelledProblem):
         return []
-    return misfit.levels(fit.parameter_set.values)
+    return misfit.levels(fit.parameter_set.values, fit.covariance)
 
 
 def profiles_of(

@@ -2,20 +2,28 @@
 
 A damper is warmer, fuller or older from one record to the next, and a load cell is zeroed anew: the
 measured force of a record is s F + z, F that of the law. Scale s and zero z are unknown, normal
-about 1 and 0: s with a spread that is given, z with the same part of the smallest record's force.
-That is nearly free for a load cell, whose zero knows no current; a zero that grows with the force
-would be a force of the damper, which the law must hold. They are linear, so they are integrated
+about 1 and 0: s with a spread that is given, z with a part of the smallest record's force. A zero
+knows no current: one that grows with the force would be the damper's, which the law must hold.
+They are linear, so they are integrated
 out: what is minimised over the parameters is the misfit at the most probable levels, the prior
 included (a linear mixed model: Laird and Ware, Biometrics 38, 1982). Of the residual r and X, the
 effect of both levels in units of their spreads, with X = U S V', only U'r is damped, by 1 / sqrt(1
 + S²). It gets two rows of its own, next to those of the record, so that it counts for the standard
 errors as the one draw that it is.
+
+What a law cannot follow is no noise: thousands of samples of the same misfit tell a level no better
+than a few. Counted as if they did, they outweigh any prior, and the levels take whatever makes the
+misfit smaller, up to a set whose force is a fraction of the damper's. So the prior is weighed
+against the variance of the misfit times the samples that count once together
+(:func:`counted_samples`). That needs a set that is about right, which one search without levels
+gives.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +31,12 @@ import numpy as np
 from mr_damper_ros.estimation.determination import noise_level
 from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.signals.arrays import Array
+
+_ZERO_SPREAD = 0.3
+"""Standard deviation of the force zero, as a part of that of the smallest record's force."""
+
+_FREE = 1.0 - 1e-9
+"""A spread that leaves the levels free."""
 
 USUAL_SPREAD = 0.1
 """Standard deviation [1] of the force scale from record to record, where no other is given."""
@@ -32,11 +46,14 @@ USUAL_SPREAD = 0.1
 class LevelPrior:
     """``records``: number of the record that each window is of; ``spread`` of the scales [1].
 
-    Raises ValueError where the spread is not positive.
+    ``counted_samples``: so many independent samples of the noise that the misfit is weighed by tell
+    the levels as much as all samples do, which the law does not quite follow; infinite where it
+    does. Raises ValueError where the spread is not positive.
     """
 
     records: tuple[int, ...]
     spread: float = USUAL_SPREAD
+    counted_samples: float = math.inf
 
     def __post_init__(self) -> None:
         if not 0.0 < self.spread < 1.0:
@@ -84,7 +101,8 @@ class LevelledProblem:
         of_sample = np.repeat(np.array(prior.records), sizes)
         self._records = [np.flatnonzero(of_sample == k) for k in sorted(set(prior.records))]
         smallest = min(float(np.std(self._measured[rows])) for rows in self._records)
-        self._spreads = prior.spread * np.array([1.0, max(smallest, 1e-12)])
+        self._spreads = np.array([prior.spread, _ZERO_SPREAD * max(smallest, 1e-12)])
+        self._noise = math.sqrt(max(self.sample_count / prior.counted_samples, 1.0))
 
     @property
     def sample_weights(self) -> Array:
@@ -122,15 +140,19 @@ class LevelledProblem:
         """The same of many sets, shape (s, p) to (s,)."""
         return np.array([self.mean_square(values) for values in parameters])
 
-    def levels(self, parameters: Array) -> list[Level]:
-        """Of each record, by rising number, for parameters (p,)."""
+    def levels(self, parameters: Array, covariance: Array) -> list[Level]:
+        """Of each record, by rising number, for parameters (p,) of that covariance (p, p)."""
         plain = self._pooled.residual(parameters)
-        noise = max(noise_level(self, parameters), 1e-12)
+        varied = np.flatnonzero(np.diag(covariance) > 0.0)
+        derivatives = self._pooled.jacobian(parameters, varied.tolist())
         found = []
         for each in self._whitened(plain):
             scale, zero = _levels(each, plain)
-            variances = each.right**2 @ (1.0 / (1.0 + (each.sizes / noise) ** 2))
-            errors = np.sqrt(np.minimum(variances, self._spreads**2))
+            given = self._noise**2 * each.right**2 @ (1.0 / (1.0 + each.sizes**2))
+            # What the parameters are not known by, the levels are not, either.
+            by_parameters = _levels(each, derivatives)
+            moved = by_parameters @ covariance[np.ix_(varied, varied)]
+            errors = np.sqrt(given + np.sum(moved * by_parameters, axis=1))
             weights, measured = self._weights[each.rows], self._measured[each.rows]
             counted = weights > 0.0
             force = measured + np.divide(
@@ -156,10 +178,20 @@ class LevelledProblem:
         for rows in self._records:
             weights = self._weights[rows]
             force = plain[rows] + weights * self._measured[rows]
-            effect = np.column_stack((force, weights)) * self._spreads
+            spreads = self._spreads / self._noise
+            effect = np.column_stack((force, weights)) * spreads
             left, sizes, right = np.linalg.svd(effect, full_matrices=False)
-            whitened.append(_Whitened(rows, left, sizes, self._spreads[:, np.newaxis] * right.T))
+            whitened.append(_Whitened(rows, left, sizes, spreads[:, np.newaxis] * right.T))
         return whitened
+
+
+def counted_samples(pooled: PooledProblem, prior: LevelPrior, parameters: Array) -> float:
+    """That of a prior, for a set with parameters (p,) that is about right.
+
+    By what the residual still is without what levels of any size would explain.
+    """
+    without = LevelledProblem(pooled, replace(prior, spread=_FREE, counted_samples=math.inf))
+    return pooled.sample_count / max(noise_level(without, parameters) ** 2, 1.0)
 
 
 def _damped(each: _Whitened, values: Array) -> Array:
@@ -169,7 +201,7 @@ def _damped(each: _Whitened, values: Array) -> Array:
     return np.concatenate((values - each.left @ along, (damping * along.T).T))
 
 
-def _levels(each: _Whitened, plain: Array) -> Array:
-    """The most probable scale less 1, and zero [N], of a record (2,)."""
-    along = each.left.T @ plain[each.rows]
-    return np.asarray(-each.right @ (each.sizes / (1.0 + each.sizes**2) * along))
+def _levels(each: _Whitened, residual: Array) -> Array:
+    """The most probable scale less 1, and zero [N], of a record: residual (n, ...) to (2, ...)."""
+    along = each.left.T @ residual[each.rows]
+    return np.asarray(-each.right @ ((each.sizes / (1.0 + each.sizes**2) * along.T).T))

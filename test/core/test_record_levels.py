@@ -10,9 +10,18 @@ import numpy as np
 import pytest
 
 import mr_damper_ros as mr
-from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
+from benchmarks.other_dampers import DAMPERS
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
+from mr_damper_ros.estimation.profiled_fit import record_levels
+from mr_damper_ros.estimation.record_levels import (
+    LevelledProblem,
+    LevelPrior,
+    counted_samples,
+)
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
@@ -43,7 +52,10 @@ OF_THE_MEAN = 0.2
 """Relative: the sandwich of a covariance takes the four levels that there are, not their prior."""
 
 HONEST = 3.0
-"""Stated standard errors by which the strength may miss the truth."""
+"""Stated standard errors by which the strength, a scale or a zero may miss the truth."""
+
+NOT_SPOILT = 1.5
+"""What a set leaves of the records by itself, over what it leaves where they have no levels."""
 
 ROUNDING = 1e-6
 """Relative, of derivatives by differences."""
@@ -149,7 +161,7 @@ def by_brute_force(misfit: LevelledProblem, values: Array, spread: float) -> flo
     measured = np.concatenate([window.force for window in misfit.windows])
     total = 0.0
     records = np.split(np.arange(plain.size), [2000, 3000])
-    spreads = spread * np.array([1.0, min(np.std(measured[rows]) for rows in records)])
+    spreads = np.array([spread, 0.3 * min(np.std(measured[rows]) for rows in records)])
     for rows in records:
         force = plain[rows] / weights[rows] + measured[rows]
         effect = np.column_stack((weights[rows] * force, weights[rows])) * spreads
@@ -158,6 +170,66 @@ def by_brute_force(misfit: LevelledProblem, values: Array, spread: float) -> flo
         left = matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0] - target
         total += float(left @ left)
     return total / plain.size
+
+
+OTHER_CURRENTS = (0.2, 0.6, 1.0, 0.6)
+
+OTHER_SCALES = (0.95, 1.05, 1.02, 0.98)
+
+OTHER_ZEROS = (40.0, -30.0, 15.0, -25.0)
+"""[N], of forces that go up to 300 to 1500 N."""
+
+
+def records_of_another_law(damper: str, zeros: tuple[float, ...]) -> list[Window]:
+    law, values = DAMPERS[damper].law, DAMPERS[damper].values
+    found = []
+    for place, (amplitude, current) in enumerate(zip(AMPLITUDES, OTHER_CURRENTS, strict=True)):
+        run = known.run(
+            amplitude=amplitude, seed=place, samples=1000, frequency=(1.0, 3.0)[place % 2]
+        )
+        plain = Window.from_samples(run.displacement, np.zeros(1000), current, run.period)
+        noise = np.random.default_rng(place).normal(0.0, 5.0, 1000)
+        force = OTHER_SCALES[place] * law.window_force(plain, values) + zeros[place] + noise
+        found.append(Window.from_samples(run.displacement, force, current, run.period))
+    return found
+
+
+@cache
+def sixteen_of(damper: str, zeros: tuple[float, ...], levels: bool) -> GlobalFit:
+    prior = LevelPrior((0, 1, 2, 3)) if levels else None
+    windows = records_of_another_law(damper, zeros)
+    start = start_set("sigmoid").values
+    return identify_global(MODELS["sigmoid"], windows, start, EvolutionSettings(), levels=prior)
+
+
+NO_ZEROS = (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("damper", ["viscous_tanh", "modified_bouc_wen", "bouc_wen"])
+def test_what_a_law_cannot_follow_is_not_made_up_for_by_levels(damper: str) -> None:
+    with_levels, without = (sixteen_of(damper, NO_ZEROS, levels) for levels in (True, False))
+    assert with_levels.nrmse.max() < NOT_SPOILT * without.nrmse.max()
+
+
+@pytest.mark.parametrize("damper", ["viscous_tanh", "modified_bouc_wen", "bouc_wen"])
+def test_levels_of_a_damper_of_another_law_are_within_their_errors(damper: str) -> None:
+    fit = sixteen_of(damper, OTHER_ZEROS, True)
+    found = record_levels(fit, records_of_another_law(damper, OTHER_ZEROS))
+    off = [
+        ((level.scale - scale) / level.scale_error, (level.zero - zero) / level.zero_error)
+        for level, scale, zero in zip(found, OTHER_SCALES, OTHER_ZEROS, strict=True)
+    ]
+    assert np.abs(off).max() < HONEST
+
+
+def test_every_sample_counts_where_the_law_holds_and_few_where_it_does_not() -> None:
+    prior = LevelPrior((0, 1, 2, 3))
+    pooled = LAW.pooled_problem(windows(), [5.0] * 4)
+    holds, does_not = (
+        counted_samples(pooled, prior, factor * TRUTH) / pooled.sample_count
+        for factor in (1.0, 2.0)
+    )
+    assert does_not < 0.01 < 0.5 < holds
 
 
 def test_the_misfit_is_that_at_the_most_probable_levels() -> None:
