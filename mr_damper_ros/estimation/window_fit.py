@@ -178,7 +178,9 @@ class _Contest:
 
     def enter(self, parameters: Array) -> LocalSearch[WindowProblem]:
         """A search from parameters (p,), its start tried out."""
-        problem = self._model.window_problem(self._window, parameters)
+        return self._enter(self._model.window_problem(self._window, parameters))
+
+    def _enter(self, problem: WindowProblem) -> LocalSearch[WindowProblem]:
         search = LocalSearch(problem, problem.start, self._should_stop)
         self._searches.append(search)
         search.try_out(problem.start)
@@ -190,7 +192,7 @@ class _Contest:
         Their costs alone would not tell which of them leads to the deepest minimum.
         """
         first = self._searches[0]
-        cold = [self.enter(start) for start in first.problem.cold_starts()]
+        cold = [self._enter(first.problem.restarted(s)) for s in first.problem.cold_starts()]
         effort = first.problem.effort
         cold = sorted(cold, key=_mean_square)[: effort.polished_starts]
         hopeful = [

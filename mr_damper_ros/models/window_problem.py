@@ -31,8 +31,11 @@ class WindowProblem(Protocol):
     """
 
     window: Window
-    settled: np.ndarray
     differences: int
+
+    @property
+    def settled(self) -> np.ndarray:
+        """Mask (n,)."""
 
     @property
     def effort(self) -> SearchEffort:
@@ -58,6 +61,9 @@ class WindowProblem(Protocol):
 
     def parameters(self, unknowns: Array) -> Array:
         """All parameters (p,)."""
+
+    def restarted(self, parameters: Array) -> WindowProblem:
+        """The problem for parameters (p,) of which only the unknowns are others."""
 
     def cold_starts(self) -> list[Array]:
         """Parameters (p,) to start from, read off the window."""
@@ -133,6 +139,10 @@ class DifferenceProblem:
         self.differences += len(moved)
         derivatives = (forces[1:] - forces[0]).T / steps
         return np.where(self.settled[:, np.newaxis], derivatives, 0.0)
+
+    def restarted(self, parameters: Array) -> WindowProblem:
+        """The problem for other parameters (p,)."""
+        return self.model.window_problem(self.window, parameters)
 
     def cold_starts(self) -> list[Array]:
         """Parameters (p,) to start from, read off the window; the rest stays as it is given."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from itertools import product
 
 import numpy as np
@@ -107,12 +108,22 @@ class ScaleMisfit:
             if is_extended(self._start)
             else None
         )
-        self.settled = (
-            np.ones(window.sample_count, dtype=bool)
-            if self._late is None
-            else ~self._late.unsettled
-        )
         self.differences = 0
+
+    def restarted(self, parameters: Array) -> ScaleMisfit:
+        """The same with the scales of other parameters, all else of which is the same."""
+        other = copy(self)
+        other._start = np.asarray(parameters, dtype=float)
+        if self._late is not None:
+            other._late = self._late.restarted(other.start)
+        return other
+
+    @property
+    def settled(self) -> np.ndarray:
+        """Mask (n,) of the samples that have a residual."""
+        if self._late is None:
+            return np.ones(self.window.sample_count, dtype=bool)
+        return ~self._late.unsettled
 
     @property
     def effort(self) -> SearchEffort:
@@ -239,10 +250,19 @@ class _Late:
             motion, current = self._history.motion, self._history.current
             past = Window(motion, np.zeros(current.size), current)
             self._past = ScaleMisfit(past, parameters[:SIGMOID_COUNT])
-        damping = self._past.along(own.start).damping
-        slowest = float(np.max(self._extension.time_constant(damping)))
-        self.unsettled = unsettled | self._history.unsettled(SETTLING * slowest)
         self._latest: tuple[Array, LateForce] | None = None
+        self._by_coil = unsettled
+        self.unsettled = self._unsettled_from(own.start)
+
+    def restarted(self, start: Array) -> _Late:
+        """The same for a search that starts from other scales."""
+        other = copy(self)
+        other.unsettled = other._unsettled_from(start)
+        return other
+
+    def _unsettled_from(self, start: Array) -> np.ndarray:
+        lag = self._late(start).longest_time_constant
+        return self._by_coil | self._history.unsettled(SETTLING * lag)
 
     def force(self, scales: Array) -> Array:
         if scales.ndim > 1:
