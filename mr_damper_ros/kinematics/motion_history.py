@@ -109,8 +109,10 @@ class MotionHistory:
         if self.is_window:
             return values
         if self._picked is not None:
-            # By columns, as derivatives lie in memory.
-            return np.take(values.T, self._picked, axis=-1).T
+            # As they lie in memory: derivatives by columns.
+            if values.ndim > 1 and values.flags.f_contiguous:
+                return np.take(values.T, self._picked, axis=-1).T
+            return np.take(values, self._picked, axis=0)
         earlier, later, share = self._between
         share = share.reshape(-1, *(1,) * (values.ndim - 1))
         return np.asarray((1.0 - share) * values[earlier] + share * values[later])

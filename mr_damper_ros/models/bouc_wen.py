@@ -65,9 +65,11 @@ class BoucWen(DifferentiatedModel):
 
     @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
-    def window_derivatives(self, window: Window, parameters: Array) -> Array:
-        """Derivatives (n, p) of :meth:`window_force` by all parameters (p,)."""
-        motion, period, values, chain = along(self, window, parameters)
+    def window_derivatives(
+        self, window: Window, parameters: Array, columns: Sequence[int]
+    ) -> Array:
+        """Derivatives (n, p) of :meth:`window_force` by the parameters of some columns."""
+        motion, period, values, chain = along(self, window, parameters, columns)
         strength, length, share, power = values[3:]
         z = _yielded([length, share, power], motion, period, [math.nan, math.nan])
         steps = step_derivatives(z, motion.velocity, length, share, power, period)

@@ -39,6 +39,8 @@ def coil_current(
     before, None for a start at which both are the same.
     """
     every = np.broadcast_to(current, (*time_constant.shape, current.size))
+    if before is None and np.all(current == current[0]):
+        return every
     constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
     state = None if before is None else (*before, time_constant)
     return lagged(every, constants, period, state=state)

@@ -224,7 +224,9 @@ class CurrentDependentModel(Model):
         ``by_coil`` (n,): those of the current by the coil's time constant [A/s]. A coefficient that
         its bounds hold does not change.
         """
-        result = np.zeros((len(self.at_one_current), current.size, parameters.size))
+        # Each column lies together in memory.
+        result = np.zeros((len(self.at_one_current), parameters.size, current.size))
+        result = result.swapaxes(1, 2)
         for place, coefficient in enumerate(self.at_one_current):
             value = float(parameters[place])
             size = value if coefficient.grows else 1.0

@@ -37,8 +37,13 @@ class Along(NamedTuple):
     chain: Array
 
 
-def along(model: CurrentDependentModel, window: Window, parameters: Array) -> Along:
-    """The history of a window at its own pace; of a cycle that has always gone on, two."""
+def along(
+    model: CurrentDependentModel, window: Window, parameters: Array, columns: Sequence[int]
+) -> Along:
+    """The history of a window at its own pace; of a cycle that has always gone on, two.
+
+    The ``chain`` is that of the p parameters of some ``columns``.
+    """
     history = window.history.coarse
     motion, current, count = history.motion, history.current, history.current.size
     if history.periodic:
@@ -52,7 +57,7 @@ def along(model: CurrentDependentModel, window: Window, parameters: Array) -> Al
     else:
         chain = model.dependences(parameters, current[:1], np.zeros(1))
     values = model.coefficients_along(parameters, late)
-    return Along(motion, history.period, values, chain)
+    return Along(motion, history.period, values, chain[..., list(columns)])
 
 
 def at_samples(window: Window, derivatives: Array) -> Array:
@@ -65,25 +70,29 @@ def driven(by: Mapping[int, Array], chain: Array) -> Array:
     """What steps add by the parameters (n, p), from what they add (n,) by coefficients."""
     places = list(by)
     if chain.shape[1] == 1:
-        return np.asarray(np.stack(list(by.values()), axis=-1) @ chain[places, 0])
+        # By columns, which lie together in memory: each is then solved for as it is.
+        return np.asarray(chain[places, 0].T @ np.stack(list(by.values()))).T
     return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
 
 
 def accumulated(kept: Array, added: Array) -> Array:
-    """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, p)."""
+    """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, p), which may be overwritten."""
     from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
 
-    bands = np.ones((2, kept.size))
+    bands = np.ones((2, kept.size), order="F")
     bands[1, :-1] = -kept[1:]
-    return np.asarray(dtbtrs(bands, added, uplo="L", diag="U")[0].reshape(added.shape))
+    solved = dtbtrs(bands, added, uplo="L", diag="U", overwrite_b=True)[0]
+    return np.asarray(solved.reshape(added.shape))
 
 
 class DifferentiatedModel(CurrentDependentModel):
     """A law that knows the derivatives of its force."""
 
     @abstractmethod
-    def window_derivatives(self, window: Window, parameters: Array) -> Array:
-        """Derivatives (n, p) of the force at the samples of a window by all parameters (p,)."""
+    def window_derivatives(
+        self, window: Window, parameters: Array, columns: Sequence[int]
+    ) -> Array:
+        """Derivatives (n, p) of the force at the samples of a window by those of some columns."""
 
     def window_problem(self, window: Window, parameters: Array) -> KnownDerivatives:
         """What one current determines, with its derivatives."""
@@ -105,8 +114,10 @@ class KnownDerivatives(DifferenceProblem):
 
     def jacobian(self, unknowns: Array) -> Array:
         """Derivatives of the residual by the unknowns, shape (n, f)."""
-        derivatives = self._law.window_derivatives(self.window, self.parameters(unknowns))
-        return np.where(self.settled[:, np.newaxis], derivatives[:, self._free], 0.0)
+        derivatives = self._law.window_derivatives(
+            self.window, self.parameters(unknowns), self._free.tolist()
+        )
+        return np.where(self.settled[:, np.newaxis], derivatives, 0.0)
 
 
 class PooledDerivatives(PooledDifferences):
@@ -125,10 +136,10 @@ class PooledDerivatives(PooledDifferences):
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
         """Derivatives of the residual, shape (n, p), or only the given columns of it."""
         weights = np.split(self.sample_weights, np.cumsum(self._counts)[:-1])
-        chosen = slice(None) if columns is None else np.asarray(columns, dtype=int)
+        chosen = range(parameters.size) if columns is None else columns
         return np.concatenate(
             [
-                weight[:, np.newaxis] * self._law.window_derivatives(window, parameters)[:, chosen]
+                weight[:, np.newaxis] * self._law.window_derivatives(window, parameters, chosen)
                 for window, weight in zip(self.windows, weights, strict=True)
             ]
         )

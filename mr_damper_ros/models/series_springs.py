@@ -182,10 +182,13 @@ class SeriesSprings(DifferentiatedModel):
 
     @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
-    def window_derivatives(self, window: Window, parameters: Array) -> Array:
-        """Derivatives (n, p) of :meth:`window_force` by all parameters (p,)."""
-        motion, period, values, chain = along(self, window, parameters)
-        result = motion.displacement[:, np.newaxis] * chain[6] + chain[7]
+    def window_derivatives(
+        self, window: Window, parameters: Array, columns: Sequence[int]
+    ) -> Array:
+        """Derivatives (n, p) of :meth:`window_force` by the parameters of some columns."""
+        motion, period, values, chain = along(self, window, parameters, columns)
+        # By columns, which lie together in memory.
+        result = (chain[6].T * motion.displacement + chain[7].T).T
         for spring, path, recursion, carried in self._derivatives_along(values, motion, period):
             added = driven(path, chain)
             if chain.shape[1] > 1:
