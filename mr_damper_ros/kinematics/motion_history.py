@@ -118,11 +118,14 @@ class MotionHistory:
         return np.asarray((1.0 - share) * values[earlier] + share * values[later])
 
     def unsettled(self, duration: float) -> np.ndarray:
-        """Mask (n,) of samples that follow the unknown past by less than this duration [s]."""
+        """Mask (n,) of samples that follow the unknown past by less than this duration [s].
+
+        Never more than a quarter of the samples, which may all be at the beginning of the history.
+        """
         if self.periodic:
             return np.zeros(self.places.size, dtype=bool)
-        longest = LONGEST_SETTLING * self.current.size * self.period
-        return np.asarray(self.places * self.period < min(duration, longest))
+        since = self.places * self.period
+        return np.asarray(since < min(duration, since[int(LONGEST_SETTLING * since.size)]))
 
 
 def following_stride(

@@ -38,9 +38,6 @@ None stands for a start: at rest, or settled.
 _FORGOTTEN = 0.01
 """A start is forgotten where it changes the force by less than this part of its span."""
 
-_LONGEST_MEMORY = 0.25
-"""No more than this part of a window is left out because its past is not known."""
-
 _STEP = 1e-6
 """Step of a difference, relative to the size of the parameter."""
 
@@ -247,7 +244,7 @@ class Model(ABC):
         differs = np.abs(first - second) > _FORGOTTEN * float(np.ptp(first))
         # The true past may be further off than either of the two.
         count = 2 * int(np.max(np.flatnonzero(differs), initial=-1) + 1)
-        return np.asarray(history.places >= min(count, _LONGEST_MEMORY * differs.size))
+        return ~history.unsettled(count * history.period)
 
     def memory_length(self, parameters: Array, current: float) -> float:
         """Way [m] after which the past is forgotten; 0 for a law that forgets it with time alone.

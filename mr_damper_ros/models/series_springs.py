@@ -42,9 +42,6 @@ from mr_damper_ros.signals.arrays import Array
 _FORGOTTEN = 0.01
 """A past is forgotten where it changes the force by less than this part of its span."""
 
-_LONGEST_MEMORY = 0.25
-"""No more than this part of a window is left out because its past is not known."""
-
 _SETTLED = 7.0
 """So many times the way that the softer spring gives, and the reversal before is forgotten."""
 
@@ -177,8 +174,8 @@ class SeriesSprings(DifferentiatedModel):
             forces.append(force)
         apart = np.abs(forces[0] - forces[1]) > _FORGOTTEN * float(np.ptp(forces[0]))
         count = int(np.max(np.flatnonzero(apart), initial=-1) + 1)
-        known = history.places >= min(count, _LONGEST_MEMORY * apart.size)
-        return known & ~coil_unsettled(window, float(parameters[-1]))
+        unknown = history.unsettled(count * history.period)
+        return ~(unknown | coil_unsettled(window, float(parameters[-1])))
 
     @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")

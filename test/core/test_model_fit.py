@@ -154,6 +154,19 @@ def test_samples_before_which_the_past_is_unknown_have_no_residual() -> None:
     assert known.rms(residual[unsettled:]) < FITTED * NOISE
 
 
+NEVER_FORGETS = {"bouc_wen": ("yield_length", 20.0), "series_springs": ("k2", 1e-3)}
+"""A parameter and the factor with which the law forgets nothing in the length of a window."""
+
+
+@pytest.mark.parametrize("name", NEVER_FORGETS)
+def test_the_beginning_of_a_window_has_samples_to_be_fitted(name: str) -> None:
+    parameter, factor = NEVER_FORGETS[name]
+    values = known.EXAMPLES[name].copy()
+    values[MODELS[name].parameter_names.index(parameter)] *= factor
+    part = window(name, sine=False).part(slice(0, 200))
+    assert np.count_nonzero(MODELS[name].settled(part, values)) >= 150
+
+
 @pytest.mark.parametrize("name", MODELS)
 def test_unknowns_stand_for_the_parameters_they_came_from(name: str) -> None:
     misfit = MODELS[name].window_problem(window(name), known.EXAMPLES[name])
