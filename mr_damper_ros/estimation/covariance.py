@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from mr_damper_ros.models.operating_points import PriorRows
 from mr_damper_ros.signals.arrays import Array
 
 _DETERMINED = 1e-10
@@ -16,7 +17,6 @@ _FEWEST_BLOCKS = 20
 
 _WHITE = 3.0
 """Residuals whose lag-1 autocorrelation is within this many standard errors of 0 count as white."""
-
 
 _CHUNK = 4096
 """Rows of a matrix that are factorised at once: so many stay in the cache."""
@@ -55,7 +55,10 @@ def normal_inverse(jacobian: Array) -> Array:
 
 
 def least_squares_covariance(
-    jacobian: Array, residual: Array, weights: Array | None = None
+    jacobian: Array,
+    residual: Array,
+    weights: Array | None = None,
+    prior: PriorRows | None = None,
 ) -> Array:
     """Covariance (p, p) of parameters fitted by weighted least squares.
 
@@ -63,25 +66,38 @@ def least_squares_covariance(
     squared residuals. A white residual gives s² (JᵀWJ)⁻¹, with s² from n - p degrees of freedom.
     An autocorrelated one, the rule where the model and not the sensor limits the fit, gives the
     sandwich estimate with the scores summed over blocks longer than the correlation (Liang and
-    Zeger, Biometrika 73, 1986). NaN for parameters that the data do not determine.
+    Zeger, Biometrika 73, 1986). ``prior``: rows that are no samples. NaN for parameters that the
+    data do not determine.
     """
-    n, p = jacobian.shape
     if weights is not None:
         root = np.sqrt(weights)
         jacobian, residual = jacobian * root[:, np.newaxis], residual * root
     bread = normal_inverse(jacobian)
-    freedom = max(n - p, 1)
-    length = correlation_length(residual)
-    if length == 0:
+    if prior is None and correlation_length(residual) == 0:
+        freedom = max(residual.size - jacobian.shape[1], 1)
         return np.asarray(float(residual @ residual) / freedom * bread)
-    blocks = max(n // length, min(_FEWEST_BLOCKS, n))
-    edges = np.linspace(0, n, blocks, endpoint=False).astype(int)
-    scores = np.add.reduceat(jacobian * residual[:, np.newaxis], edges, axis=0)
     # What is not determined must not make the others unknown.
     lost = np.isnan(bread)
     bread = np.where(lost, 0.0, bread)
-    sandwich = bread @ (scores.T @ scores) @ bread * (n / freedom)
-    return np.asarray(np.where(lost, np.nan, sandwich))
+    measured = slice(None) if prior is None else ~prior.rows
+    scores = _score_covariance(jacobian[measured], residual[measured])
+    if prior is not None:
+        drawn = jacobian[prior.rows]
+        scores += prior.variance * drawn.T @ drawn
+    return np.asarray(np.where(lost, np.nan, bread @ scores @ bread))
+
+
+def _score_covariance(jacobian: Array, residual: Array) -> Array:
+    """Covariance (p, p) of the sum of all samples' scores, Jacobian (n, p) times residual (n,)."""
+    n, p = jacobian.shape
+    freedom = max(n - p, 1)
+    length = correlation_length(residual)
+    if length == 0:
+        return np.asarray(float(residual @ residual) / freedom * jacobian.T @ jacobian)
+    blocks = max(n // length, min(_FEWEST_BLOCKS, n))
+    edges = np.linspace(0, n, blocks, endpoint=False).astype(int)
+    sums = np.add.reduceat(jacobian * residual[:, np.newaxis], edges, axis=0)
+    return np.asarray(sums.T @ sums * (n / freedom))
 
 
 def correlation_length(residual: Array) -> int:

@@ -201,11 +201,11 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
 def _errors(misfit: PooledProblem, best: Array, places: Sequence[int]) -> tuple[Array, Array]:
     """Covariance (f, f) of the parameters at some places, and the discrepancy in it."""
     jacobian, residual = misfit.jacobian(best, places), misfit.residual(best)
-    if len(misfit.windows) == 1:
+    if len(misfit.windows) == 1 and misfit.prior is None:
         errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
         discrepancy = without_negative_variance(errors.discrepancy)
         return without_negative_variance(errors.repeatability) + discrepancy, discrepancy
-    covariance = least_squares_covariance(jacobian, residual)
+    covariance = least_squares_covariance(jacobian, residual, prior=misfit.prior)
     motions = motion_numbers(misfit.windows)[misfit.row_windows]
     discrepancy = discrepancy_between(jacobian, residual, motions, covariance)
     return covariance + np.nan_to_num(discrepancy), discrepancy

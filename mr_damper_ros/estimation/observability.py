@@ -139,7 +139,8 @@ def not_known(
     names = [model.parameter_names[place] for place in places]
     values = parameters[places]
     jacobian = misfit.jacobian(parameters, places)
-    covariance = least_squares_covariance(jacobian, misfit.residual(parameters))
+    residual = misfit.residual(parameters)
+    covariance = least_squares_covariance(jacobian, residual, prior=misfit.prior)
     errors = np.sqrt(np.diag(covariance))
     lengths = np.linalg.norm(jacobian, axis=0)
     strong = np.isin(places, model.strength_indices)

@@ -104,7 +104,8 @@ class ProfileLikelihood:
         """Standard errors (q,) of what is observable; the variances of white noise over theirs."""
         if not self._seen.size:
             return np.empty(0), np.empty(0)
-        variances = np.diag(least_squares_covariance(jacobian, residual))
+        covariance = least_squares_covariance(jacobian, residual, prior=self._misfit.prior)
+        variances = np.diag(covariance)
         freedom = max(residual.size - self._seen.size, 1)
         white = np.diag(normal_inverse(jacobian)) * float(residual @ residual) / freedom
         return np.sqrt(variances), white / variances

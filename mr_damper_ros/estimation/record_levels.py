@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.estimation.determination import noise_level
-from mr_damper_ros.models.operating_points import PooledProblem
+from mr_damper_ros.models.operating_points import PooledProblem, PriorRows
 from mr_damper_ros.signals.arrays import Array
 
 _ZERO_SPREAD = 0.3
@@ -114,6 +114,15 @@ class LevelledProblem:
         """The place of the window that each row (n,) of the residual belongs to."""
         of_sample = self._pooled.row_windows
         return np.concatenate([of_sample[[*rows, rows[-1], rows[-1]]] for rows in self._records])
+
+    @property
+    def prior(self) -> PriorRows:
+        """The rows of the levels; a law with a parameter for each record leaves nothing in them."""
+        sizes = [rows.size for rows in self._records]
+        last = np.cumsum(np.array(sizes) + 2)
+        rows = np.zeros(last[-1], dtype=bool)
+        rows[last - 1] = rows[last - 2] = True
+        return PriorRows(rows, self._noise**2)
 
     def residual(self, parameters: Array) -> Array:
         """Weighted residual [1], two rows more for each record."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -45,6 +45,16 @@ class CoefficientTable:
         return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)
 
 
+class PriorRows(NamedTuple):
+    """Rows of a residual that are no samples: the mask (n,) of them, and the variance of each [1].
+
+    What they scatter by is known, and not told by those few that there are.
+    """
+
+    rows: np.ndarray
+    variance: float
+
+
 class PooledProblem(Protocol):
     """Weighted residual (n,) of many windows, and its Jacobian (n, p), for parameters (p,).
 
@@ -76,6 +86,10 @@ class PooledProblem(Protocol):
     @property
     def row_windows(self) -> np.ndarray:
         """The place of the window that each row (n,) of the residual belongs to."""
+
+    @property
+    def prior(self) -> PriorRows | None:
+        """Rows that are no samples; None where there are none."""
 
 
 def window_weights(windows: Sequence[Window], noise: Sequence[float]) -> list[float]:

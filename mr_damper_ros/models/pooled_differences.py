@@ -47,6 +47,10 @@ class PooledDifferences:
         """The place of the window that each row (n,) of the residual belongs to."""
         return windows_of_samples(self.windows)
 
+    @property
+    def prior(self) -> None:
+        """Every row is a sample."""
+
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
         return np.concatenate([part for _, part in self._residuals(parameters)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 
 import known
@@ -48,8 +49,8 @@ SHAPE_ERROR = 0.02
 BENT = 0.05
 """Relative: what ignored levels do to it at least."""
 
-OF_THE_MEAN = 0.2
-"""Relative: the sandwich of a covariance takes the four levels that there are, not their prior."""
+OF_THE_PRIOR = 0.02
+"""Relative: what the samples do not tell of a strength, the prior of the levels alone says."""
 
 HONEST = 3.0
 """Stated standard errors by which the strength, a scale or a zero may miss the truth."""
@@ -110,9 +111,16 @@ def test_the_shape_is_not_bent_by_them() -> None:
 def test_the_set_knows_its_strength_no_better_than_the_levels_allow() -> None:
     found = identified(0.1).parameters["alpha"]
     of_the_mean = found.value * 0.1 / np.sqrt(len(SCALES))
-    assert found.standard_error == pytest.approx(of_the_mean, rel=OF_THE_MEAN)
+    assert found.standard_error == pytest.approx(of_the_mean, rel=OF_THE_PRIOR)
     missed = abs(found.value - TRUTH[LAW.parameter_names.index("alpha")])
     assert missed < HONEST * found.standard_error
+
+
+def test_a_law_that_can_follow_every_level_says_that_it_knows_none() -> None:
+    two = [replace(record(place, 1.0, 0.0), current=np.full(1000, 0.5 + place)) for place in (0, 1)]
+    found = mr.identify(two, model=LAW.name, level_per_record=0.1)
+    errors = [run.level.scale_error for run in found.runs if run.level is not None]
+    assert errors == pytest.approx([0.1, 0.1], rel=OF_THE_PRIOR)
 
 
 def test_levels_are_told_line_by_line_and_in_json() -> None:

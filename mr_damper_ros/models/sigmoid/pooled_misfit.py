@@ -89,6 +89,10 @@ class PooledMisfit:
         """The place of the window that each row (n,) of the residual belongs to."""
         return windows_of_samples(self.windows)
 
+    @property
+    def prior(self) -> None:
+        """Every row is a sample."""
+
     def residual(self, parameters: Array) -> Array:
         """Weighted model minus measurement [1] of all windows, shape (n,)."""
         forces = self._forces(parameters)
