@@ -37,6 +37,8 @@ _MINPACK_LIMIT, _TRUST_REGION_LIMIT = 5, 0
 _LAST_DIGITS = 1.5e-8
 """Relative tolerance of MINPACK: half of the digits there are."""
 
+_BEYOND = 1e100
+"""Derivatives from here on overflow where they are squared and summed."""
 
 _MARGIN = 1e-3
 """Distance from a bound at which a search starts at least, relative to the value."""
@@ -177,12 +179,11 @@ class LocalSearch(Generic[P]):
                 maxfev=most_steps,
             )
             self.exhausted = status == _MINPACK_LIMIT
-        elif np.all(np.isfinite(self.problem.residual(self.best))):
+        elif math.isfinite(self.best_cost):
             result = optimize.least_squares(
                 residual,
                 _inside(self.best, *bounds),
-                # A set far from any damper overflows: such a direction is left alone.
-                lambda x: np.nan_to_num(jacobian(x), nan=0.0, posinf=0.0, neginf=0.0),
+                lambda x: _without_overflow(jacobian(x)),
                 bounds=bounds,
                 x_scale="jac",
                 ftol=tolerance,
@@ -213,6 +214,11 @@ class LocalSearch(Generic[P]):
             weights = updated
             self.least_squares(weights)
         return weights
+
+
+def _without_overflow(jacobian: Array) -> Array:
+    """The Jacobian without what a set far from any damper overflows by: it is left alone."""
+    return np.where(np.abs(jacobian) < _BEYOND, jacobian, 0.0)
 
 
 def _inside(values: Array, low: Array, high: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import correlation_length
@@ -71,7 +73,7 @@ class PooledPolish:
         self, pooled: PooledProblem, start: Array, free: frozenset[str], nelder_mead: bool
     ) -> Array:
         places = [place for place, name in enumerate(self._names) if name in free]
-        if not places:
+        if not places or not math.isfinite(pooled.mean_square(start)):
             return start
         sizes = np.maximum(np.abs(start[places]), _SMALLEST * self._sizes[places])
         problem = FreeParameters(pooled, start, places, sizes, self._model.bounds)

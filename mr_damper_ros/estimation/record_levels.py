@@ -125,8 +125,10 @@ class LevelledProblem:
         return PriorRows(rows, self._noise**2)
 
     def residual(self, parameters: Array) -> Array:
-        """Weighted residual [1], two rows more for each record."""
+        """Weighted residual [1], two rows more for each record; infinite where it overflows."""
         plain = self._pooled.residual(parameters)
+        if not np.all(np.isfinite(plain)):
+            return np.full(plain.size + 2 * len(self._records), math.inf)
         return self._each(plain, lambda each: _damped(each, plain[each.rows]))
 
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:

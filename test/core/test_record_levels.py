@@ -246,6 +246,13 @@ def test_the_misfit_is_that_at_the_most_probable_levels() -> None:
     assert misfit.mean_square(values) == pytest.approx(by_brute_force(misfit, values, 0.1))
 
 
+def test_a_set_far_from_any_damper_has_an_infinite_misfit() -> None:
+    beyond = TRUTH.copy()
+    beyond[LAW.parameter_names.index("alpha")] = 1e308
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert problem(LAW.name).mean_square(1e3 * beyond) == np.inf
+
+
 def test_a_spread_of_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="the spread of the levels is"):
         mr.identify(records(), model=LAW.name, level_per_record=-0.1)
