@@ -17,6 +17,9 @@ displacement at most (standard deviations). What leaves more than this is none, 
 _NOISE_FACTOR = 2.0
 """... so many times that of the displacement."""
 
+_ROUGHLY, _LAST_DIGITS = 1e-3, 1e-13
+"""Relative tolerances: of shorter motions the line of the spectrum is not near enough to tell."""
+
 
 @dataclass(frozen=True)
 class Sine:
@@ -51,8 +54,8 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
 
     The spectrum's peak gives the start. Frequency is the only unknown that enters nonlinearly;
     the other three are solved linearly at each step. Returns None where the samples hold less
-    than half a cycle of the strongest frequency or do not move at all, or where the spectrum shows
-    already that the motion is far from a sine: then there is none.
+    than half a cycle of the strongest frequency or do not move at all, or where it shows early that
+    the motion is far from a sine: then there is none.
     """
     u = np.asarray(displacement, dtype=float)
     n = u.size
@@ -77,26 +80,31 @@ def fit_sine(displacement: Array, period: float) -> Sine | None:
         return weights, columns @ weights - u
 
     scale = float(np.std(u))
-    if start * n >= _ENOUGH_CYCLES:
-        left = float(np.std(solve(start)[1]))
-        if left > _FAR_FROM_SINE * scale and left > _NOISE_FACTOR * white_noise(u):
-            return None
-    from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
 
-    fit = least_squares(
-        lambda x: solve(x[0])[1] / scale,
-        x0=[start],
-        x_scale=1.0 / (8 * n),
-        bounds=(lowest / (8 * n) / 2, 0.5),
-        xtol=1e-13,
-        ftol=1e-13,
-        gtol=1e-13,
-    )
-    (sine, cosine, offset), residual = solve(fit.x[0])
-    omega = 2.0 * np.pi * fit.x[0]
+    def fitted(start: float, tolerance: float) -> float:
+        from scipy.optimize import least_squares  # here: see mr_damper_ros.entry_points
+
+        fit = least_squares(
+            lambda x: solve(x[0])[1] / scale,
+            x0=[start],
+            x_scale=1.0 / (8 * n),
+            bounds=(lowest / (8 * n) / 2, 0.5),
+            xtol=tolerance,
+            ftol=tolerance,
+            gtol=tolerance,
+        )
+        return float(fit.x[0])
+
+    near = start if start * n >= _ENOUGH_CYCLES else fitted(start, _ROUGHLY)
+    left = float(np.std(solve(near)[1]))
+    if left > _FAR_FROM_SINE * scale and left > _NOISE_FACTOR * white_noise(u):
+        return None
+    frequency = fitted(near, _LAST_DIGITS)
+    (sine, cosine, offset), residual = solve(frequency)
+    omega = 2.0 * np.pi * frequency
     return Sine(
         amplitude=float(np.hypot(sine, cosine)),
-        frequency=float(fit.x[0] / period),
+        frequency=frequency / period,
         phase=float((np.arctan2(cosine, sine) - omega * 0.5 * (n - 1)) % (2.0 * np.pi)),
         offset=float(offset),
         residual_rms=float(np.sqrt(np.mean(residual**2))),
