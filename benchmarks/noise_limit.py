@@ -15,9 +15,7 @@ from mr_damper_ros.models.sigmoid.coefficient_force import (
     Coefficients,
     coefficient_jacobian,
 )
-from mr_damper_ros.models.sigmoid.law import (
-    operating_point_coefficients,
-)
+from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array

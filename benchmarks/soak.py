@@ -15,6 +15,7 @@ from benchmarks import (
     campaign_kills,
     endurance,
     fuzz,
+    hostile_recordings,
     interrupts,
     kills,
     many_kills,
@@ -30,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     parts: dict[str, Callable[[], list[Figure]]] = {
         "fuzz": lambda: fuzz.figures(options.cases, options.seed),
+        "recordings": lambda: hostile_recordings.figures(options.recordings, options.seed),
         "kills": lambda: kills.figures(options.kills, options.kills, options.seed),
         "many_kills": lambda: many_kills.figures(seed=options.seed),
         "campaign_kills": lambda: campaign_kills.figures(seed=options.seed),
@@ -57,8 +59,8 @@ def _parser() -> argparse.ArgumentParser:
         "--only",
         nargs="+",
         choices=(
-            *("fuzz", "kills", "many_kills", "campaign_kills"),
-            *("starts", "interrupts", "soak"),
+            *("fuzz", "recordings", "kills", "many_kills"),
+            *("campaign_kills", "starts", "interrupts", "soak"),
         ),
         help="these parts alone",
     )
@@ -76,6 +78,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--cases", type=int, default=100_000, help="of hostile input (default %(default)s)"
+    )
+    parser.add_argument(
+        "--recordings",
+        type=int,
+        default=100,
+        help="that say little or are spoilt, to identify from (default %(default)s)",
     )
     parser.add_argument(
         "--starts",

@@ -18,9 +18,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity, peak_velocity
 from mr_damper_ros.models.coil import coil_current
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    force_from_coefficients,
-)
+from mr_damper_ros.models.sigmoid.coefficient_force import force_from_coefficients
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     operating_point_coefficients,

@@ -12,9 +12,7 @@ import numpy as np
 
 from mr_damper_ros.interface.figure_style import GREY, INK, panels
 from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    force_from_coefficients,
-)
+from mr_damper_ros.models.sigmoid.coefficient_force import force_from_coefficients
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     operating_point_coefficients,

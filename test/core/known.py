@@ -19,9 +19,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    coefficient_jacobian,
-)
+from mr_damper_ros.models.sigmoid.coefficient_force import coefficient_jacobian
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     coefficient_parameter_jacobian,

@@ -6,9 +6,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    Coefficients,
-)
+from mr_damper_ros.models.sigmoid.coefficient_force import Coefficients
 from mr_damper_ros.models.sigmoid.extended_model import ExtendedSigmoidModel
 from mr_damper_ros.models.sigmoid.one_sample import FEW, follow_few, follow_few_extended
 from mr_damper_ros.models.sigmoid.reversal import REVERSAL_MEMORY, branch_along

@@ -37,9 +37,7 @@ from mr_damper_ros.models.sigmoid.law import (
     SCALE_PARAMETER_NAMES,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.sample_response import (
-    LateSampleResponses,
-)
+from mr_damper_ros.models.sigmoid.sample_response import LateSampleResponses
 from mr_damper_ros.models.sigmoid.scale_misfit import (
     coefficients_along,
     longest_lag,

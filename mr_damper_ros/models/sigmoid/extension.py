@@ -30,9 +30,7 @@ from mr_damper_ros.models.sigmoid.coefficient_force import (
     Coefficients,
     SigmoidTerms,
 )
-from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
-)
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 EXTENDED_MODEL = "sigmoid_lag"

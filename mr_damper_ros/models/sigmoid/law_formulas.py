@@ -13,13 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    force_from_coefficients,
-)
+from mr_damper_ros.models.sigmoid.coefficient_force import force_from_coefficients
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_NAMES, SIGMOID_COUNT
-from mr_damper_ros.models.sigmoid.law import (
-    operating_point_coefficients,
-)
+from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 from mr_damper_ros.models.sigmoid.reversal import NARROWEST
 from mr_damper_ros.signals.arrays import Array
 

@@ -17,14 +17,9 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.coil import few_in_coil
 from mr_damper_ros.models.first_order_lag import one_sample_later
 from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    SMALL_ARGUMENT,
-)
+from mr_damper_ros.models.sigmoid.coefficient_force import SMALL_ARGUMENT
 from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT, Extension, extension_of
-from mr_damper_ros.models.sigmoid.law import (
-    COEFFICIENT_LIMIT,
-    EXPONENT_LIMIT,
-)
+from mr_damper_ros.models.sigmoid.law import COEFFICIENT_LIMIT, EXPONENT_LIMIT
 from mr_damper_ros.models.sigmoid.reversal import NARROWEST, REVERSAL_MEMORY
 from mr_damper_ros.signals.arrays import Array
 
