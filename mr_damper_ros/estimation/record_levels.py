@@ -4,12 +4,11 @@ A damper is warmer, fuller or older from one record to the next, and a load cell
 measured force of a record is s F + z, F that of the law. Scale s and zero z are unknown, normal
 about 1 and 0: s with a spread that is given, z with a part of the smallest record's force. A zero
 knows no current: one that grows with the force would be the damper's, which the law must hold.
-They are linear, so they are integrated
-out: what is minimised over the parameters is the misfit at the most probable levels, the prior
-included (a linear mixed model: Laird and Ware, Biometrics 38, 1982). Of the residual r and X, the
-effect of both levels in units of their spreads, with X = U S V', only U'r is damped, by 1 / sqrt(1
-+ S²). It gets two rows of its own, next to those of the record, so that it counts for the standard
-errors as the one draw that it is.
+They are linear, so they are integrated out: what is minimised over the parameters is the misfit at
+the most probable levels, the prior included (a linear mixed model: Laird and Ware, Biometrics 38,
+1982). Of the residual r and X, the effect of both levels in units of their spreads, with X = U S
+V', only U'r is damped, by 1 / sqrt(1 + S²). It gets two rows of its own, next to those of the
+record, so that it counts for the standard errors as the one draw that it is.
 
 What a law cannot follow is no noise: thousands of samples of the same misfit tell a level no better
 than a few. Counted as if they did, they outweigh any prior, and the levels take whatever makes the
@@ -202,7 +201,8 @@ def counted_samples(pooled: PooledProblem, prior: LevelPrior, parameters: Array)
     By what the residual still is without what levels of any size would explain.
     """
     without = LevelledProblem(pooled, replace(prior, spread=_FREE, counted_samples=math.inf))
-    return pooled.sample_count / max(noise_level(without, parameters) ** 2, 1.0)
+    noise = noise_level(without, parameters)
+    return max(pooled.sample_count / max(noise * noise, 1.0), 1.0)
 
 
 def _damped(each: _Whitened, values: Array) -> Array:

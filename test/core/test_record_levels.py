@@ -242,11 +242,14 @@ def test_the_misfit_is_that_at_the_most_probable_levels() -> None:
     assert misfit.mean_square(values) == pytest.approx(by_brute_force(misfit, values, 0.1))
 
 
-def test_a_set_far_from_any_damper_has_an_infinite_misfit() -> None:
+@pytest.mark.parametrize("alpha", [1e200, np.inf])
+def test_a_set_far_from_any_damper_tells_nothing_of_levels(alpha: float) -> None:
     beyond = TRUTH.copy()
-    beyond[LAW.parameter_names.index("alpha")] = 1e308
+    beyond[LAW.parameter_names.index("alpha")] = alpha
+    pooled = LAW.pooled_problem(windows(), [5.0] * 4)
     with np.errstate(over="ignore", invalid="ignore"):
-        assert problem(LAW.name).mean_square(1e3 * beyond) == np.inf
+        assert problem(LAW.name).mean_square(beyond) == np.inf
+        assert counted_samples(pooled, LevelPrior((0, 0, 1, 2)), beyond) == 1.0
 
 
 def test_a_spread_of_nothing_is_refused() -> None:
