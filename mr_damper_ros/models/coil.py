@@ -39,8 +39,7 @@ def coil_current(
     before, None for a start at which both are the same.
     """
     every = np.broadcast_to(current, (*time_constant.shape, current.size))
-    if before is None and np.all(current == current[0]):
-        return every
+    # A constant current, too: what a stream will need is loaded before it begins.
     constants = np.broadcast_to(time_constant[..., np.newaxis], every.shape)
     state = None if before is None else (*before, time_constant)
     return lagged(every, constants, period, state=state)

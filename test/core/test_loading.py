@@ -27,11 +27,33 @@ def test_what_a_source_alone_needs_is_loaded_when_it_is_opened() -> None:
     assert not loaded & {"rosbags", "csv", "mr_damper_ros.thesis", "mr_damper_ros.io"}
 
 
+LIVE_RIG = """
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig
+from mr_damper_ros.rig.excitation import SineMotion
+rig = EmulatedRig(ConstantDamper(THESIS_28_CELSIUS), SineMotion(5e-3, 1.0), 1.0)
+rig.next_block(20)
+first = set(sys.modules)
+for _ in range(50):
+    rig.next_block(20)
+print(*set(sys.modules) - first)
+"""
+
+
+def test_an_emulated_rig_loads_nothing_in_the_middle_of_a_stream() -> None:
+    # Loading takes tenths of a second, by which the stream would be late.
+    assert printed_by(LIVE_RIG) == set()
+
+
 def loaded_by(modules: str) -> set[str]:
     """All modules of a fresh interpreter that has imported these."""
+    return printed_by(f"import {modules}; print(*sys.modules)")
+
+
+def printed_by(code: str) -> set[str]:
+    """Words that a fresh interpreter prints."""
     # With all paths of this process, but without what it has loaded.
     path = f"import sys; sys.path[:] = {sys.path!r}; "
-    code = f"import {modules}; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", path + code], capture_output=True, text=True, check=True
     )
