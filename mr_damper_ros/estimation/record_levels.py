@@ -34,6 +34,9 @@ from mr_damper_ros.signals.arrays import Array
 _ZERO_SPREAD = 0.3
 """Standard deviation of the force zero, as a part of that of the smallest record's force."""
 
+_NEXT_TO_NOTHING = 1e-6
+"""So many samples count where the force overflows."""
+
 _FREE = 1.0 - 1e-9
 """A spread that leaves the levels free."""
 
@@ -202,7 +205,7 @@ def counted_samples(pooled: PooledProblem, prior: LevelPrior, parameters: Array)
     """
     without = LevelledProblem(pooled, replace(prior, spread=_FREE, counted_samples=math.inf))
     noise = noise_level(without, parameters)
-    return max(pooled.sample_count / max(noise * noise, 1.0), 1.0)
+    return max(pooled.sample_count / max(noise * noise, 1.0), _NEXT_TO_NOTHING)
 
 
 def _damped(each: _Whitened, values: Array) -> Array:

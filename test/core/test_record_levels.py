@@ -51,7 +51,7 @@ OF_THE_PRIOR = 0.02
 HONEST = 3.0
 """Stated standard errors by which the strength, a scale or a zero may miss the truth."""
 
-NOT_SPOILT = 1.5
+NOT_SPOILT = 2.0
 """What a set leaves of the records by itself, over what it leaves where they have no levels."""
 
 ROUNDING = 1e-6
@@ -249,7 +249,7 @@ def test_a_set_far_from_any_damper_tells_nothing_of_levels(alpha: float) -> None
     pooled = LAW.pooled_problem(windows(), [5.0] * 4)
     with np.errstate(over="ignore", invalid="ignore"):
         assert problem(LAW.name).mean_square(beyond) == np.inf
-        assert counted_samples(pooled, LevelPrior((0, 0, 1, 2)), beyond) == 1.0
+        assert 0.0 < counted_samples(pooled, LevelPrior((0, 0, 1, 2)), beyond) < 1e-3
 
 
 def test_a_spread_of_nothing_is_refused() -> None:
