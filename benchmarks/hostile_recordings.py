@@ -1,7 +1,7 @@
 """Recordings that nobody should have made: an identification of them ends in a set or a sentence.
 
 Emulated dampers of several laws, in motions that say little (rest, steps, hundredths of a
-millimetre, a burst), with currents that change, and with flaws of instruments. What counts as a
+millimetre, a burst), with currents that change, and with faults of the rig. What counts as a
 failure is anything but a set whose error is a number, or a ValueError of this package: one of a
 library tells the user nothing.
 """
@@ -10,94 +10,48 @@ from __future__ import annotations
 
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
-from scipy import signal
 
 import mr_damper_ros as mr
 from benchmarks.figure import Figure
-from benchmarks.other_dampers import DAMPERS
-from mr_damper_ros.kinematics.window import Window
+from benchmarks.other_dampers import DAMPERS, stairs, stops
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, chirp, stepped
+from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper, RigSettings
+from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.rig.faults.fault import Instruments
+from mr_damper_ros.rig.faults.fault_text import faults_of
 from mr_damper_ros.signals.recording import Recording
-
-Form = Callable[[Array, np.random.Generator], Array]
-"""A signal along times (n,) [s], or what a flaw makes of a signal (n,)."""
-
-T = TypeVar("T")
 
 _PACKAGE = Path(mr.__file__).parent
 
-_FINEST = 5e-4
-"""Period [s] of the emulation; that of the recording is a multiple of it."""
-
-_PERIODS = (1e-3, 2e-3, 5e-3, 1e-2)
+_RATES = (100.0, 200.0, 500.0, 1000.0)  # [Hz]
 _LENGTHS = (300, 800, 2000)
-_NOISE = (0.0, 0.5, 5.0, 30.0)  # [N]
+_FORCE_NOISES = (0.0, 0.5, 5.0, 30.0)  # [N]
+_DISPLACEMENT_NOISES = (0.0, 1e-6, 1e-5)  # [m]
 _MOST_RUNS = 3
 
-
-def _smoothed(values: Array, time: Array, cutoff: float) -> Array:
-    sections = signal.butter(4, cutoff, fs=1.0 / (time[1] - time[0]), output="sos")
-    return np.asarray(signal.sosfilt(sections, values))
-
-
-def _random(time: Array, rng: np.random.Generator) -> Array:
-    values = _smoothed(rng.normal(size=time.size), time, rng.uniform(1.0, 6.0))
-    return 6e-3 * values / np.std(values)
-
-
-MOTIONS: Mapping[str, Form] = {
-    "sine": lambda t, rng: 5e-3 * np.sin(2.0 * np.pi * rng.uniform(0.2, 5.0) * t),
-    "slow": lambda t, _: 2e-2 * np.sin(2.0 * np.pi * 0.05 * t),
-    "tiny": lambda t, _: 2e-5 * np.sin(2.0 * np.pi * t),
-    "random": _random,
-    "sweep": lambda t, _: 4e-3 * np.sin(2.0 * np.pi * (0.2 + 2.0 * t / t[-1]) * t),
-    "steps": lambda t, _: _smoothed(5e-3 * np.sign(np.sin(4.4 * t)), t, 5.0),
-    "rest at first": lambda t, _: 6e-3 * np.sin(9.4 * t) * (t > 0.6 * t[-1]),
-    "burst": lambda t, _: 2e-2 * np.sin(19.0 * t) * np.exp(-10.0 * t / t[-1]),
-    "ramp": lambda t, _: 1e-2 * t / t[-1] + 1e-3 * np.sin(12.6 * t),
+MOTIONS: Mapping[str, Excitation] = {
+    "sine": SineMotion(5e-3, 1.3),
+    "slow": SineMotion(2e-2, 0.05),
+    "tiny": SineMotion(2e-5, 1.0),
+    "random": BandLimitedMotion(1e-2, 0.3, 6.0, 1),
+    "chirp": chirp(4e-3, 0.5, 4.0, 10.0),
+    "stepped": stepped(4e-3, 0.5, 4.0, 10.0),
+    "resting": stops(SineMotion(6e-3, 1.5), 0.3, 3.0, 6),
+    "burst": stairs(2e-2, 3.0, (1.0, 0.2, 0.01), 0.5),
 }
-"""Displacements [m]."""
 
-CURRENTS: Mapping[str, Form] = {
-    "none": lambda t, _: np.zeros_like(t),
-    "constant": lambda t, _: np.full_like(t, 0.7),
-    "square": lambda t, _: 0.6 + 0.5 * np.sign(np.sin(6.9 * t)),
-    "sine": lambda t, _: 0.8 + 0.6 * np.sin(3.1 * t),
-    "step": lambda t, _: np.where(t > 0.5 * t[-1], 1.0, 0.2),
-    "random": lambda t, rng: np.repeat(rng.uniform(0.0, 2.0, t.size // 200 + 1), 200)[: t.size],
-}
-"""Of the supply [A]."""
-
-
-def _stuck(force: Array, _: np.random.Generator) -> Array:
-    force = force.copy()
-    force[force.size // 3 : force.size // 2] = force[force.size // 3]
-    return force
-
-
-def _spikes(force: Array, rng: np.random.Generator) -> Array:
-    force = force.copy()
-    force[rng.integers(0, force.size, 5)] += 20.0 * np.std(force)
-    return force
-
-
-FLAWS: Mapping[str, Form] = {
-    "sound": lambda f, _: f,
-    "clipped": lambda f, _: np.clip(f, -0.5 * np.max(np.abs(f)), 0.5 * np.max(np.abs(f))),
-    "stuck": _stuck,
-    "uncentred": lambda f, _: f + 3.0 * np.std(f),
-    "late": lambda f, rng: np.roll(f, rng.integers(1, 9)),
-    "reversed": lambda f, _: -f,
-    "in millinewtons": lambda f, _: 1e3 * f,
-    "spikes": _spikes,
-}
-"""Of the force [N]."""
+FAULTS = (
+    *("", "swapped", "backlash", "friction"),
+    *("force_gain:-1", "force_gain:1000", "force_offset:800", "force_clip:300"),
+    *("force_stuck@0.2", "force_spikes:500", "force_delay:0.003", "force_hum:20"),
+    *("displacement_coarse:0.0005", "displacement_stuck@1", "displacement_delay:0.01"),
+)
+"""As texts; the first is none."""
 
 
 def figures(cases: int = 100, seed: int = 0) -> list[Figure]:
@@ -122,7 +76,8 @@ def campaign(cases: int, seed: int) -> tuple[Counter[str], list[str]]:
     for number in range(cases):
         rng = np.random.default_rng((seed, number))
         law, levels = _one_of(rng, MODELS), float(rng.choice([0.0, 0.1]))
-        told, recordings = _recordings(rng)
+        damper = _one_of(rng, DAMPERS)
+        recordings = [_recording(damper, rng) for _ in range(rng.integers(1, _MOST_RUNS + 1))]
         try:
             found = mr.identify(recordings, model=law, level_per_record=levels)
             end = "a set" if np.isfinite(found.parameter_set.nrmse) and str(found) else "no number"
@@ -130,37 +85,41 @@ def campaign(cases: int, seed: int) -> tuple[Counter[str], list[str]]:
             place = Path(traceback.extract_tb(error.__traceback__)[-1].filename)
             ours = isinstance(error, ValueError) and place.is_relative_to(_PACKAGE)
             end = "a sentence" if ours else f"{type(error).__name__}: {error}"
-        ends[end if end.startswith("a ") else "failed"] += 1
-        if not end.startswith("a "):
-            failures.append(f"case {number}, {law}, {told}: {end}")
+        if end.startswith("a "):
+            ends[end] += 1
+        else:
+            told = "; ".join(each.name for each in recordings)
+            failures.append(f"case {number}, {law}, {damper}: {told}: {end}")
     return ends, failures
 
 
-def _recordings(rng: np.random.Generator) -> tuple[str, list[Recording]]:
-    damper = DAMPERS[_one_of(rng, DAMPERS)]
-    told, recordings = [damper.model], []
-    for place in range(rng.integers(1, _MOST_RUNS + 1)):
-        period, count = float(rng.choice(_PERIODS)), int(rng.choice(_LENGTHS))
-        stride = round(period / _FINEST)
-        names = _one_of(rng, MOTIONS), _one_of(rng, CURRENTS), _one_of(rng, FLAWS)
-        time: Array = np.arange(count * stride, dtype=float) * _FINEST
-        u, i = MOTIONS[names[0]](time, rng), CURRENTS[names[1]](time, rng)
-        window = Window.from_samples(u, np.zeros_like(u), i, _FINEST)
-        force = damper.law.window_force(window, damper.values)[::stride]
-        noise = rng.normal(0.0, float(rng.choice(_NOISE)), count)
-        told.append(f"{', '.join(names)} ({count} samples, {1e3 * period:g} ms)")
-        recordings.append(
-            Recording(
-                name=f"recording {place}",
-                start_ns=place * 10**12,
-                period=period,
-                displacement=u[::stride],
-                force=FLAWS[names[2]](force + noise, rng),
-                current=i[::stride],
-            )
-        )
-    return "; ".join(told), recordings
+def _recording(damper: str, rng: np.random.Generator) -> Recording:
+    rate, count = float(rng.choice(_RATES)), int(rng.choice(_LENGTHS))
+    motion, fault = _one_of(rng, MOTIONS), str(rng.choice(FAULTS))
+    each = float(rng.choice([0.2, 1e3]))  # seconds of a current, or one for all
+    times = np.arange(0.0, count / rate, each)
+    faults = faults_of(fault.split())
+    rig = EmulatedRig(
+        ModelDamper(DAMPERS[damper], 1.0 / rate),
+        MOTIONS[motion],
+        CurrentSchedule(times.tolist(), rng.uniform(0.0, 2.0, times.size).tolist()),
+        settings=RigSettings(
+            sample_rate=rate,
+            force_noise=float(rng.choice(_FORCE_NOISES)),
+            displacement_noise=float(rng.choice(_DISPLACEMENT_NOISES)),
+        ),
+        faults=faults,
+    )
+    ((block, _),) = Instruments(faults).read(rig.next_block(count))
+    return Recording(
+        name=f"{motion} {fault or 'sound'} ({count} samples, {rate:g} Hz, {times.size} currents)",
+        start_ns=block.start_ns,
+        period=block.period,
+        displacement=block.displacement,
+        force=block.force,
+        current=block.current,
+    )
 
 
-def _one_of(rng: np.random.Generator, names: Mapping[str, T]) -> str:
+def _one_of(rng: np.random.Generator, names: Mapping[str, object]) -> str:
     return list(names)[int(rng.integers(len(names)))]

@@ -73,31 +73,33 @@ def least_squares_covariance(
         root = np.sqrt(weights)
         jacobian, residual = jacobian * root[:, np.newaxis], residual * root
     bread = normal_inverse(jacobian)
-    if prior is None and correlation_length(residual) == 0:
-        freedom = max(residual.size - jacobian.shape[1], 1)
-        return np.asarray(float(residual @ residual) / freedom * bread)
-    # What is not determined must not make the others unknown.
-    lost = np.isnan(bread)
-    bread = np.where(lost, 0.0, bread)
-    measured = slice(None) if prior is None else ~prior.rows
-    scores = _score_covariance(jacobian[measured], residual[measured])
+    drawn = np.zeros((0, jacobian.shape[1]))
     if prior is not None:
-        drawn = jacobian[prior.rows]
-        scores += prior.variance * drawn.T @ drawn
-    return np.asarray(np.where(lost, np.nan, bread @ scores @ bread))
-
-
-def _score_covariance(jacobian: Array, residual: Array) -> Array:
-    """Covariance (p, p) of the sum of all samples' scores, Jacobian (n, p) times residual (n,)."""
+        drawn = math.sqrt(prior.variance) * jacobian[prior.rows]
+        jacobian, residual = jacobian[~prior.rows], residual[~prior.rows]
     n, p = jacobian.shape
     freedom = max(n - p, 1)
     length = correlation_length(residual)
+    white = float(residual @ residual) / freedom
+    if length == 0 and prior is None:
+        return np.asarray(white * bread)
+    # What is not determined must not make the others unknown.
+    lost = np.isnan(bread)
+    bread = np.where(lost, 0.0, bread)
     if length == 0:
-        return np.asarray(float(residual @ residual) / freedom * jacobian.T @ jacobian)
+        scores = white * jacobian.T @ jacobian
+    else:
+        scores = _block_scores(jacobian, residual, length) * (n / freedom)
+    return np.asarray(np.where(lost, np.nan, bread @ (scores + drawn.T @ drawn) @ bread))
+
+
+def _block_scores(jacobian: Array, residual: Array, length: int) -> Array:
+    """Sum (p, p) over blocks of so many samples, or fewer, of the squares of their scores."""
+    n = residual.size
     blocks = max(n // length, min(_FEWEST_BLOCKS, n))
     edges = np.linspace(0, n, blocks, endpoint=False).astype(int)
-    sums = np.add.reduceat(jacobian * residual[:, np.newaxis], edges, axis=0)
-    return np.asarray(sums.T @ sums * (n / freedom))
+    scores = np.add.reduceat(jacobian * residual[:, np.newaxis], edges, axis=0)
+    return np.asarray(scores.T @ scores)
 
 
 def correlation_length(residual: Array) -> int:

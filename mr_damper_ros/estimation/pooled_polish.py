@@ -73,7 +73,10 @@ class PooledPolish:
         self, pooled: PooledProblem, start: Array, free: frozenset[str], nelder_mead: bool
     ) -> Array:
         places = [place for place, name in enumerate(self._names) if name in free]
-        if not places or not math.isfinite(pooled.mean_square(start)):
+        residual = pooled.residual(start)
+        with np.errstate(over="ignore"):
+            overflows = not math.isfinite(float(residual @ residual))
+        if not places or overflows:
             return start
         sizes = np.maximum(np.abs(start[places]), _SMALLEST * self._sizes[places])
         problem = FreeParameters(pooled, start, places, sizes, self._model.bounds)
@@ -86,8 +89,7 @@ class PooledPolish:
         try:
             if nelder_mead:
                 search.nelder_mead()
-            independent = _independent(pooled.residual(start))
-            search.least_squares(tolerance=_MEANINGLESS / independent)
+            search.least_squares(tolerance=_MEANINGLESS / _independent(residual))
         except StopRequestedError:
             self.latest = problem.parameters(search.best)
             raise

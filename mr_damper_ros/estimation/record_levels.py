@@ -103,8 +103,9 @@ class LevelledProblem:
         of_sample = np.repeat(np.array(prior.records), sizes)
         self._records = [np.flatnonzero(of_sample == k) for k in sorted(set(prior.records))]
         smallest = min(float(np.std(self._measured[rows])) for rows in self._records)
-        self._spreads = np.array([prior.spread, _ZERO_SPREAD * max(smallest, 1e-12)])
         self._noise = math.sqrt(max(self.sample_count / prior.counted_samples, 1.0))
+        spreads = np.array([prior.spread, _ZERO_SPREAD * max(smallest, 1e-12)])
+        self._spreads = spreads / self._noise
 
     @property
     def sample_weights(self) -> Array:
@@ -191,10 +192,9 @@ class LevelledProblem:
         for rows in self._records:
             weights = self._weights[rows]
             force = plain[rows] + weights * self._measured[rows]
-            spreads = self._spreads / self._noise
-            effect = np.column_stack((force, weights)) * spreads
+            effect = np.column_stack((force, weights)) * self._spreads
             left, sizes, right = np.linalg.svd(effect, full_matrices=False)
-            whitened.append(_Whitened(rows, left, sizes, spreads[:, np.newaxis] * right.T))
+            whitened.append(_Whitened(rows, left, sizes, self._spreads[:, np.newaxis] * right.T))
         return whitened
 
 

@@ -52,7 +52,8 @@ HONEST = 3.0
 """Stated standard errors by which the strength, a scale or a zero may miss the truth."""
 
 NOT_SPOILT = 2.0
-"""What a set leaves of the records by itself, over what it leaves where they have no levels."""
+"""What a set leaves of the worst record by itself, over what it leaves where they have no levels:
+0.5 to 1.3; 4 to 11 if each sample counted."""
 
 ROUNDING = 1e-6
 """Relative, of derivatives by differences."""

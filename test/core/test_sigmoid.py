@@ -17,10 +17,10 @@ from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS
 from mr_damper_ros.models.published_conditions import Condition
 from mr_damper_ros.models.sigmoid.coefficient_force import (
     Coefficients,
+    SigmoidTerms,
     coefficient_jacobian,
     force_from_coefficients,
     secant_damping,
-    secant_damping_jacobian,
 )
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
@@ -308,7 +308,7 @@ def test_derivatives_of_the_damping_by_the_seven_coefficients(
     def at(c: Array) -> Array:
         return secant_damping(Coefficients(*c), v, a)
 
-    analytic = secant_damping_jacobian(Coefficients(*values), v, a)
+    analytic = SigmoidTerms.of(Coefficients(*values), v, a).damping_jacobian()
     assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
 
 

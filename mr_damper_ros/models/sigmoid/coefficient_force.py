@@ -52,13 +52,6 @@ def secant_damping(
     return SigmoidTerms.of(coefficients, velocity, acceleration).damping()
 
 
-def secant_damping_jacobian(
-    coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
-) -> Array:
-    """Derivatives of :func:`secant_damping` by the seven coefficients, shape (..., n, 7)."""
-    return SigmoidTerms.of(coefficients, velocity, acceleration).damping_jacobian()
-
-
 def coefficient_jacobian(
     coefficients: Coefficients, velocity: ArrayLike, acceleration: ArrayLike
 ) -> Array:
@@ -123,7 +116,7 @@ class SigmoidTerms(NamedTuple):
         )
 
     def damping_jacobian(self) -> Array:
-        """As :func:`secant_damping_jacobian`."""
+        """Derivatives of :func:`secant_damping` by the seven coefficients, shape (..., n, 7)."""
         c = self.coefficients
         small, divisor = self._divisor()
         ratio = self._ratio(small, divisor)
