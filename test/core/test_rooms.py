@@ -1,15 +1,13 @@
-"""The rooms of the package: imports point one way, names occur once, files stay short."""
+"""The rooms of the package: imports point one way."""
 
 from __future__ import annotations
 
 import ast
-from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = ROOT / "mr_damper_ros"
+PACKAGE = Path(__file__).resolve().parents[2] / "mr_damper_ros"
 
 ROOMS = (
     *("settings", "processes", "signals", "kinematics", "models", "estimation", "tracking"),
@@ -24,8 +22,6 @@ KNOWS_THE_THESIS = {"tools/reproduce.py", "tools/thesis_bags.py"}
 """The only modules that may import the reproduction: nothing that runs on a rig does."""
 
 ROS = ("rclpy", "rcl_interfaces", "mr_damper_msgs", "sensor_msgs", "diagnostic_msgs", "std_msgs")
-
-LONGEST_FILE = 400
 
 
 @cache
@@ -72,16 +68,6 @@ def allowed(place: str) -> set[str]:
     return set(ROOMS) if place == "" else set(ROOMS[: ROOMS.index(place) + 1])
 
 
-def python_files() -> list[Path]:
-    """All Python of the repository."""
-    folders = ("mr_damper_ros", "benchmarks", "launch", "scripts", "test", "doc")
-    return [ROOT / "setup.py", *(p for f in folders for p in sorted((ROOT / f).rglob("*.py")))]
-
-
-def doubled(places: dict[str, list[str]]) -> dict[str, list[str]]:
-    return {name: where for name, where in places.items() if len(where) > 1}
-
-
 def test_every_module_is_in_a_room() -> None:
     assert {room(path) for path in modules()} - {"", "thesis"} <= set(ROOMS)
 
@@ -105,29 +91,3 @@ def test_ros_is_known_to_the_nodes_alone() -> None:
         if name.split(".")[0] in ROS
     }
     assert wrong == set()
-
-
-def test_no_file_is_long() -> None:
-    long = {
-        inside(path)
-        for path in modules()
-        if len(path.read_text(encoding="utf-8").splitlines()) > LONGEST_FILE
-    }
-    assert long == set(), f"over {LONGEST_FILE} lines: split it by idea"
-
-
-def test_file_names_occur_once() -> None:
-    places = defaultdict(list)
-    for path in python_files():
-        if path.name not in ("__init__.py", "conftest.py"):
-            places[path.name].append(str(path.relative_to(ROOT)))
-    assert doubled(places) == {}
-
-
-def test_class_names_occur_once() -> None:
-    places = defaultdict(list)
-    for path in python_files():
-        for node in ast.walk(tree(path)):
-            if isinstance(node, ast.ClassDef):
-                places[node.name].append(str(path.relative_to(ROOT)))
-    assert doubled(places) == {}
