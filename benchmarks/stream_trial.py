@@ -237,7 +237,11 @@ class StreamTrial:
         self._supply = Meter(1.0 / given.current_rate, step=CURRENT_STEP)
         windows = given.windows
         self._assembler = WindowAssembler(
-            windows.window, windows.hop, windows.looks, windows.longest_window
+            windows.window,
+            windows.hop,
+            windows.looks,
+            windows.longest_window,
+            centre_memory=windows.centre_memory,
         )
         initial = given.initial or start_set(given.tracker.model)
         self._tracker = WindowTracker(given.tracker, initial)

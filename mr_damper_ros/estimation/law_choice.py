@@ -266,9 +266,7 @@ def _left_out_error(trial: _Trial, tell: Tell) -> float:
     found = fit.parameter_set
     squares = []
     for window, places in fold.judged:
-        # As in a prediction: the peak velocity within the range that was fitted.
-        force = law.window_force(window.held_within(*found.peak_velocity_range), found.values)
-        residual = (force - window.force)[places]
+        residual = (found.force(window) - window.force)[places]
         squares.append(float(np.mean(residual**2) / np.var(window.force)))
     error = math.sqrt(float(np.mean(squares)))
     return error if math.isfinite(error) else math.inf

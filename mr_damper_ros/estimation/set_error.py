@@ -10,14 +10,5 @@ from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 
 
 def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
-    """Error of a set of any model on the samples of all windows together.
-
-    As the set is used in a prediction: with the peak velocity held within its range.
-    """
-    return pooled(
-        ErrorSums.of(
-            found.law.window_force(window.held_within(*found.peak_velocity_range), found.values),
-            window.force,
-        )
-        for window in windows
-    )
+    """Error of a set of any model on the samples of all windows together."""
+    return pooled(ErrorSums.of(found.force(window), window.force) for window in windows)

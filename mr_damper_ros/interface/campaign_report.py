@@ -268,7 +268,7 @@ def _loops(campaign: _Campaign) -> list[Block]:
             velocity = window.motion.velocity
             every = max(velocity.size // _DOTS, 1)
             axis.plot(velocity[::every], 1e-3 * window.force[::every], ".", color=GREY, ms=1.5)
-            predicted = found.law.window_force(window, found.values)
+            predicted = found.force(window)
             cycle = slice(0, min(round(1.0 / (run.frequency * window.period)) + 1, velocity.size))
             axis.plot(
                 velocity[cycle],
@@ -303,7 +303,7 @@ def _fit_table(campaign: _Campaign) -> Table:
 def _error_of(campaign: _Campaign, run: PlannedRun, recording: Recording) -> ErrorSums:
     found = campaign.last.parameter_set
     windows = run.windows(recording)
-    predicted = np.concatenate([found.law.window_force(w, found.values) for w in windows])
+    predicted = np.concatenate([found.force(window) for window in windows])
     return ErrorSums.of(predicted, np.concatenate([window.force for window in windows]))
 
 

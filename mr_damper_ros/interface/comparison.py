@@ -48,7 +48,6 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
 
     As the set is used in a prediction: with the peak velocity held within its range.
     """
-    held = [window.held_within(*found.peak_velocity_range) for window in run.windows]
     time = [
         start + window.period * np.arange(window.sample_count)
         for start, window in zip(run.starts, run.windows, strict=True)
@@ -59,7 +58,7 @@ def compare(found: ParameterSet, run: MeasuredRun) -> Comparison:
         displacement=np.concatenate([window.motion.displacement for window in run.windows]),
         velocity=np.concatenate([window.motion.velocity for window in run.windows]),
         measured=np.concatenate([window.force for window in run.windows]),
-        predicted=np.concatenate([found.law.window_force(w, found.values) for w in held]),
+        predicted=np.concatenate([found.force(window) for window in run.windows]),
         provenance=run.provenance,
     )
 

@@ -225,11 +225,14 @@ def _root_of_ratio(velocity: Array, acceleration: Array) -> Array:
 
 
 class StreamPeakVelocity:
-    """Follows the displacement of a stream of samples ``period`` [s] apart."""
+    """Follows the displacement of a stream of samples ``period`` [s] apart.
 
-    def __init__(self, period: float) -> None:
+    ``memory`` [s] as in :class:`PeakVelocity`.
+    """
+
+    def __init__(self, period: float, memory: float = MEMORY) -> None:
         self._differentiator = AdaptiveObserver(period)
-        self._peak = PeakVelocity(period)
+        self._peak = PeakVelocity(period, memory)
 
     def follow(self, displacement: Array) -> Array:
         """Peak velocity [m/s] at the next samples of the displacement [m], shape (n,)."""

@@ -174,6 +174,12 @@ class Window:
         """Size of the largest force [N], spikes of the sensor left out."""
         return float(np.quantile(np.abs(self.force), _ALL_BUT_SPIKES))
 
+    @property
+    def peak_velocity_range(self) -> tuple[float, float]:
+        """Peak velocities [m/s] that the window covers, without its outermost twentieths."""
+        low, high = np.quantile(self.motion.peak_velocity, (0.05, 0.95)).tolist()
+        return low, high
+
     @cached_property
     def operating_point(self) -> tuple[float, float]:
         """Peak velocity [m/s] and current [A] that stand for the window.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.force_model import Model, State
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, span_of
 
 _KEPT = 0.5
 """Seconds of motion from which a state is found anew: a lag forgets sooner. A hysteresis forgets
@@ -26,8 +27,12 @@ seconds, which no stream waits for."""
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """Force [N] of samples with this motion and current [A], and the state after them."""
+    """Force [N] of samples with this motion and current [A], and the state after them.
 
+    ``parameters`` (..., p) are those of the force.
+    """
+
+    parameters: Array
     force: Array
     motion: Motion
     current: Array
@@ -51,7 +56,9 @@ class ForceStream:
         self._past: deque[tuple[State | None, Motion, Array, float]] = deque()
         self._past_count = 0
         self._past_way = 0.0
-        self._way_of: tuple[ArrayLike, float] = ((), 0.0)
+        # The way [m] to be kept, and the parameters and the range of currents that it is for.
+        self._way_kept = 0.0
+        self._way_of: tuple[Array | None, float, float] = (None, math.inf, -math.inf)
 
     @property
     def state(self) -> State | None:
@@ -85,12 +92,9 @@ class ForceStream:
         amperes = np.asarray(current, dtype=float)
         if amperes.shape != motion.velocity.shape:
             amperes = np.broadcast_to(amperes, motion.velocity.shape)
-        if parameters is not self._way_of[0]:
-            one = values.reshape(-1, count)[0]
-            self._way_of = parameters, self.model.memory_length(one, float(amperes.max()))
         with np.errstate(over="ignore", invalid="ignore"):
             force, state = self.model.follow(values, motion, amperes, self._period, self._state)
-        return Ahead(force, motion, amperes, state)
+        return Ahead(values, force, motion, amperes, state)
 
     def state_after(
         self, parameters: Array, motion: Motion, current: float, state: State | None
@@ -103,8 +107,22 @@ class ForceStream:
     def take(self, ahead: Ahead) -> None:
         """Go on to where :meth:`ahead` has looked."""
         if self.model.remembers:
+            self._measure_memory(ahead)
             self._keep(ahead)
         self._state = ahead.state
+
+    def _measure_memory(self, ahead: Ahead) -> None:
+        """Find the way to be kept: at any of the currents so far, as the next may be like them."""
+        known, low, high = self._way_of
+        lowest, highest = span_of(ahead.current)
+        if ahead.parameters is not known:
+            low, high, self._way_kept = math.inf, -math.inf, 0.0
+        one = ahead.parameters.reshape(-1, ahead.parameters.shape[-1])[0]
+        for current in {lowest, highest}:
+            if not low <= current <= high:
+                way = self.model.memory_length(one, current)
+                self._way_kept = max(self._way_kept, way)
+        self._way_of = ahead.parameters, min(low, lowest), max(high, highest)
 
     def _keep(self, ahead: Ahead) -> None:
         way = float(np.abs(ahead.motion.velocity).sum()) * self._period
@@ -119,7 +137,7 @@ class ForceStream:
     def _is_spare(self, count: int, way: float) -> bool:
         """Whether the rest is enough without so many samples and so much of the way [m]."""
         duration = (self._past_count - count) * self._period
-        moved_enough = self._past_way - way >= self._way_of[1]
+        moved_enough = self._past_way - way >= self._way_kept
         return duration >= _LONGEST_KEPT or (duration >= _KEPT and moved_enough)
 
     def retrace(self, parameters: ArrayLike) -> None:

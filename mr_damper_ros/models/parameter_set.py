@@ -7,11 +7,14 @@ import os
 import reprlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.arrays import Array
@@ -46,6 +49,8 @@ class SpokenError(ValueError):
 class ParameterError(SpokenError):
     """A parameter set that cannot be used; the message says what to change."""
 
+
+Moved = TypeVar("Moved", Motion, MotionSample, Window)
 
 _UNKNOWN = np.empty(0)
 """Stands for "of none of the parameters" until the number of parameters is known."""
@@ -151,6 +156,14 @@ class ParameterSet:
     def law(self) -> Model:
         """The model that the parameters belong to."""
         return MODELS[self.model]
+
+    def held(self, motion: Moved) -> Moved:
+        """A motion as the set predicts its force: the peak velocity held within its range."""
+        return motion.held_within(*self.peak_velocity_range)
+
+    def force(self, window: Window) -> Array:
+        """Force (n,) [N] that the set predicts at the samples of a window."""
+        return self.law.window_force(self.held(window), self.values)
 
     def of_model(self, model: str) -> ParameterSet:
         """The set itself; raises ParameterError where it is not of ``model``."""

@@ -253,7 +253,12 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: PooledWork
         raise ConfigurationError(str(error)) from error
     return Identifier(
         WindowAssembler(
-            windows.window, windows.hop, windows.looks, windows.longest_window, options.grid
+            windows.window,
+            windows.hop,
+            windows.looks,
+            windows.longest_window,
+            options.grid,
+            windows.centre_memory,
         ),
         tracker,
         worker,

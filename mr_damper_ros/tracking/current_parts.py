@@ -13,10 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.motion_history import LONGEST_SETTLING
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
 _MOST_INTERVALS = 6
@@ -86,20 +88,12 @@ def _edges(current: Array, tolerance: float) -> Array:
     return np.sort(edges)
 
 
-def judge_parts(
-    model: Model, window: Window, parts: Sequence[Window], parameters: Array
-) -> PartsByCurrent:
-    """How the set (p,) explains the parts of a window, against what their own fits leave."""
-    few = [part.thinned(_MOST_SAMPLES) for part in parts]
-    own = [fit_window(model, part, parameters, method="least_squares") for part in few]
+def judge_parts(window: Window, parts: Sequence[Window], found: ParameterSet) -> PartsByCurrent:
+    """How a set explains the parts of a window, against what their own fits leave."""
+    few = [found.held(part.thinned(_MOST_SAMPLES)) for part in parts]
+    own = [fit_window(found.law, part, found.values, method="least_squares") for part in few]
     alone = _pooled([fit.rmse for fit in own], parts)
-    together = _pooled(
-        [
-            float(np.sqrt(np.mean((model.window_force(part, parameters) - part.force) ** 2)))
-            for part in few
-        ],
-        parts,
-    )
+    together = _pooled([error_of_set(found, [part]).rmse for part in few], parts)
     spread = float(np.std(window.force))
     explained = together <= max(_AS_WELL * alone, math.hypot(alone, _BESIDES * spread))
     return PartsByCurrent(alone, alone / spread, explained)

@@ -33,7 +33,7 @@ class _Before(NamedTuple):
 
     def force(self, motion: Motion, current: Array, period: float) -> float:
         """Its force [N] at the one sample that comes next."""
-        held = motion.held_within(*self.parameters.peak_velocity_range)
+        held = self.parameters.held(motion)
         with np.errstate(over="ignore", invalid="ignore"):
             force, _ = self.law.follow(self.parameters.values, held, current, period, self.state)
         return float(force[0])

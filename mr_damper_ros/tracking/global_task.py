@@ -56,10 +56,7 @@ def _lead(
     """How far one set is ahead of another on the held-back samples of windows."""
     leads = []
     for window, judges in zip(windows, held_back, strict=True):
-        old, new = (
-            found.law.window_force(window.held_within(*found.peak_velocity_range), found.values)
-            for found in (before, after)
-        )
+        old, new = before.force(window), after.force(window)
         if not np.isfinite(old).all():
             return math.inf
         noise = NoiseModel.of(new - window.force)

@@ -14,6 +14,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Evidence
+from mr_damper_ros.tracking.running_set import candidate
 
 if TYPE_CHECKING:
     from mr_damper_ros.tracking.tasks import FitTask
@@ -43,7 +44,7 @@ def seen_samples(task: FitTask, window: Window) -> int:
 
 def _new_samples(task: FitTask) -> int:
     raw = task.window
-    new = round((raw.end_ns - task.seen_ns) / (raw.period * NANOSECONDS))
+    new = round((raw.end_ns - task.running.stamp_ns) / (raw.period * NANOSECONDS))
     # Of a later set, where time was set back, no sample is known to be in common.
     return new if new >= 0 else raw.force.size
 
@@ -54,10 +55,10 @@ def evidence_of(task: FitTask, held_back: np.ndarray, window: Window, after: Arr
     The set was fitted to the other samples. Where the running set is of this very damper, the new
     one must be ahead of it on samples that neither has seen.
     """
-    model = task.model
-    settled = model.settled(window, after)
+    settled = task.model.settled(window, after)
     spread = float(np.std(window.force))
-    old, new = (model.window_force(window, set_) for set_ in (task.start, after))
+    old = task.running.force(window)
+    new = candidate(task.running, after, window).force(window)
     if not np.isfinite(old).all():
         # Whatever was loaded there, anything is better.
         old = np.full(old.size, math.inf)

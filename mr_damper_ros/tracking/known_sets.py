@@ -342,7 +342,7 @@ class KnownSets:
         """A stream of the set's force that has followed the newest samples."""
         newest = self._samples.every_one_of_the_last((self._judged + _SETTLES) / self._period)
         stream = self._stream(chosen, self._period, self.gradual)
-        held = newest.motion.held_within(*chosen.parameters.peak_velocity_range)
+        held = chosen.parameters.held(newest.motion)
         stream.follow(chosen.parameters.values, held, newest.current)
         return stream
 
@@ -355,7 +355,7 @@ class KnownSets:
         return (law.continuous if gradual else law).stream(period)
 
     def _force(self, chosen: KnownSet, newest: JudgedSamples, gradual: bool) -> Array:
-        held = newest.motion.held_within(*chosen.parameters.peak_velocity_range)
+        held = chosen.parameters.held(newest.motion)
         stream = self._stream(chosen, self._period * newest.stride, gradual)
         return stream.follow(chosen.parameters.values, held, newest.current)
 

@@ -27,7 +27,9 @@ def run_look(task: FitTask, window: Window) -> FitResult:
     here = window.part(newest).operating_point
     if nearest_same([watch.operating_point], here) is None:
         return FitResult(watch=watch.quiet())
-    predicted = task.model.window_force(window, task.start)
+    # The strength of the running set is judged by its own force.
+    held = task.running.held(window)
+    predicted = task.model.window_force(held, task.start)
     watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
     if not watch.changed or count < _FEWEST_EARLY:
@@ -35,7 +37,7 @@ def run_look(task: FitTask, window: Window) -> FitResult:
     since = slice(window.sample_count - count, None)
     count -= change_point(predicted[since], window.force[since], _FEWEST_EARLY)
     since = slice(window.sample_count - count, None)
-    changed, predicted = window.part(since), predicted[since]
+    changed, predicted = held.part(since), predicted[since]
     lasting = task.model.lasting_force(changed, task.start)
     own, measured = predicted - lasting, changed.force - lasting
     held_back = held_back_samples(count)

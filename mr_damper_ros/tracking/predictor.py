@@ -233,7 +233,7 @@ class ForcePredictor:
         if self._known.is_elsewhere(current):
             return None
         rest = motion.part(slice(first, None))
-        held = rest.held_within(*parameters.peak_velocity_range)
+        held = parameters.held(rest)
         ahead = stream.ahead(parameters.values, held, current)
         if not np.isfinite(ahead.force).all():
             return None
@@ -380,7 +380,7 @@ class ForcePredictor:
             law = parameters.law.continuous if self._known.gradual else parameters.law
             self._stream = law.stream(block.period)
             self._begun_at = self._motion.reversals
-        held = motion.held_within(*parameters.peak_velocity_range)
+        held = parameters.held(motion)
         force = self._stream.follow(parameters.values, held, current)
         doubt = self._doubt_of_force(motion, steady, current, force)
         return Reckoned(force, bool(np.isfinite(force).all()), doubt, current)

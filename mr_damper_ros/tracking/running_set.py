@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import WindowFit
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Evidence
 from mr_damper_ros.tracking.known_forces import KnownForce
 from mr_damper_ros.tracking.reservoir import OperatingPoint
-from mr_damper_ros.tracking.tasks import WindowSummary
+
+if TYPE_CHECKING:
+    from mr_damper_ros.tracking.tasks import WindowSummary
 
 _AGREES = 0.1
 """A law that is off by less of the force where it was not known holds there, too."""
@@ -71,6 +76,25 @@ def known_force(fit: WindowFit, summary: WindowSummary) -> KnownForce:
     return KnownForce(speed, current, size, summary.largest_force)
 
 
+def candidate(running: ParameterSet, values: Array, window: Window) -> ParameterSet:
+    """The set with the values (p,) found for a window, to judge: it holds where it would in use."""
+    speeds = window.peak_velocity_range
+    if running.law.knows_speeds(running.observable):
+        speeds = _wider_speeds(running, speeds, window.motion.frequency)
+    return replace(running, values=values, peak_velocity_range=speeds)
+
+
+def _wider_speeds(
+    running: ParameterSet, found: tuple[float, float], frequency: float
+) -> tuple[float, float]:
+    """Peak velocities [m/s] of a set that holds for those of a window, ``found``, as well."""
+    slowest = running.peak_velocity_range[0]
+    if math.isnan(frequency):
+        # A motion that is no sine passes through low values and tells nothing of the law there.
+        found = max(found[0], slowest), max(found[1], slowest)
+    return _wider(found, running.peak_velocity_range)
+
+
 def set_of_window(
     running: ParameterSet,
     fit: WindowFit,
@@ -108,11 +132,7 @@ def set_of_window(
         and (agrees or _is_within(current_range, running.current_range, 1.0, _SAME_CURRENT)),
     )
     if known[0]:
-        if math.isnan(summary.frequency):
-            # A motion that is no sine passes through low values and tells nothing of the law there.
-            slowest = running.peak_velocity_range[0]
-            velocity_range = max(velocity_range[0], slowest), max(velocity_range[1], slowest)
-        velocity_range = _wider(velocity_range, running.peak_velocity_range)
+        velocity_range = _wider_speeds(running, velocity_range, summary.frequency)
     if known[1]:
         current_range = _wider(current_range, running.current_range)
     if any(known):

@@ -11,7 +11,7 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.models import Model
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Evidence, Judgement
@@ -26,32 +26,35 @@ from mr_damper_ros.tracking.window_assembler import RawWindow
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """One window, or a look, and the parameters (p,) to start from.
+    """One window, or a look, and the ``running`` set, from which a fit starts.
 
     ``baselines`` are those of the force scale; ``state`` is where the filter stood and ``watch``
     that of the detector of changes, if they run; samples stamped before ``changed_ns`` are of the
-    damper before its last sudden change. ``known``: the start is a set of this very damper, and
-    holds up to the peak velocity ``fastest`` [m/s], infinite where that is not known; it has seen
-    the samples up to the stamp ``seen_ns``. ``largest_force`` [N] of the damper, NaN where that is
-    not known.
+    damper before its last sudden change.
     """
 
     window: RawWindow
-    start: Array
+    running: ParameterSet
     settings: TrackerSettings
     state: FilterState | None = None
     watch: ChangeWatch | None = None
     changed_ns: int = 0
     baselines: tuple[WindowFit, ...] = ()
-    known: bool = False
-    fastest: float = math.inf
-    largest_force: float = math.nan
-    seen_ns: int = 0
 
     @property
     def model(self) -> Model:
         """The force law."""
-        return MODELS[self.settings.model]
+        return self.running.law
+
+    @property
+    def start(self) -> Array:
+        """The parameters (p,) of the running set."""
+        return self.running.values
+
+    @property
+    def known(self) -> bool:
+        """Whether the running set was identified, and so is one of this very damper."""
+        return bool(self.running.observable.any())
 
 
 @dataclass(frozen=True)
@@ -73,11 +76,11 @@ class WindowSummary:
     @classmethod
     def of(cls, window: Window) -> WindowSummary:
         """The summary of a window."""
-        speed, current = window.motion.peak_velocity, window.current
+        current = window.current
         return cls(
             amplitude=window.motion.amplitude,
             frequency=window.motion.frequency,
-            peak_velocity_range=(float(np.quantile(speed, 0.05)), float(np.quantile(speed, 0.95))),
+            peak_velocity_range=window.peak_velocity_range,
             current_range=(float(current.min()), float(current.max())),
             largest_force=window.largest_force,
             spread=float(np.std(window.force)),

@@ -28,7 +28,6 @@ from mr_damper_ros.tracking.global_task import run_global
 from mr_damper_ros.tracking.reports import Report, report_of_global, report_of_window
 from mr_damper_ros.tracking.reservoir import Reservoir
 from mr_damper_ros.tracking.running_set import (
-    SteadyMotion,
     holds_at,
     known_force,
     set_of_change,
@@ -78,6 +77,10 @@ class WindowTracker:
             temperatures=self._temperatures.histories,
             scales=self._scatter.seen,
             searched_points=self._searched_points,
+            global_patience=self._global_patience,
+            other_damper=self._other_damper,
+            motion=self._motion,
+            kept_ns=self._kept_ns,
         )
 
     def _remember(self, memory: TrackerMemory) -> None:
@@ -94,13 +97,13 @@ class WindowTracker:
         self._scatter = ScaleScatter(memory.scales)
         self._searched_points = memory.searched_points
         # Good windows until the next search: the first know little, each waits half as long again.
-        self._global_patience = 1
+        self._global_patience = memory.global_patience
+        self._other_damper = memory.other_damper
+        self._motion = memory.motion
+        self._kept_ns = memory.kept_ns
         self._seen_ns = 0
-        self._other_damper = False
-        self._motion = SteadyMotion()
         # Whether the law over the current does not explain the newest window.
         self._unexplained = False
-        self._kept_ns = 0
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
         """Go on where another tracker was, which may have had other settings.
@@ -166,16 +169,12 @@ class WindowTracker:
             self._changed_ns = 0  # time was set back
         return FitTask(
             window,
-            self.parameters.values,
+            self.parameters,
             self._settings,
             self._state,
             self._watch,
             self._changed_ns,
             self._baselines.fits,
-            known=bool(self.parameters.observable.any()),
-            fastest=self.parameters.peak_velocity_range[1],
-            largest_force=self.parameters.largest_force,
-            seen_ns=self.parameters.stamp_ns,
         )
 
     def complete(self, task: FitTask, result: FitResult) -> Report:

@@ -27,6 +27,7 @@ from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory, can_be_seen
 from mr_damper_ros.tracking.force_scale import SeenScale
 from mr_damper_ros.tracking.reservoir import OperatingPoint
+from mr_damper_ros.tracking.running_set import SteadyMotion
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.unscented_filter import FilterState
 
@@ -50,7 +51,9 @@ class TrackerMemory:
     ``state`` of the recursive filter; ``watch`` for changes; ``changed_ns``: begin of the last
     sudden change; ``temperatures`` with the force scales that came with them; ``searched_points``:
     operating points that the last global identification had; ``scales`` seen in motions that were
-    no sine.
+    no sine; ``global_patience``: good windows until the next search; ``other_damper``: whether the
+    damper may be another one than that of the running set; ``motion`` of the newest good windows;
+    ``kept_ns``: stamp of the newest window in the reservoir.
     """
 
     windows: int = 0
@@ -66,6 +69,10 @@ class TrackerMemory:
     temperatures: tuple[TemperatureHistory, ...] = ()
     searched_points: int = 0
     scales: tuple[SeenScale, ...] = ()
+    global_patience: int = 1
+    other_damper: bool = False
+    motion: SteadyMotion = dataclasses.field(default_factory=SteadyMotion)
+    kept_ns: int = 0
 
 
 def to_text(memory: TrackerMemory) -> str:
@@ -180,10 +187,10 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
     history, watch, state = memory.history, memory.watch, memory.state
     counts = (
         *(memory.windows, memory.accepted, memory.accepted_since_global),
-        memory.searched_points,
+        *(memory.searched_points, memory.motion.windows, memory.global_patience - 1),
     )
     yield min(*counts, history.refused_for_residual) >= 0, "a negative count"
-    yield abs(memory.changed_ns) < _STAMP_LIMIT, "such a stamp"
+    yield max(abs(memory.changed_ns), abs(memory.kept_ns)) < _STAMP_LIMIT, "such a stamp"
     for residual in history.residuals:
         sound = len(residual) in (2, 4) and all(map(math.isfinite, residual))
         yield sound and min(residual[:3]) >= 0.0, "such a residual"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mr_damper_ros.kinematics.cycles import averages, holds_cycle
-from mr_damper_ros.kinematics.peak_velocity import StreamPeakVelocity
+from mr_damper_ros.kinematics.peak_velocity import MEMORY, StreamPeakVelocity
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
@@ -81,6 +81,13 @@ class WindowSettings(CheckedSettings):
         minimum=0.01,
         maximum=3600.0,
     )
+    centre_memory: float = option(
+        MEMORY,
+        "Time [s] over which the peak velocity is followed; a whole cycle must fit in. As in the "
+        "model: a set is used at the peak velocities at which it was identified.",
+        minimum=0.01,
+        maximum=3600.0,
+    )
     looks: int = option(
         3,
         "Times within a hop that the newest samples are compared with the set in use; 0: never.",
@@ -121,10 +128,11 @@ class WindowAssembler:
         looks: int = 0,
         longest: float | None = None,
         grid: GridSettings | None = None,
+        centre_memory: float = MEMORY,
     ) -> None:
         """Raises ValueError, as :class:`WindowSettings` does; ``longest`` None: its default."""
-        usual = WindowSettings.longest_window
-        self._settings = WindowSettings(window, hop, usual if longest is None else longest, looks)
+        longest = WindowSettings.longest_window if longest is None else longest
+        self._settings = WindowSettings(window, hop, longest, centre_memory, looks)
         self._sequence = UniformGrid(grid, _HOLD_BACK)
         self._peak: StreamPeakVelocity | None = None
         self._longest = max(window, self._settings.longest_window)
@@ -195,7 +203,7 @@ class WindowAssembler:
         if verdict.restarts:
             self._empty()
         if self._peak is None or verdict.restarts:
-            self._peak = StreamPeakVelocity(block.period)
+            self._peak = StreamPeakVelocity(block.period, self._settings.centre_memory)
         if verdict.kind == "jump_back":
             # Windows that still wait belong to the time before the jump.
             self._waiting.clear()

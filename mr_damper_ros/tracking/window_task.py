@@ -21,6 +21,7 @@ from mr_damper_ros.tracking.force_scale import Baselines, force_scale
 from mr_damper_ros.tracking.held_back import evidence_of, held_back_samples, seen_samples
 from mr_damper_ros.tracking.look_task import run_look
 from mr_damper_ros.tracking.reservoir import thinned_to_keep
+from mr_damper_ros.tracking.running_set import candidate
 from mr_damper_ros.tracking.screening import (
     fault_at_rest,
     fault_of_rest,
@@ -48,7 +49,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         return FitResult(fault_of_data(fault))
     lack = lack_of_motion(raw.displacement, settings.screening)
     if lack:
-        fault = fault_at_rest(raw.displacement, raw.force, task.largest_force)
+        fault = fault_at_rest(raw.displacement, raw.force, task.running.largest_force)
         return FitResult(fault_of_data(fault) if fault else too_little_motion(lack))
     try:
         window = Window.from_samples(
@@ -79,6 +80,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
             return _fitted(task, window, followed.fit, followed.evidence, followed.state)
         held_back = held_back_samples(window.sample_count, seen_samples(task, window))
         model, start = task.model, _start_of(task, window)
+        _, fastest = task.running.peak_velocity_range
         trained = fit_window(
             model,
             window.part(~held_back),
@@ -90,7 +92,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         if task.known:
             part = window.part(~held_back)
             trained = with_prior(
-                model, trained, part, start, fastest=task.fastest, robust=settings.robust
+                model, trained, part, start, fastest=fastest, robust=settings.robust
             )
         evidence = evidence_of(task, held_back, window, trained.parameters)
         # What is published uses every sample; the held-back part only judged whether to.
@@ -98,9 +100,7 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
             model, window, trained.parameters, method="least_squares", robust=settings.robust
         )
         if task.known:
-            final = with_prior(
-                model, final, window, start, fastest=task.fastest, robust=settings.robust
-            )
+            final = with_prior(model, final, window, start, fastest=fastest, robust=settings.robust)
     except ValueError as error:
         return FitResult(fault_of_data(str(error)))
     final = replace(
@@ -136,10 +136,10 @@ def _fitted(
     task: FitTask, window: Window, fit: WindowFit, evidence: Evidence, state: FilterState | None
 ) -> FitResult:
     """The result of a fit: with its force scale, and a watch for changes from its window on."""
+    found = candidate(task.running, fit.parameters, window)
     settled = task.model.settled(window, fit.parameters)
-    predicted = task.model.window_force(window, fit.parameters)
     watch = ChangeWatch.after_fit(
-        predicted[settled],
+        found.force(window)[settled],
         window.force[settled],
         fit.operating_point,
         task.settings.smallest_change,
@@ -155,7 +155,7 @@ def _fitted(
             thinned_to_keep(part, with_past=task.model.needs_past(part), parts=len(parts))
             for part in parts
         ),
-        parts=judge_parts(task.model, window, parts, fit.parameters) if divided else None,
+        parts=judge_parts(window, parts, found) if divided else None,
         state=state,
         watch=watch,
         scale=scale,

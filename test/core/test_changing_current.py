@@ -100,11 +100,18 @@ def test_a_part_at_rest_is_left_out() -> None:
 def test_the_right_law_over_the_current_explains_the_parts_and_a_wrong_one_does_not() -> None:
     given = window(switching())
     parts = parts_by_current(SIXTEEN, given, TOLERANCE)
-    model = MODELS["sigmoid"]
-    assert judge_parts(model, given, parts, known.PLAUSIBLE).explained
+    assert judge_parts(given, parts, ParameterSet(known.PLAUSIBLE)).explained
     wrong = known.PLAUSIBLE.copy()
     wrong[known.index("k2")] *= 0.7
-    assert not judge_parts(model, given, parts, wrong).explained
+    assert not judge_parts(given, parts, ParameterSet(wrong)).explained
+
+
+def test_the_parts_are_judged_at_the_peak_velocities_of_the_set() -> None:
+    given = window(switching())
+    narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 5e-3))
+    measured = replace(given, force=narrow.force(given))
+    parts = parts_by_current(SIXTEEN, measured, TOLERANCE)
+    assert judge_parts(measured, parts, narrow).explained
 
 
 def followed(windows: list[RawWindow], start: ParameterSet) -> tuple[WindowTracker, list[Verdict]]:

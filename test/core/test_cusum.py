@@ -14,10 +14,12 @@ from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import SLACK, THRESHOLD, ChangeWatch, change_point, fit_scale
 from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.tasks import FitTask
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.unscented_filter import METHOD
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.tracking.window_task import run_fit
 
 POINT = (0.03, 1.0)
 
@@ -183,6 +185,18 @@ def test_more_looks_than_samples_is_a_look_at_every_sample() -> None:
     assert [w.look for w in windows[:3]] == [0, 1, 1]
     with pytest.raises(ValueError, match="looks must be from 0 to 1000, not -1"):
         WindowAssembler(1.0, 0.5, -1)
+
+
+def test_a_look_compares_with_the_force_that_the_set_predicts() -> None:
+    run = known.run()
+    narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 0.5 * run.top_speed))
+    predicted = narrow.force(run.window)
+    measured = predicted + run.force - run.clean
+    watch = ChangeWatch.after_fit(predicted, measured, run.window.operating_point, 0.02)
+    raw = dataclasses.replace(known.raw_window(run), force=measured, look=500)
+    result = run_fit(FitTask(raw, narrow, TrackerSettings(), watch=watch))
+    assert result.watch is not None
+    assert not result.watch.changed
 
 
 # -- early fits ------------------------------------------------------------------------------

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 
+import known
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from benchmarks import honest_errors
 from mr_damper_ros.estimation.autocorrelation import NoiseModel
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.held_back import Lead, held_back_samples
+from mr_damper_ros.tracking.held_back import Lead, evidence_of, held_back_samples
+from mr_damper_ros.tracking.tasks import FitTask
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.trackers import TRACKERS
 
 N = 1000
@@ -70,6 +74,17 @@ def test_nothing_is_held_back_of_what_was_seen(seen: int) -> None:
     held_back = held_back_samples(N, seen)
     assert not held_back[:seen].any()
     assert held_back.sum() == pytest.approx((N - seen) / 4, abs=ROUNDING)
+
+
+def test_the_running_set_is_judged_by_the_force_that_it_predicts() -> None:
+    run = known.run()
+    narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 0.5 * run.top_speed))
+    held_back = held_back_samples(run.force.size)
+    task = FitTask(known.raw_window(run), narrow, TrackerSettings())
+    evidence = evidence_of(task, held_back, run.window, known.PLAUSIBLE)
+    left = known.rms((narrow.force(run.window) - run.force)[held_back]) / np.std(run.force)
+    assert evidence.nrmse_before == pytest.approx(left)
+    assert left > 2.0 * evidence.nrmse_after
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)

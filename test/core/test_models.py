@@ -218,6 +218,27 @@ def test_a_slow_hysteresis_is_retraced_over_the_way_that_it_remembers():
     np.testing.assert_allclose(after, whole[last:], rtol=0.0, atol=FORGOTTEN)
 
 
+def test_as_much_of_the_motion_is_kept_as_the_present_current_asks_for():
+    """The way to the yield follows the current: a tenth of it at the first of two currents."""
+    model, values, period = MODELS["bouc_wen"], EXAMPLES["bouc_wen"].copy(), 0.02
+    values[model.places(("yield_length", "yield_length_1"))] = 1e-3, -0.9
+    short, long = (model.memory_length(values, current) for current in (1.0, 0.0))
+    assert long == pytest.approx(10.0 * short)
+    changed = values.copy()
+    changed[model.parameter_names.index("share")] = 0.9
+    slow = run(samples=1000, period=period, frequency=0.05, phase=0.0, noise=0.0).window.motion
+    first, last = 40, 540
+    stream = model.stream(period)
+    stream.follow(values, cut(slow, 0, first), 1.0)
+    for place in range(first, last, 5):
+        stream.follow(values, cut(slow, place, place + 5), 0.0)
+    stream.retrace(changed)
+    after = stream.follow(changed, cut(slow, last, 1000), 0.0)
+    current = np.where(np.arange(1000) < first, 1.0, 0.0)
+    whole = model.force(changed, slow, current, period)
+    np.testing.assert_allclose(after, whole[last:], rtol=0.0, atol=FORGOTTEN)
+
+
 AMPLITUDE, OMEGA = 5e-3, 2.0 * np.pi
 
 

@@ -180,9 +180,11 @@ def test_a_constant_velocity_is_its_own_peak(constant: float) -> None:
     np.testing.assert_array_equal(found, velocity)
 
 
-def test_windows_and_streams_have_the_same_peak_velocity() -> None:
+@pytest.mark.parametrize("memory", [MEMORY, 0.05])
+def test_windows_and_streams_have_the_same_peak_velocity(memory: float) -> None:
     displacement = RANDOM.at(TIME).displacement
-    follower, assembler = MotionFollower(PERIOD, 0.0, MEMORY), WindowAssembler(2.0, 1.0)
+    follower = MotionFollower(PERIOD, 0.0, memory)
+    assembler = WindowAssembler(2.0, 1.0, centre_memory=memory)
     assembler.add_current(0, 1.0)
     followed, windows = [], []
     for first in range(0, TIME.size, 50):

@@ -100,6 +100,42 @@ def test_an_unconfirmed_step_is_still_waiting() -> None:
     assert stronger(resumed(tracked), 5).accepted
 
 
+def test_the_next_search_comes_when_it_would_have_come() -> None:
+    tracked = tracker(global_period=20)
+    feed(tracked, 0, 4)
+    for _ in range(3):
+        tracked.global_task()
+    again = resumed(tracked, global_period=20)
+    due, due_again = ([r.global_due for r in feed(each, 7, 12)] for each in (tracked, again))
+    assert due == due_again == [False] * 3 + [True] * 2
+
+
+def test_a_set_found_from_the_reservoir_is_as_old_as_its_newest_window() -> None:
+    tracked = tracker()
+    feed(tracked, 0, 3)
+    tracked.parameters = START  # refused since: the windows stay
+    assert resumed(tracked).global_task().stamp_ns == tracked.global_task().stamp_ns > 0
+
+
+def test_a_motion_that_was_confirmed_often_enough_still_is() -> None:
+    tracked = tracker()
+    for number in range(4):
+        run = known.run(samples=SAMPLES, seed=number)
+        tracked.follow(known.raw_window(run, number=number))
+    assert tracked.memory.motion.windows == 4
+    assert resumed(tracked).memory.motion == tracked.memory.motion
+
+
+def test_after_a_reset_the_damper_may_still_be_another_one() -> None:
+    tracked = tracker()
+    feed(tracked, 0, 3)
+    tracked.reset()
+    again = resumed(tracked)
+    assert again.memory.other_damper
+    feed(again, 3, 4)
+    assert not resumed(again).memory.other_damper
+
+
 def test_the_filter_of_another_tracker_is_not_used() -> None:
     tracked = tracker(tracker="unscented")
     feed(tracked, 0, 3)
