@@ -9,21 +9,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 Value = float | list[float] | None
+Pair = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Figure:
     """One figure: ``key`` in the JSON file, ``value``, and what it must reach.
 
-    ``bar`` is a pair (low, high) that the value, or every value of a list, must lie within; None
-    where the figure is only reported. ``definition`` says in one or two sentences what was
-    measured; ``value`` is None where it was not, and ``note`` then says why.
+    ``bar`` is a pair (low, high) that the value, or every value of a list, must lie within, or a
+    list of pairs, one for each value; None where the figure is only reported. ``definition`` says
+    in one or two sentences what was measured; ``value`` is None where it was not, and ``note`` then
+    says why.
     """
 
     key: str
     value: Value
     definition: str
-    bar: tuple[float, float] | None = None
+    bar: Pair | list[Pair] | None = None
     note: str = ""
 
     @property
@@ -31,9 +33,10 @@ class Figure:
         """``yes``, ``no``, or ``-`` where there is nothing to compare."""
         if self.value is None or self.bar is None:
             return "-"
-        low, high = self.bar
         values = self.value if isinstance(self.value, list) else [self.value]
-        return "yes" if all(low <= value <= high for value in values) else "no"
+        bars = self.bar if isinstance(self.bar, list) else [self.bar] * len(values)
+        within = [low <= each <= high for each, (low, high) in zip(values, bars, strict=True)]
+        return "yes" if all(within) else "no"
 
 
 def write(figures: Sequence[Figure], place: Path) -> None:
@@ -74,7 +77,11 @@ def _shown(value: Value) -> str:
 def _bar(figure: Figure) -> str:
     if figure.bar is None:
         return "reported"
-    low, high = figure.bar
+    bars = figure.bar if isinstance(figure.bar, list) else [figure.bar]
+    return ", ".join(_range(*each) for each in bars)
+
+
+def _range(low: float, high: float) -> str:
     if high == float("inf"):
         return f">= {low:g}"
     if low in (0.0, float("-inf")):

@@ -28,6 +28,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.emulator import (
     THESIS_FORCE_NOISE,
     CurrentSchedule,
+    Damper,
     EmulatedRig,
     ModelDamper,
     RigSettings,
@@ -108,8 +109,8 @@ class TrialResult:
     load cell, without noise or a fault of the instruments; ``measured``: what the instruments say
     (NaN: nothing was sent); ``predicted`` [N] (NaN: none), ``valid``; ``reason``: index into
     ``reasons``, why it is not valid (of the first, empty where it is, or where nothing came);
-    ``used``: index into ``sets``, -1 for none. ``reports`` are in the order in which they took
-    effect, at ``report_times`` [s].
+    ``doubt``: the DoubtKind, -1 where nothing came; ``used``: index into ``sets``, -1 for none.
+    ``reports`` are in the order in which they took effect, at ``report_times`` [s].
     """
 
     time: Array
@@ -121,6 +122,7 @@ class TrialResult:
     valid: np.ndarray
     reason: np.ndarray
     reasons: list[str]
+    doubt: np.ndarray
     used: np.ndarray
     sets: list[SetInUse]
     reports: list[Report]
@@ -212,7 +214,7 @@ class StreamTrial:
 
     def __init__(
         self,
-        damper: ParameterSet,
+        damper: ParameterSet | Damper,
         excitation: Excitation,
         current: CurrentSchedule | float,
         *,
@@ -221,11 +223,13 @@ class StreamTrial:
         thermal: ThermalModel | None = None,
         hot_force: float = 1.0,
     ) -> None:
-        """``thermal``: how the damper heats, with ``hot_force`` times its force at 71 °C."""
+        """``thermal``: how it heats; one given by a set has ``hot_force`` of its force at 71 °C."""
         self._settings = given = settings or TrialSettings()
+        if isinstance(damper, ParameterSet):
+            damper = ModelDamper(damper, 1.0 / given.sample_rate, hot_force)
         # The noise is added here: the rig then says what is true.
         self._rig = EmulatedRig(
-            ModelDamper(damper, 1.0 / given.sample_rate, hot_force),
+            damper,
             excitation,
             current,
             settings=RigSettings(given.sample_rate, force_noise=0.0, seed=given.seed),
@@ -294,7 +298,7 @@ class StreamTrial:
     def result(self) -> TrialResult:
         """What has come since the start."""
         rows = np.concatenate(self._parts, axis=1)
-        time, displacement, current, true, measured, predicted, valid, reason, used = rows
+        time, displacement, current, true, measured, predicted, valid, reason, doubt, used = rows
         return TrialResult(
             time=time,
             displacement=displacement,
@@ -305,6 +309,7 @@ class StreamTrial:
             valid=valid.astype(bool),
             reason=reason.astype(int),
             reasons=list(self._reasons),
+            doubt=doubt.astype(int),
             used=used.astype(int),
             sets=list(self._sets),
             reports=list(self._reports),
@@ -316,10 +321,10 @@ class StreamTrial:
 
     def _go_on(self, made: RigBlock) -> None:
         size, first = made.sample_count, made.sequence
-        rows = np.full((9, size), math.nan)
+        rows = np.full((10, size), math.nan)
         rows[0] = (first + np.arange(size)) * made.period
         rows[1:4] = made.displacement, made.current, made.force
-        rows[6:] = np.array([[0.0], [0.0], [-1.0]])
+        rows[6:] = np.array([[0.0], [0.0], [-1.0], [-1.0]])
         self._parts.append(rows)
         noise = self._noise.standard_normal((2, size))
         block = replace(
@@ -403,4 +408,5 @@ class StreamTrial:
         rows[5] = prediction.force
         rows[6] = prediction.valid
         rows[7] = self._reasons.setdefault(prediction.reason, len(self._reasons))
-        rows[8] = len(self._sets) - 1
+        rows[8] = prediction.doubt.kind
+        rows[9] = len(self._sets) - 1

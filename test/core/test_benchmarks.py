@@ -18,6 +18,7 @@ from benchmarks import (
     faults,
     following,
     force_step,
+    foreign_dampers,
     healthy,
     honest_errors,
     inverse,
@@ -38,7 +39,7 @@ from benchmarks import (
 )
 from benchmarks.dampers import clean_windows, steady_window
 from benchmarks.fault_scenarios import SCENARIOS
-from benchmarks.figure import Figure, table
+from benchmarks.figure import Figure, Pair, table
 from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.interface.rig_trouble import Trouble
@@ -81,6 +82,7 @@ KEYS = [
     *("export_c_error", "export_c_warnings", "export_c_us_per_step", "export_fmu_problems"),
     *("inverse_miss_of_span", "inverse_us_per_sample"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
+    *("foreign_wrong_valid_s", "foreign_right_refused_percent", "foreign_worse_sets"),
 ]
 FEW_FAULTS = {"force_hum:20": Trouble.HUM, "force_gain:-1": Trouble.INVERTED}
 FAST = TrackerSettings(method="least_squares", global_period=0)
@@ -137,12 +139,14 @@ def heated() -> Recording:
         (25.0, (20.0, math.inf), "yes"),
         (math.inf, (0.0, 2.0), "no"),
         ([81.0, 79.0], (80.0, 100.0), "no"),
+        ([0.0, 2.0], [(0.0, 0.0), (0.0, 2.0)], "yes"),
+        ([1.0, 1.0], [(0.0, 0.0), (0.0, 2.0)], "no"),
         (None, (0.0, 1.0), "-"),
         (3.0, None, "-"),
     ],
 )
 def test_a_figure_knows_whether_it_reaches_its_bar(
-    value: float | list[float] | None, bar: tuple[float, float] | None, reached: str
+    value: float | list[float] | None, bar: Pair | list[Pair] | None, reached: str
 ) -> None:
     assert Figure("key", value, "what", bar).reached == reached
 
@@ -213,6 +217,9 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
         "healthy": lambda: healthy.figures_of(
             healthy.measure(healthy.PROGRAMMES[4:5], ("viscous_tanh",), ("sigmoid",), 1)
+        ),
+        "foreign_dampers": lambda: foreign_dampers.figures_of(
+            foreign_dampers.measure(foreign_dampers.COMBINATIONS[41:42], processes=1)
         ),
         # These need ROS: test/ros/test_node_benchmarks.py.
         "streaming_load": list,

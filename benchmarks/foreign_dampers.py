@@ -1,0 +1,535 @@
+"""What validity and acceptance make of dampers of foreign laws, identified and predicted on line.
+
+Three sides: wrong force that is called valid, right force that is refused, worse sets that are
+taken.
+
+    python -m benchmarks.foreign_dampers           all combinations, with a line each
+    python -m benchmarks.foreign_dampers --quick   every fifth
+    python -m benchmarks.foreign_dampers 17 42     these
+
+Every law of :data:`~benchmarks.foreign_laws.LAWS` meets every motion; currents, sensors, streams,
+faults, sizes and warming are dealt out evenly by a seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise, product
+from multiprocessing import get_context
+
+import numpy as np
+
+from benchmarks.figure import Figure, table
+from benchmarks.foreign_laws import LAWS, ForeignDamper
+from benchmarks.healthy import at_rest
+from benchmarks.other_dampers import chirp, random_motion, stairs
+from benchmarks.stream_trial import WRONG, StreamTrial, TrialResult, TrialSettings
+from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
+from mr_damper_ros.estimation.set_error import error_of_set
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import CurrentSchedule, ThermalModel
+from mr_damper_ros.rig.excitation import Excitation, SampledMotion, SineMotion
+from mr_damper_ros.rig.faults.fault_text import faults_of
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.study.ground_motion import Shaking
+from mr_damper_ros.tracking.validity import DoubtKind
+
+PROCESSES = 2
+
+DURATION, SLOW_DURATION = 24.0, 40.0
+"""Length of a trial [s], and that of one with a slow motion."""
+
+BEGIN, END = 12.0, 15.0
+"""When a fault begins and when it is repaired [s]."""
+
+GOOD, WORSE = 0.25, 0.05
+"""A set is good that leaves at most so much of the true force unexplained (NRMSE), and one that
+leaves so much more is worse."""
+
+FOLLOWING = 4.0
+"""Sets are compared over so many seconds from when the new one takes effect."""
+
+_FINE = 5e-3
+_HIGHEST_CURRENT = 1.5
+
+
+# -- motions ---------------------------------------------------------------------------------
+
+
+def _car_travel(seed: int) -> Excitation:
+    """Travel of a quarter car's suspension, with a passive damper, on a road of class B."""
+    car = QuarterCar()
+    # The damper's force opposes the travel: F = c v.
+    dynamics = car.dynamics + 1200.0 * np.outer(car.by_force, car.plant.velocity)
+    grid = _FINE * np.arange(round(DURATION / _FINE) + 1, dtype=np.float64)
+    forcing = np.outer(IsoRoad("B", 15.0, seed).at(grid), car.plant.by_input)
+    states = _simulated(dynamics, forcing, _FINE)
+    return SampledMotion(_from_rest(states @ car.plant.displacement, 0.015, _FINE), _FINE)
+
+
+def _earthquakes(seed: int) -> Excitation:
+    """The drift of a storey of 1.4 Hz, one earthquake after another."""
+    rate = 2.0 * math.pi * 1.4
+    dynamics = np.array([[0.0, 1.0], [-(rate**2), -0.5 * rate]])
+    drifts, every = [], _FINE
+    for place in range(3):
+        peak = (0.012, 0.006, 0.009)[place]
+        ground = Shaking("some", 0.5, 2.0, 0.4, 1.5, 3.0, 1.8, seed=10 * seed + place).motion()
+        every = ground.every
+        states = _simulated(dynamics, np.outer(-ground.acceleration, [0.0, 1.0]), every)
+        drifts.append(_from_rest(states[:, 0], peak, every))
+    return SampledMotion(np.concatenate(drifts), every)
+
+
+def _simulated(dynamics: Array, forcing: Array, period: float) -> Array:
+    """States (n, m) from rest, by the trapezoidal rule; ``forcing`` has shape (n, m)."""
+    half, unit = 0.5 * period * dynamics, np.eye(len(dynamics))
+    step = np.linalg.solve(unit - half, unit + half)
+    enters = np.linalg.inv(unit - half) * period
+    states = np.zeros(forcing.shape)
+    for place in range(1, len(forcing)):
+        mean = 0.5 * (forcing[place - 1] + forcing[place])
+        states[place] = step @ states[place - 1] + enters @ mean
+    return states
+
+
+def _from_rest(displacement: Array, peak: float, period: float) -> Array:
+    """The motion as large as ``peak`` [m], beginning and ending smoothly within half a second."""
+    place = period * np.arange(displacement.size)
+    ramp = np.clip(np.minimum(place, place[-1] - place) / 0.5, 0.0, 1.0)
+    factor = peak / float(np.max(np.abs(displacement)))
+    return np.asarray(factor * displacement * np.sin(0.5 * np.pi * ramp) ** 2)
+
+
+def _sine(amplitude: float, frequency: float, _: int) -> Excitation:
+    return SineMotion(amplitude, frequency)
+
+
+def _slow_sine(seed: int) -> Excitation:
+    """At 0.05, 0.1 or 0.2 Hz."""
+    return SineMotion(0.015, (0.05, 0.1, 0.2)[seed % 3])
+
+
+_SLOW = "sine 0.05-0.2 Hz"
+
+MOTIONS: dict[str, Callable[[int], Excitation]] = {
+    _SLOW: _slow_sine,
+    "sine 0.4 Hz": partial(_sine, 0.011, 0.4),
+    "sine 2 Hz": partial(_sine, 0.006, 2.0),
+    "sine 10 Hz": partial(_sine, 0.0015, 10.0),
+    "chirp 0.3-8 Hz": lambda _: chirp(0.12, 0.009, 0.3, 8.0, DURATION),
+    "amplitudes 4, 1, 8 mm": lambda _: stairs(4e-3, 1.5, (1.0, 0.25, 2.0) * 2, 5.0),
+    "random 0.2-3 Hz": lambda seed: random_motion(4e-3, 0.2, 3.0, DURATION, seed),
+    "random 0.5-8 Hz": lambda seed: random_motion(2e-3, 0.5, 8.0, DURATION, seed),
+    "earthquakes": _earthquakes,
+    "quarter car": _car_travel,
+}
+"""By name: the motion of a seed."""
+
+
+# -- currents --------------------------------------------------------------------------------
+
+
+def _switched(longest: float, seed: int) -> CurrentSchedule:
+    """Random levels, each for 0.2 s to ``longest`` [s]."""
+    rng = np.random.default_rng(seed)
+    times = np.concatenate([[0.0], np.cumsum(rng.uniform(0.2, longest, 400))])
+    levels = rng.uniform(0.0, _HIGHEST_CURRENT, times.size)
+    return CurrentSchedule(times.tolist(), levels.tolist())
+
+
+def _stepped(seed: int) -> CurrentSchedule:
+    """Four levels in a random order, each for 4 s."""
+    rng = np.random.default_rng(seed)
+    levels = np.concatenate([rng.permutation([0.0, 0.4, 0.9, 1.5]) for _ in range(6)])
+    return CurrentSchedule((4.0 * np.arange(levels.size)).tolist(), levels.tolist())
+
+
+def _wandering(seed: int) -> CurrentSchedule:
+    """A random current whose memory is 0.5 s, set every 50 ms."""
+    rng = np.random.default_rng(seed)
+    kept, value, levels = math.exp(-0.05 / 0.5), 0.0, []
+    for draw in rng.standard_normal(1200):
+        value = kept * value + math.sqrt(1.0 - kept**2) * draw
+        levels.append(min(max(0.7 + 0.4 * value, 0.0), _HIGHEST_CURRENT))
+    return CurrentSchedule((0.05 * np.arange(len(levels))).tolist(), levels)
+
+
+def _commanded(on: Callable[[Array, Array], Array], motion: Excitation) -> CurrentSchedule:
+    """The current of a controller that sees displacement and velocity, every 10 ms."""
+    grid = 0.01 * np.arange(round(SLOW_DURATION / 0.01), dtype=np.float64)
+    found = motion.at(grid)
+    levels = on(found.displacement - motion.centre, found.velocity)
+    changed = np.concatenate([[True], np.diff(levels) != 0.0])
+    return CurrentSchedule(grid[changed].tolist(), levels[changed].tolist())
+
+
+def _bang_bang(displacement: Array, velocity: Array) -> Array:
+    """On while the damper moves away from its centre."""
+    return np.asarray(_HIGHEST_CURRENT * (displacement * velocity > 0.0))
+
+
+def _skyhook(displacement: Array, velocity: Array) -> Array:
+    """As skyhook asks for it, of a body that follows the slow part of the motion."""
+    body = np.zeros(velocity.size)
+    for place in range(1, body.size):
+        body[place] = body[place - 1] + 0.01 / 0.15 * (velocity[place - 1] - body[place - 1])
+    wanted = body / max(float(np.std(velocity)), 1e-6)
+    level = np.where(wanted * velocity > 0.0, 0.7 * np.abs(wanted), 0.0)
+    return np.asarray(np.round(np.minimum(level, _HIGHEST_CURRENT), 2))
+
+
+CURRENTS: dict[str, Callable[[Excitation, int], CurrentSchedule]] = {
+    "0.8 A": lambda _, __: CurrentSchedule.constant(0.8),
+    "steps": lambda _, seed: _stepped(seed),
+    "switched 0.2-1 s": lambda _, seed: _switched(1.0, seed),
+    "bang-bang": lambda motion, _: _commanded(_bang_bang, motion),
+    "skyhook": lambda motion, _: _commanded(_skyhook, motion),
+    "wandering": lambda _, seed: _wandering(seed),
+}
+"""By name: the schedule for a motion and a seed."""
+
+
+# -- instruments, streams, faults --------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Noise of displacement [m] and force (part of the damper's size), and faults as text."""
+
+    displacement_noise: float = 1e-6
+    force_noise: float = 0.005
+    faults: str = ""
+
+
+SENSORS = {
+    "quiet": Sensors(),
+    "noisy": Sensors(1e-5, 0.02),
+    "coarse": Sensors(1e-6, 0.003, "force_coarse:8 displacement_coarse:5e-6"),
+    "force 2 ms late": Sensors(faults="force_delay:0.002"),
+    "jitter": Sensors(2e-6, 0.008, "stamp_jitter:0.4"),
+}
+
+BLOCKS = (1, 10, 100)
+
+FAULTS = (
+    # As many without any.
+    *("",) * 11,
+    *("force_spikes:4000", "force_stuck", "force_dropouts:3", "displacement_dropouts:3"),
+    *("lost_blocks:0.05", "reordered_blocks:0.05", "current_missing", "coil_factor:0"),
+    *("force_loss:0.5", "amplitude:0.3", "wear:0.7"),
+)
+"""From :data:`BEGIN` to :data:`END`."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """What is tried: names as in the tables here, and the damper's ``size`` [1].
+
+    ``capacity`` [J/K] of what heats; infinite where nothing does.
+    """
+
+    number: int
+    law: str
+    motion: str
+    current: str
+    sensors: str
+    block: int
+    fault: str
+    size: float
+    capacity: float
+
+    @property
+    def name(self) -> str:
+        """All of it in words."""
+        warm = "" if math.isinf(self.capacity) else ", warming"
+        fault = f", {self.fault}" if self.fault else ""
+        return (
+            f"{self.number}: {self.law} x{self.size:g}{warm}, {self.motion}, {self.current}, "
+            f"{self.sensors}, blocks of {self.block}{fault}"
+        )
+
+
+def _combinations() -> tuple[Combination, ...]:
+    rng = np.random.default_rng(20)
+    pairs = list(product(MOTIONS, LAWS))  # every fifth has all laws
+
+    def dealt(values: Sequence[object]) -> list[int]:
+        return rng.permutation(np.arange(len(pairs)) % len(values)).tolist()
+
+    sizes, capacities = (0.3, 0.7, 1.0, 1.5, 2.5), (math.inf, 80.0)
+    columns = [
+        [values[place] for place in dealt(values)]
+        for values in (tuple(CURRENTS), tuple(SENSORS), BLOCKS, FAULTS, sizes, capacities)
+    ]
+    return tuple(
+        Combination(number, law, motion, *entries)  # type: ignore[arg-type]
+        for number, ((motion, law), *entries) in enumerate(zip(pairs, *columns, strict=True))
+    )
+
+
+COMBINATIONS = _combinations()
+"""All of them."""
+
+
+# -- what came of them -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class WorseSet:
+    """A set that was taken at ``time`` [s] and is worse: NRMSE of the one ``before`` and of it."""
+
+    set_id: str
+    time: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a combination.
+
+    ``wrong_valid`` [s] in all, the ``longest`` stretch of it [s], the largest error in it over the
+    peak, ``worst``; ``moving`` [s]: time in motion after the first identified set; of it the shares
+    that were ``valid``, ``right`` and ``refused`` though right [1]; seconds by DoubtKind for which
+    right force was ``refused_for``; ``confirmed``: share of windows in use or confirmed.
+    """
+
+    combination: Combination
+    wrong_valid: float
+    longest: float
+    worst: float
+    moving: float
+    valid: float
+    right: float
+    refused: float
+    refused_for: dict[str, float]
+    confirmed: float
+    worse_sets: tuple[WorseSet, ...]
+    sets: int
+    seconds: float
+
+    @property
+    def told(self) -> str:
+        """A line on it."""
+        worse = "".join(
+            f" {s.set_id}@{s.time:.1f}: {s.before:.0%}->{s.after:.0%}" for s in self.worse_sets
+        )
+        why = " ".join(f"{kind} {time:.1f}" for kind, time in self.refused_for.items())
+        return (
+            f"{self.combination.name}: wrong valid {self.wrong_valid:.2f} s (longest "
+            f"{self.longest:.2f}, up to {self.worst:.0%}); valid {self.valid:.0%}, right "
+            f"{self.right:.0%}, right refused {self.refused:.0%} ({why}); windows confirmed "
+            f"{self.confirmed:.0%}; {self.sets} sets, worse:{worse or ' none'} "
+            f"[{self.seconds:.0f} s]"
+        )
+
+
+def trial_of(given: Combination) -> tuple[StreamTrial, float]:
+    """The trial of a combination, not begun, and how long it is to run [s]."""
+    motion = MOTIONS[given.motion](given.number)
+    sensors = SENSORS[given.sensors]
+    faults = [f"{text}@0" for text in sensors.faults.split()]
+    if given.fault:
+        faults.append(f"{given.fault}@{BEGIN:g}-{END:g}")
+    settings = TrialSettings(
+        seed=given.number,
+        block_size=given.block,
+        force_noise=1000.0 * given.size * sensors.force_noise,
+        displacement_noise=sensors.displacement_noise,
+    )
+    thermal = None
+    if math.isfinite(given.capacity):
+        # A large damper has more to heat.
+        thermal = ThermalModel(initial=28.0, capacity=given.capacity * given.size, conductance=0.5)
+    trial = StreamTrial(
+        ForeignDamper(LAWS[given.law](given.size), 1.0 / settings.sample_rate),
+        motion,
+        CURRENTS[given.current](motion, given.number),
+        faults=faults_of(faults, given.number),
+        settings=settings,
+        thermal=thermal,
+    )
+    return trial, SLOW_DURATION if given.motion == _SLOW else DURATION
+
+
+def run(given: Combination) -> Outcome:
+    """Run a combination."""
+    began = time.monotonic()
+    trial, duration = trial_of(given)
+    return outcome_of(given, trial.run(duration), time.monotonic() - began)
+
+
+def outcome_of(given: Combination, result: TrialResult, seconds: float = 0.0) -> Outcome:
+    """What a trial of the combination says."""
+    wrong = result.wrong_valid()
+    identified = [taken.time for taken in result.sets[1:]]
+    asked = (result.time >= (identified[0] if identified else 0.0)) & ~at_rest(result)
+    right = asked & (result.error <= WRONG)
+    refused = right & ~result.valid
+    moving = max(int(np.count_nonzero(asked)), 1)
+    kinds = np.bincount(result.doubt[refused & (result.doubt >= 0)], minlength=1)
+    windows = [
+        report.confirms for report in result.reports if report.window_start_ns < report.stamp_ns
+    ]
+    return Outcome(
+        given,
+        wrong.total,
+        wrong.longest,
+        wrong.worst,
+        moving * result.period,
+        float(np.count_nonzero(asked & result.valid)) / moving,
+        float(np.count_nonzero(right)) / moving,
+        # Nothing identified: all of it counts against it.
+        float(np.count_nonzero(refused)) / moving if identified else 1.0,
+        {
+            DoubtKind(kind).name: float(kinds[kind]) * result.period
+            for kind in np.argsort(-kinds)
+            if kinds[kind]
+        },
+        float(np.mean(windows)) if windows else 0.0,
+        tuple(worse_sets(result)),
+        len(identified),
+        seconds,
+    )
+
+
+def worse_sets(result: TrialResult) -> list[WorseSet]:
+    """The sets that are worse than a good one before, by the true force of what follows."""
+    found = []
+    for before, after in pairwise(result.sets):
+        truth = _truth(result, after.time, after.time + FOLLOWING)
+        if truth is None:
+            continue
+        old, new = (_nrmse(taken.parameters, truth) for taken in (before, after))
+        if old <= GOOD and new > old + WORSE:
+            found.append(WorseSet(after.parameters.set_id, after.time, old, new))
+    return found
+
+
+def _truth(result: TrialResult, begin: float, end: float) -> Window | None:
+    """The true motion and force between two times [s]; None where next to nothing moved."""
+    part = slice(round(begin / result.period), round(end / result.period))
+    if result.time[part].size * result.period < 0.5 * (end - begin):
+        return None  # the trial ends
+    try:
+        return Window.from_samples(
+            result.displacement[part], result.true[part], result.current[part], result.period
+        )
+    except ValueError:
+        return None
+
+
+def _nrmse(parameters: ParameterSet, window: Window) -> float:
+    error = error_of_set(parameters, [window]).nrmse
+    return error if math.isfinite(error) else math.inf
+
+
+def measure(
+    combinations: Sequence[Combination] = COMBINATIONS,
+    processes: int = PROCESSES,
+    told: Callable[[Outcome], None] = lambda _: None,
+) -> list[Outcome]:
+    """Run combinations; each is told of as soon as those before it are done."""
+    found = []
+    if processes == 1:
+        for given in combinations:
+            found.append(run(given))
+            told(found[-1])
+        return found
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        for outcome in pool.map(run, combinations):
+            told(outcome)
+            found.append(outcome)
+    return found
+
+
+def figures(combinations: Sequence[Combination] = COMBINATIONS) -> list[Figure]:
+    """``foreign_wrong_valid_s``, ``foreign_right_refused_percent``, ``foreign_worse_sets``."""
+    return figures_of(measure(combinations))
+
+
+def figures_of(outcomes: Sequence[Outcome]) -> list[Figure]:
+    """The figures of what came of the combinations."""
+    wrong = np.array([outcome.wrong_valid for outcome in outcomes])
+    refused = 100.0 * np.array([outcome.refused for outcome in outcomes])
+    worse = [(outcome, each) for outcome in outcomes for each in outcome.worse_sets]
+    causes: dict[str, float] = defaultdict(float)
+    for outcome in outcomes:
+        for kind, seconds in outcome.refused_for.items():
+            causes[kind] += seconds
+    most = sorted(outcomes, key=lambda outcome: -outcome.wrong_valid)
+    said = f"{len(outcomes)} combinations of {len(LAWS)} laws that the package does not have"
+    return [
+        Figure(
+            "foreign_wrong_valid_s",
+            [
+                float(np.median(wrong)),
+                float(np.quantile(wrong, 0.95)),
+                max(outcome.longest for outcome in outcomes),
+            ],
+            f"{said}, with motions, currents, sensors, streams and faults: seconds for which a "
+            "force wrong by more than 20 % of the peak of the last 10 s is called valid; median, "
+            "95 %, longest stretch of all.",
+            [(0.0, 0.0), (0.0, 1.0), (0.0, 1.0)],
+            "Most: "
+            + "; ".join(f"{o.combination.name} ({o.wrong_valid:.2f} s)" for o in most[:3])
+            + ".",
+        ),
+        Figure(
+            "foreign_right_refused_percent",
+            [float(np.median(refused)), float(np.quantile(refused, 0.9))],
+            "Share [%] of the time in motion after the first identified set for which the force "
+            "is right and not valid; median, 90 %.",
+            [(0.0, 10.0), (0.0, 50.0)],
+            "By cause, in all: "
+            + ", ".join(f"{kind} {seconds:.0f} s" for kind, seconds in _sorted(causes))
+            + f". Valid for less than 2 % of that time: {sum(o.valid < 0.02 for o in outcomes)}.",
+        ),
+        Figure(
+            "foreign_worse_sets",
+            float(len(worse)),
+            f"Sets taken that leave more than {100 * WORSE:g} points more of the true force of the "
+            f"next {FOLLOWING:g} s unexplained (NRMSE) than the one before, which left at most "
+            f"{GOOD:.0%}; of {sum(outcome.sets for outcome in outcomes)}.",
+            (0.0, 2.0),
+            "; ".join(
+                f"{o.combination.number}: {each.set_id} {each.before:.0%} to {each.after:.0%}"
+                for o, each in worse
+            ),
+        ),
+    ]
+
+
+def _sorted(causes: dict[str, float]) -> list[tuple[str, float]]:
+    return sorted(causes.items(), key=lambda cause: -cause[1])
+
+
+def main() -> int:
+    """Run the program; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="foreign_dampers", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="every fifth combination")
+    parser.add_argument("--processes", type=int, default=PROCESSES)
+    parser.add_argument("numbers", type=int, nargs="*", help="only these combinations")
+    options = parser.parse_args()
+    chosen: Sequence[Combination] = COMBINATIONS[:: 5 if options.quick else 1]
+    if options.numbers:
+        chosen = [COMBINATIONS[number] for number in options.numbers]
+    began = time.monotonic()
+    found = measure(chosen, options.processes, lambda outcome: print(outcome.told, flush=True))
+    print(table(figures_of(found)))
+    print(f"{len(found)} combinations, {time.monotonic() - began:.0f} s", file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
