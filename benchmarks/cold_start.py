@@ -72,7 +72,7 @@ def windows_until_good(record: Recording, model: str) -> tuple[float, float]:
         current = float(record.current[first])
         predictor.add_current(stamp, current)
         prediction = predictor.predict(block)
-        force[part], valid[part] = prediction.force, prediction.valid
+        force[part], valid[part] = prediction.force, prediction.valid_samples
         ready = assembler.add_current(stamp, current) + assembler.add_block(block)
         for raw in [*ready, *assembler.add_current(block.end_ns, current)]:
             report = tracker.follow(raw)

@@ -377,7 +377,7 @@ def outcome_of(given: Combination, result: TrialResult, seconds: float = 0.0) ->
     right = asked & (result.error <= WRONG)
     refused = right & ~result.valid
     moving = max(int(np.count_nonzero(asked)), 1)
-    kinds = np.bincount(result.doubt[refused & (result.doubt >= 0)], minlength=1)
+    kinds = np.bincount(result.doubts[refused & (result.doubts >= 0)], minlength=1)
     windows = [
         report.confirms for report in result.reports if report.window_start_ns < report.stamp_ns
     ]

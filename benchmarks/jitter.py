@@ -110,7 +110,7 @@ def sent(rig: Fine, way: Way) -> list[SampleBlock]:
 
 
 def followed(rig: Fine, blocks: list[SampleBlock], way: Way) -> tuple[float, float]:
-    """Share of the blocks sent whose force is valid, and NRMSE against the rig's force."""
+    """Share of the samples sent whose force is valid, and NRMSE against the rig's force."""
     assembler = WindowAssembler(2.0, 1.0, 3)
     settings = TrackerSettings(method="least_squares")
     tracker = WindowTracker(settings, start_set(settings.model))
@@ -134,9 +134,8 @@ def followed(rig: Fine, blocks: list[SampleBlock], way: Way) -> tuple[float, flo
         predictor.catch_up()
         if block.sequence * block.period < SETTLED:
             continue
-        valid.append(prediction.valid)
-        if not prediction.valid:
-            continue
+        known = prediction.valid_samples
+        valid.append(float(np.mean(known)))
         # Where the samples were taken evenly, the count tells when better than the stamp.
         begin = (
             (prediction.start_ns - rig.start_ns) / NANOSECONDS
@@ -145,9 +144,9 @@ def followed(rig: Fine, blocks: list[SampleBlock], way: Way) -> tuple[float, flo
         )
         at = begin + np.arange(prediction.force.size) * block.period
         truth = np.interp(at, grid, rig.force)
-        errors.append(prediction.force - truth)
-        truths.append(truth)
-    if not errors:
+        errors.append((prediction.force - truth)[known])
+        truths.append(truth[known])
+    if not any(valid):
         return 0.0, math.inf
     error, truth = np.concatenate(errors), np.concatenate(truths)
     return float(np.mean(valid)), float(np.sqrt(np.mean(error**2)) / np.std(truth))

@@ -158,7 +158,7 @@ def stream_nrmse_ratio(runs: int | None = None) -> float:
             prediction = predictor.predict(
                 SampleBlock(stamp, first, run.period, run.displacement[part], run.force[part])
             )
-            made[part], valid[part] = prediction.force, prediction.valid
+            made[part], valid[part] = prediction.force, prediction.valid_samples
         time: Array = np.arange(run.force.size, dtype=float) * run.period
         sine = SineMotion(condition.amplitude, condition.frequency, phase=published_runs.PHASE)
         exact = sine_force(values, *sine.at(time), condition.current)

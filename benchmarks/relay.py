@@ -36,6 +36,7 @@ class Relay(Node):
                 period=message.period,
                 force=message.force,
                 parameter_set=PARAMETER_SET,
+                sample_doubts=bytes(len(message.force)),
                 valid=True,
             )
         )

@@ -45,6 +45,7 @@ from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.validity import DoubtKind
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
 
 CURRENT_STEP = 0.005
@@ -107,10 +108,11 @@ class TrialResult:
 
     ``time`` [s]; ``current`` [A] that the supply really gives; ``true``: force [N] between rod and
     load cell, without noise or a fault of the instruments; ``measured``: what the instruments say
-    (NaN: nothing was sent); ``predicted`` [N] (NaN: none), ``valid``; ``reason``: index into
-    ``reasons``, why it is not valid (of the first, empty where it is, or where nothing came);
-    ``doubt``: the DoubtKind, -1 where nothing came; ``used``: index into ``sets``, -1 for none.
-    ``reports`` are in the order in which they took effect, at ``report_times`` [s].
+    (NaN: nothing was sent); ``predicted`` [N] (NaN: none); ``doubts``: kind of doubt of each, -1
+    where nothing came; ``reason``: index into ``reasons``, why the block's newest doubted sample is
+    not valid (of the first, empty where all are, or where nothing came); ``used``: index into
+    ``sets``, -1 for none. ``reports`` are in the order in which they took effect, at
+    ``report_times`` [s].
     """
 
     time: Array
@@ -119,15 +121,19 @@ class TrialResult:
     true: Array
     measured: Array
     predicted: Array
-    valid: np.ndarray
+    doubts: np.ndarray
     reason: np.ndarray
     reasons: list[str]
-    doubt: np.ndarray
     used: np.ndarray
     sets: list[SetInUse]
     reports: list[Report]
     report_times: list[float]
     rejected: list[str]
+
+    @property
+    def valid(self) -> np.ndarray:
+        """Whether the predicted force of each sample is valid, shape (n,)."""
+        return np.asarray(self.doubts == DoubtKind.NONE)
 
     @property
     def period(self) -> float:
@@ -298,7 +304,7 @@ class StreamTrial:
     def result(self) -> TrialResult:
         """What has come since the start."""
         rows = np.concatenate(self._parts, axis=1)
-        time, displacement, current, true, measured, predicted, valid, reason, doubt, used = rows
+        time, displacement, current, true, measured, predicted, doubts, reason, used = rows
         return TrialResult(
             time=time,
             displacement=displacement,
@@ -306,10 +312,9 @@ class StreamTrial:
             true=true,
             measured=measured,
             predicted=predicted,
-            valid=valid.astype(bool),
+            doubts=doubts.astype(int),
             reason=reason.astype(int),
             reasons=list(self._reasons),
-            doubt=doubt.astype(int),
             used=used.astype(int),
             sets=list(self._sets),
             reports=list(self._reports),
@@ -321,10 +326,10 @@ class StreamTrial:
 
     def _go_on(self, made: RigBlock) -> None:
         size, first = made.sample_count, made.sequence
-        rows = np.full((10, size), math.nan)
+        rows = np.full((9, size), math.nan)
         rows[0] = (first + np.arange(size)) * made.period
         rows[1:4] = made.displacement, made.current, made.force
-        rows[6:] = np.array([[0.0], [0.0], [-1.0], [-1.0]])
+        rows[6:] = np.array([[-1.0], [0.0], [-1.0]])
         self._parts.append(rows)
         noise = self._noise.standard_normal((2, size))
         block = replace(
@@ -406,7 +411,6 @@ class StreamTrial:
             return  # it came twice: the first one counted
         rows[4] = delivery.block.force
         rows[5] = prediction.force
-        rows[6] = prediction.valid
+        rows[6] = prediction.doubts
         rows[7] = self._reasons.setdefault(prediction.reason, len(self._reasons))
-        rows[8] = prediction.doubt.kind
-        rows[9] = len(self._sets) - 1
+        rows[8] = len(self._sets) - 1

@@ -181,9 +181,12 @@ class ModelNode(Node):
             self._next_wrench_ns = None
             self._signals.restart()
         self._signals.publish(prediction, block)
+        measured = prediction.at_its_samples(block.force)
         if prediction.valid:
-            measured = prediction.at_its_samples(block.force)
             self._error.add(prediction.force, measured, block.period)
+        elif (valid := prediction.valid_samples).any():
+            self._error.add(prediction.force[valid], measured[valid], block.period)
+        if not prediction.newest_doubt:
             self._mirror(prediction)
         self._predictor.catch_up()
 
@@ -208,10 +211,12 @@ class ModelNode(Node):
         values = {"NRMSE": f"{nrmse:.4f}"}
         if self._last is None or self._inputs.silent:
             return Finding(STALE, "nothing to predict: no samples come", values)
-        values["doubt"] = self._last.doubt.kind.name
-        if not self._last.valid:
-            level = ERROR if self._last.doubt.kind.grave else WARN
-            return Finding(level, f"not valid: {self._last.reason}", values)
+        doubt = self._last.newest_doubt
+        values["doubt"] = doubt.kind.name
+        if doubt:
+            return Finding(
+                ERROR if doubt.kind.grave else WARN, f"not valid: {doubt.sentence}", values
+            )
         if math.isnan(nrmse):
             return Finding(OK, "valid", values)
         level = ERROR if nrmse > _BAD_NRMSE else WARN if nrmse > _POOR_NRMSE else OK

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 import math
 from collections.abc import Iterable
 
@@ -159,6 +160,7 @@ class PredictionMessage:
         message.period = prediction.period
         message.force = to_field(prediction.force)
         message.parameter_set = prediction.set_id
+        message.sample_doubts = array.array("B", prediction.doubts.tobytes())
         message.valid = prediction.valid
         message.doubt = int(prediction.doubt.kind)
         message.reason = prediction.reason

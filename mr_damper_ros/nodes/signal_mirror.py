@@ -57,7 +57,7 @@ class SignalMirror:
             message.measured_force = float(measured[k])
             message.predicted_force = predicted
             message.force_error = predicted - message.measured_force
-            message.valid = prediction.valid
+            message.valid = not prediction.doubts[k]
             self._publisher.publish(message)
 
     def _due(self, prediction: Prediction) -> Iterator[tuple[int, int]]:

@@ -9,6 +9,10 @@ Array = NDArray[np.float64]
 """Array of doubles; its shape is told where it is used."""
 
 
+Mask = NDArray[np.bool_]
+"""One truth value for each sample."""
+
+
 def span_of(values: Array) -> tuple[float, float]:
     """Lowest and highest of some numbers (n,); of a single one in a tenth of NumPy's time."""
     if values.size == 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -100,3 +100,13 @@ class SampleBlock:
     def end_ns(self) -> int:
         """Stamp at which the next block should start."""
         return self.start_ns + round(self.sample_count * self.period * NANOSECONDS)
+
+    def part(self, first: int, end: int | None = None) -> SampleBlock:
+        """The samples from number ``first`` on, up to the one before ``end``."""
+        return replace(
+            self,
+            start_ns=self.start_ns + round(first * self.period * NANOSECONDS),
+            sequence=self.sequence + first,
+            displacement=self.displacement[first:end],
+            force=self.force[first:end],
+        )

@@ -246,7 +246,7 @@ class UniformGrid:
         known = _end(self._last) - block.sequence
         if known > 0:
             self.repeated_samples += known
-            block = _part(block, known)
+            block = block.part(known)
         self._clock.learn(block.sequence, block.start_ns)
         late = (block.start_ns - self._clock.at(block.sequence)) / (block.period * NANOSECONDS)
         if self._settings.stamps == "auto" and (abs(late) > _NOTICED or self._uneven.found):
@@ -363,14 +363,3 @@ def _measured(force: Array, after: Array, lost: int) -> tuple[Array, Array]:
 
 def _end(block: SampleBlock) -> int:
     return block.sequence + block.sample_count
-
-
-def _part(block: SampleBlock, first: int) -> SampleBlock:
-    """The samples of a block from number ``first`` on."""
-    return replace(
-        block,
-        start_ns=block.start_ns + round(first * block.period * NANOSECONDS),
-        sequence=block.sequence + first,
-        displacement=block.displacement[first:],
-        force=block.force[first:],
-    )

@@ -45,11 +45,11 @@ class FadingForce:
     def __init__(self, period: float = math.inf) -> None:
         self._period = period
         self._count = round(FADES / period)
+        # The part [N] of the difference in the last samples.
+        self._part: Array = np.zeros(0)
         self._before: _Before | None = None
         # The difference [N] where it began to fade, and samples until it is gone.
         self._difference, self._left = 0.0, 0
-        # The largest part [N] of it in the last samples.
-        self._largest = 0.0
 
     def leave(self, stream: ForceStream | None, parameters: ParameterSet | None) -> None:
         """A set is in use no more whose force the stream was; the next samples go on from it."""
@@ -72,24 +72,28 @@ class FadingForce:
             self._before = None
             self._begin(went_on, float(force[0]), largest)
         if self._left == 0:
-            self._largest = 0.0
+            self._part = np.zeros(0)
             return force
         left = np.maximum(self._left - np.arange(force.size), 0) / self._count
         self._left = max(self._left - force.size, 0)
-        self._largest = abs(self._difference) * float(left[0])
-        return np.asarray(force + self._difference * left)
+        self._part = self._difference * left
+        return np.asarray(force + self._part)
 
     def doubt(self, allowed: float, force: Array, measured: Array) -> Doubt:
         """Whether the ``force`` (m,) that goes on is off by more than ``allowed`` [N].
 
         That of the set in use may be right then, and the difference small: both count together.
         """
-        if self._largest == 0.0 or float(np.abs(force - measured).max()) <= allowed:
+        if not self._part.size:
+            return NO_DOUBT
+        wrong = np.abs(force - measured) > allowed
+        if not wrong.any():
             return NO_DOUBT
         return Doubt(
             DoubtKind.WRONG,
-            f"the force goes on from that of other parameters: {self._largest:.3g} N of the "
+            f"the force goes on from that of other parameters: {abs(self._part[0]):.3g} N of the "
             "difference are left, which fades away",
+            wrong,
         )
 
     def _begin(self, went_on: float, force: float, largest: float) -> None:

@@ -8,10 +8,11 @@ cycle, which tells that the parameters are: then nothing is valid until they are
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, Mask
 from mr_damper_ros.tracking.recent_force import RecentForce
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
@@ -33,6 +34,13 @@ _MOST_REMEMBERED = 1.5
 _BACK = 0.9
 """Part of either limit that the error must fall below again."""
 
+_CALM = 0.02
+"""Seconds for which the error of a sample must have been below that before one is valid again."""
+
+_BEYOND, _JUMP, _LONGEST_WILD = 1.5, 1.0, 0.02
+"""Samples of the measured force are wild that are so many peaks away from its centre and came there
+by a jump of the error of so many. After so many seconds the force is taken to be such."""
+
 _MOST_NOISE = 0.1
 """What looks like noise is taken for it up to this part of the peak."""
 
@@ -53,8 +61,12 @@ class ForceWatch:
         self._time = _SHORTEST
         # Mean square [1] of the error over the peak.
         self._square = 0.0
-        self._wrong_now = False
         self._wrong = False
+        # The error [N] of the last sample, and for how many samples the measured force is wild.
+        self._error, self._wild_for = 0.0, 0
+        self._longest_wild = max(round(_LONGEST_WILD / period), 1)
+        # Samples until one that is right is valid again, and how many those are at first.
+        self._wait, self._calm = 0, 1 + round(_CALM / period)
         # Seconds for which the forces have been compared without a break.
         self._compared = 0.0
 
@@ -64,7 +76,7 @@ class ForceWatch:
 
         A moment in which it was wrong is over with that moment, but for what it adds to the rest.
         """
-        return self._compared >= 2.0 * self._time and not (self._wrong or self._wrong_now)
+        return self._compared >= 2.0 * self._time and not (self._wrong or self._wait)
 
     @property
     def allowed(self) -> float:
@@ -82,30 +94,38 @@ class ForceWatch:
         """
         if known < math.inf and self._recent.peak > 0.0:
             self._square = (known / self._recent.peak) ** 2
-            self._wrong = self._wrong_now = False
+            self._wrong, self._wait = False, 0
         elif self._wrong:
             self._square = (_LASTING * self._limit) ** 2
         self._recent.forget_predicted()
 
     def forget_moment(self) -> None:
         """The samples do not go on from where the force could be known, or were not judged."""
-        self._square = self._compared = 0.0
-        self._wrong_now = self._wrong = False
+        self._square = self._compared = self._error = 0.0
+        self._wrong, self._wait, self._wild_for = False, 0, 0
 
-    def judge(self, predicted: Array, measured: Array) -> Doubt:
-        """Follow the forces (n,) [N] of the next samples: why to doubt the predicted one."""
+    def judge(self, predicted: Array, measured: Array) -> list[Doubt]:
+        """Follow the forces (n,) [N] of the next samples: why to doubt the predicted ones."""
         if self._limit == 0.0:
-            return self._doubt_of_power()
+            return [self._doubt_of_power()]
         peak = self._recent.peak
         if not peak > 0.0:
             # Nothing is known of the force yet, or it never changed.
-            return self._doubt_of_sensor() if peak == 0.0 else NO_DOUBT
-        largest = self._follow(predicted, measured, peak)
-        if not largest < math.inf:
-            return Doubt(DoubtKind.WRONG, "the predicted force has no finite error")
-        error = self._doubt_of_error(largest, peak, measured)
-        # One that agrees with the measured force drives the motion no more than that does.
-        return self._doubt_of_sensor() or (error and (self._doubt_of_power() or error))
+            return [self._doubt_of_sensor()] if peak == 0.0 else []
+        errors = predicted - measured
+        sizes = np.abs(errors)
+        if not float(sizes.max()) < math.inf:
+            return [Doubt(DoubtKind.WRONG, "the predicted force has no finite error")]
+        wrong, wild = self._wrong_samples(errors, sizes, measured, peak)
+        self._follow(sizes if wild is None else sizes[~wild], peak)
+        doubts = [self._doubt_of_sensor()]
+        if wild is not None:
+            doubts.append(self._doubt_of_wild(measured[wild], peak, wild))
+        if self._wrong or wrong is not None:
+            error = self._doubt_of_error(sizes, peak, wrong)
+            # One that agrees with the measured force drives the motion no more than that does.
+            doubts += [replace(self._doubt_of_power(), at=error.at), error]
+        return doubts
 
     def learn(
         self, forces: tuple[Array, Array], velocity: Array, half_cycle: float, *, steady: bool
@@ -119,56 +139,91 @@ class ForceWatch:
         if not math.isnan(half_cycle):
             self._time = min(max(half_cycle, _SHORTEST), _LONGEST)
 
-    def _follow(self, predicted: Array, measured: Array, peak: float) -> float:
-        """Follow the lasting error; returns the largest error [N] of a sample."""
-        count = measured.size
-        if count == 1:
-            largest = abs(float(predicted[0]) - float(measured[0]))
-            square = largest * largest
-        else:
-            errors = predicted - measured
-            square = float(errors @ errors) / count
-            largest = float(np.abs(errors).max())
-        if not square < math.inf:
-            return math.inf
-        square = max(square - self._noise(peak) ** 2, 0.0) / peak**2
-        square = min(square, (_MOST_REMEMBERED * _LASTING * self._limit) ** 2)
+    def _wrong_samples(
+        self, errors: Array, sizes: Array, measured: Array, peak: float
+    ) -> tuple[Mask | None, Mask | None]:
+        """Masks (n,) of the samples with too large an error, and of the wild ones; None for none.
+
+        ``errors`` [N] and their ``sizes`` are those against the ``measured`` force [N].
+        """
+        before, self._error = self._error, float(errors[-1])
+        limit, noise = self._limit * peak, self._noise(peak)
+        if self._wait == 0 and float(sizes.max()) <= self._allowed(limit, noise):
+            self._wild_for = 0
+            return None, None
+        off = np.abs(measured - self._recent.centre)
+        # A force that grows is not wrong because it was smaller before.
+        largest = np.maximum(off, peak)
+        begins, stays = (
+            (sizes > np.maximum(*self._limits(part * self._limit * largest, noise))).tolist()
+            for part in (1.0, _BACK)
+        )
+        beyond = (off > _BEYOND * peak).tolist()
+        jumps = (np.abs(np.diff(errors, prepend=before)) > _JUMP * peak).tolist()
+        wrong, wild = np.zeros((2, sizes.size), dtype=bool)
+        for k, (begin, stay) in enumerate(zip(begins, stays, strict=True)):
+            if begin and beyond[k] and (jumps[k] or 0 < self._wild_for < self._longest_wild):
+                self._wild_for += 1
+                wild[k] = True
+                continue
+            self._wild_for = 0
+            if begin or (stay and self._wait):
+                self._wait = self._calm
+            elif self._wait:
+                self._wait -= 1
+            wrong[k] = self._wait > 0
+        return wrong if wrong.any() else None, wild if wild.any() else None
+
+    def _follow(self, sizes: Array, peak: float) -> None:
+        """Follow the lasting error by the sizes (n,) [N] of the errors of the next samples."""
+        count = sizes.size
+        self._compared += count * self._period
+        if count == 0:
+            return
+        most = _MOST_REMEMBERED * _LASTING * self._limit * peak
+        if float(sizes.max()) > most:
+            sizes = sizes.clip(0.0, most)
+        square = (float(sizes @ sizes) / count - self._noise(peak) ** 2) / peak**2
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
-        self._compared += count * self._period
-        return largest
+        lasting = _LASTING * self._limit * (_BACK if self._wrong else 1.0)
+        self._wrong = self._square > lasting**2
 
     @staticmethod
-    def _allowed(limit: float, noise: float) -> float:
-        """Difference [N] that a sample may have to a measured force of so much noise [N]."""
+    def _limits(limit: Array | float, noise: float) -> tuple[Array | float, Array | float]:
+        """Differences [N] of which a sample may have the larger to a force of so much noise [N]."""
         chance = _CHANCE * noise
         # The noise may hide a part of the error; where there is much of it, it may look like one.
-        return max(_SEEN * limit - chance, _SAMPLE * limit + chance)
+        return _SEEN * limit - chance, _SAMPLE * limit + chance
+
+    def _allowed(self, limit: float, noise: float) -> float:
+        return float(max(*self._limits(limit, noise)))
 
     def _noise(self, peak: float) -> float:
         return min(self._recent.noise, _MOST_NOISE * peak)
 
-    def _doubt_of_error(self, largest: float, peak: float, measured: Array) -> Doubt:
-        limit, noise = self._limit * (_BACK if self._wrong_now else 1.0), self._noise(peak)
-        if largest > self._allowed(limit * peak, noise):
-            # A force that grows is not wrong because it was smaller before.
-            peak = max(peak, float(np.abs(measured - self._recent.centre).max()))
-        self._wrong_now = largest > self._allowed(limit * peak, noise)
-        lasting = _LASTING * self._limit * (_BACK if self._wrong else 1.0)
-        self._wrong = self._square > lasting**2
-        if self._wrong_now:
-            return Doubt(
-                DoubtKind.WRONG,
-                f"the predicted force is off by {largest:.3g} N, and the peak of the measured one "
-                f"is {peak:.3g} N: maximum_error is {self._limit:.0%}",
-            )
+    def _doubt_of_error(self, sizes: Array, peak: float, wrong: Mask | None) -> Doubt:
         if self._wrong:
             return Doubt(
                 DoubtKind.WRONG,
                 f"the predicted force was off by {math.sqrt(self._square):.0%} of the peak over "
-                f"the last half-cycle: valid again below {lasting:.0%}",
+                f"the last half-cycle: valid again below {_BACK * _LASTING * self._limit:.0%}",
             )
-        return NO_DOUBT
+        return Doubt(
+            DoubtKind.WRONG,
+            f"the predicted force is off by {float(sizes[wrong].max()):.3g} N, and the peak of the "
+            f"measured one is {peak:.3g} N: maximum_error is {self._limit:.0%}",
+            wrong,
+        )
+
+    @staticmethod
+    def _doubt_of_wild(measured: Array, peak: float, wild: Mask) -> Doubt:
+        return Doubt(
+            DoubtKind.SENSOR,
+            f"the measured force jumps to {float(measured[-1]):.4g} N, and its peak is {peak:.3g} "
+            "N: a loose contact, or a disturbance on the line of the load cell?",
+            wild,
+        )
 
     def _doubt_of_sensor(self) -> Doubt:
         if self._recent.stuck:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.signals.uniform_grid import Continuity, GridSettings, UniformGrid
+from mr_damper_ros.signals.uniform_grid import GridSettings, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.fading_force import FadingForce
 from mr_damper_ros.tracking.force_watch import ForceWatch
@@ -35,6 +36,7 @@ from mr_damper_ros.tracking.validity import (
     doubt_of_parameters_age,
     doubt_of_size,
     doubt_of_speed,
+    doubts_of_samples,
     middle,
 )
 from mr_damper_ros.tracking.verdict_watch import VerdictWatch
@@ -64,6 +66,10 @@ class PredictorSettings(ValiditySettings):
         maximum=3600.0,
     )
 
+
+_TOGETHER = 0.01
+"""Seconds of samples that are followed at once: what is learnt from them, another set or another
+current, counts for the next. So a block of many is no worse than several of few."""
 
 _OF_THE_SET = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.OUT_OF_RANGE, DoubtKind.TOO_LARGE)
 """Doubts that another set may remove."""
@@ -270,8 +276,8 @@ class ForcePredictor:
         settings, parameters = self._settings, self.parameters
         return ForceDoubt(
             doubt_of_current_range(current, parameters, settings.current_margin),
-            doubt_of_size(force, parameters, settings.force_margin)
-            or doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin),
+            doubt_of_size(force, parameters, settings.force_margin),
+            doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin),
         )
 
     def predict(self, block: SampleBlock, now_ns: int | None = None) -> Prediction:
@@ -281,21 +287,39 @@ class ForcePredictor:
         time on the clock of the stamps, where there is one.
         """
         (placed,) = self._sequence.follow(block)
-        prediction = self._predict(placed.block, placed.bridged, placed.continuity, now_ns)
-        return prediction if placed.block is block else prediction.of_arrived(placed)
-
-    def _predict(
-        self, block: SampleBlock, bridged: int, verdict: Continuity, now_ns: int | None
-    ) -> Prediction:
+        whole, bridged, verdict = placed.block, placed.bridged, placed.continuity
         if verdict.kind == "repeat":
             repeated = Doubt(DoubtKind.REPEATED, verdict.sentence)
-            return self._invalid(block, repeated, verdict.sentence)
+            return self._invalid(whole, repeated, verdict.sentence)
         if verdict.kind == "jump_back":
             self._current.follow_jump()
             self._freshness.restart()
-        stale = self._freshness.judge(block.end_ns, now_ns)
-        lost_sight = self._motion is not None and self._motion.lost_sight(bridged * block.period)
-        if self._motion is None or verdict.restarts or lost_sight:
+        stale = self._freshness.judge(whole.end_ns, now_ns)
+        lost_sight = self._motion is not None and self._motion.lost_sight(bridged * whole.period)
+        restarts = verdict.restarts or lost_sight
+        together = max(round(_TOGETHER / whole.period), 1)
+        if whole.sample_count <= bridged + together:
+            prediction = self._predict(whole, bridged, verdict.sentence, stale, restarts=restarts)
+            return prediction if whole is block else prediction.of_arrived(placed)
+        # Those that were bridged go with the first that were not.
+        ends = [*range(bridged + together, whole.sample_count, together), whole.sample_count]
+        parts = [
+            self._predict(
+                whole.part(first, end),
+                0 if first else bridged,
+                verdict.sentence,
+                stale,
+                restarts=restarts and first == 0,
+            )
+            for first, end in pairwise([0, *ends])
+        ]
+        prediction = Prediction.joined(parts)
+        return prediction if whole is block else prediction.of_arrived(placed)
+
+    def _predict(
+        self, block: SampleBlock, bridged: int, continuity: str, stale: Doubt, *, restarts: bool
+    ) -> Prediction:
+        if self._motion is None or restarts:
             self._motion = MotionFollower(
                 block.period, self._settings.bandwidth, self._settings.centre_memory
             )
@@ -308,25 +332,27 @@ class ForcePredictor:
         self._learn()
         motion = self._motion.follow(block.displacement)
         if self._foreseen is not None and self._came(block):
-            force = self._foreseen.use(self._motion.came)
-            reckoned = Reckoned(force, True, self._foreseen.doubt, self._foreseen.current)
+            reckoned = self._foreseen.use(self._motion.came)
         else:
             self._go_on()
             missing = doubt_of_missing(self.parameters, self._current, block.start_ns)
             if missing:
-                return self._invalid(block, missing, verdict.sentence, motion.velocity)
+                return self._invalid(block, missing, continuity, motion.velocity)
             reckoned = self._reckon_block(motion, block)
         assert self.parameters is not None
         if not reckoned.finite:
             self._stream = None
             sentence = f"the force of {self.parameters.set_id} is beyond what a number can hold"
             not_finite = Doubt(DoubtKind.NOT_FINITE, sentence)
-            return self._invalid(block, not_finite, verdict.sentence, motion.velocity)
+            return self._invalid(block, not_finite, continuity, motion.velocity)
         assert self._watch is not None
         largest = (1.0 + self._settings.force_margin) * self.parameters.largest_force
         force = self._fading.follow(reckoned.force, motion, reckoned.current, largest)
-        self._newest_doubt = self._doubt(block, bridged, motion, reckoned)
+        of_set = [each for each in self._doubts(block, bridged, motion, reckoned) if each]
+        self._newest_doubt = of_set[0] if of_set else NO_DOUBT
         fading = self._fading.doubt(self._watch.allowed, force[bridged:], block.force[bridged:])
+        others = [each for each in (fading.after(bridged), stale) if each]
+        doubts, doubt = doubts_of_samples(block.sample_count, of_set + others)
         return Prediction(
             start_ns=block.start_ns,
             sequence=block.sequence,
@@ -334,13 +360,16 @@ class ForcePredictor:
             force=force,
             velocity=motion.velocity,
             set_id=self.parameters.set_id,
-            doubt=self._newest_doubt or fading or stale,
-            continuity=verdict.sentence,
+            doubts=doubts,
+            doubt=doubt,
+            continuity=continuity,
             motion=motion,
             current=reckoned.current,
         )
 
-    def _doubt(self, block: SampleBlock, bridged: int, motion: Motion, reckoned: Reckoned) -> Doubt:
+    def _doubts(
+        self, block: SampleBlock, bridged: int, motion: Motion, reckoned: Reckoned
+    ) -> list[Doubt]:
         """Why not to rely on the force of a block: what is known of the motion comes first."""
         assert self._motion is not None
         assert self._stream is not None
@@ -352,20 +381,22 @@ class ForcePredictor:
             self._known.forget_samples()
             if settling.kind is not DoubtKind.AT_REST:
                 self._unlearned = Unlearned(forces, motion, None, block.period, bridged)
-            return settling
+            return [settling]
         self._unlearned = Unlearned(forces, motion, reckoned.current, block.period, bridged)
         measured = self._watch.judge(reckoned.force[bridged:], block.force[bridged:])
         settings, live, present = self._settings, self._freshness.live, self._known.present
         assert present is not None
-        return (
-            doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live)
-            or doubt_of_parameters_age(present.confirmed_ns, block.end_ns, settings, live=live)
-            or reckoned.doubt.current
-            or measured
+        doubts = [
+            doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live),
+            doubt_of_parameters_age(present.confirmed_ns, block.end_ns, settings, live=live),
+            reckoned.doubt.current,
+            *(each.after(bridged) for each in measured),
+        ]
+        if not self._watch.holds:
             # What has been right for a cycle of this motion holds for it, identified or not, and
             # whatever the identifier says of windows that it could not fit.
-            or (NO_DOUBT if self._watch.holds else reckoned.doubt.motion or self._verdicts.doubt)
-        )
+            doubts += [reckoned.doubt.size, reckoned.doubt.speed, self._verdicts.doubt]
+        return doubts
 
     def _reckon_block(self, motion: Motion, block: SampleBlock) -> Reckoned:
         assert self._motion is not None

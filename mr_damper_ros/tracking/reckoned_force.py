@@ -13,10 +13,11 @@ from mr_damper_ros.tracking.validity import Doubt
 
 
 class ForceDoubt(NamedTuple):
-    """Whether the parameters hold for a ``current`` and for a ``motion`` and its force."""
+    """Whether the parameters hold for a ``current``, a ``size`` of the force and a ``speed``."""
 
     current: Doubt
-    motion: Doubt
+    size: Doubt
+    speed: Doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +70,12 @@ class Foreseen:
     count: int = 0
     _memories: dict[int, State | None] = field(default_factory=dict)
 
-    def use(self, came: int) -> Array:
-        """Force [N] of the samples up to that one of the motion."""
+    def use(self, came: int) -> Reckoned:
+        """What was reckoned for the samples up to that one of the motion."""
         part = slice(self.count, came - self.first)
         self.count = came - self.first
-        return self.ahead.force[part]
+        doubt = self.doubt._replace(size=self.doubt.size.part(part))
+        return Reckoned(self.ahead.force[part], True, doubt, self.current)
 
     def memory_after(self, count: int) -> State | None:
         """What the law remembers after so many of the samples; of more than there are, after all.

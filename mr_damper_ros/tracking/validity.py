@@ -7,18 +7,23 @@ asks them all. The evidence of the measured force is in :mod:`mr_damper_ros.trac
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.models.force_stream import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array, span_of
+from mr_damper_ros.signals.arrays import Array, Mask, span_of
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+
+Codes = NDArray[np.uint8]
+"""A :class:`DoubtKind` for each sample."""
 
 CURRENT_READING = 0.02
 """A supply's reading of a constant current moves by so much [A]."""
@@ -70,17 +75,51 @@ _GRAVE = frozenset(
 
 @dataclass(frozen=True)
 class Doubt:
-    """A reason not to rely on a force: its kind, and a sentence with figures for people."""
+    """A reason not to rely on a force: its kind, and a sentence with figures for people.
+
+    ``at``: mask (n,) of the samples that it holds for; None: all of them.
+    """
 
     kind: DoubtKind = DoubtKind.NONE
     sentence: str = ""
+    at: Mask | None = field(default=None, compare=False)
 
     def __bool__(self) -> bool:
         """Whether there is any doubt."""
         return self.kind is not DoubtKind.NONE
 
+    def part(self, chosen: slice) -> Doubt:
+        """That of the chosen samples."""
+        if self.at is None:
+            return self
+        at = self.at[chosen]
+        return replace(self, at=at) if at.any() else NO_DOUBT
+
+    def after(self, count: int) -> Doubt:
+        """The same where so many samples without doubt come before."""
+        if self.at is None or count == 0:
+            return self
+        return replace(self, at=np.concatenate([np.zeros(count, dtype=bool), self.at]))
+
 
 NO_DOUBT = Doubt()
+
+
+def doubts_of_samples(count: int, doubts: Sequence[Doubt]) -> tuple[Codes, Doubt]:
+    """The kind of doubt of each sample (n,), and the doubt of the newest that is not valid.
+
+    Of several that hold for a sample the first one counts.
+    """
+    codes = np.zeros(count, dtype=np.uint8)
+    if not doubts:
+        return codes, NO_DOUBT
+    for doubt in reversed(doubts):
+        codes[... if doubt.at is None else doubt.at] = doubt.kind
+    doubted = np.flatnonzero(codes)
+    if not doubted.size:
+        return codes, NO_DOUBT
+    newest = doubted[-1]
+    return codes, next(doubt for doubt in doubts if doubt.at is None or doubt.at[newest])
 
 
 @dataclass(frozen=True)
@@ -190,6 +229,7 @@ def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doub
         DoubtKind.TOO_LARGE,
         f"a force of {reached:.4g} N is predicted, and the damper has been measured to give "
         f"{largest:.4g} N at most: are the parameters those of this damper?",
+        np.abs(force) > (1.0 + margin) * largest,
     )
 
 

@@ -16,6 +16,7 @@ from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.rig.faults.fault_text import faults_of
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.validity import DoubtKind
 
 QUICK = TrialSettings(block_size=50, tracker=TrackerSettings(method="least_squares"))
 DAMPER = "viscous_tanh"
@@ -45,7 +46,8 @@ def made_up(valid: np.ndarray, error: np.ndarray) -> TrialResult:
     count = valid.size
     true = 100.0 * np.sin(2.0 * np.pi * np.arange(count) / 1000.0)
     cut = {name: getattr(result, name)[:count] for name in ("time", "current", "measured")}
-    return replace(result, **cut, true=true, predicted=true + error, valid=valid)
+    doubts = np.where(valid, DoubtKind.NONE, DoubtKind.WRONG)
+    return replace(result, **cut, true=true, predicted=true + error, doubts=doubts)
 
 
 def test_the_damper_of_the_first_kind_has_the_stated_peak() -> None:

@@ -103,6 +103,33 @@ def test_a_force_that_is_wrong_for_most_of_a_cycle_is_not_valid_around_zero_eith
     assert DoubtKind.NONE not in kinds(predictions, CHANGE + 500)
 
 
+def test_each_sample_is_judged_by_itself() -> None:
+    force = RUN.force.copy()
+    off = slice(5020, 5030)
+    force[off] += 0.3 * np.ptp(force)
+    block = predicted(force=force, size=100)[50]
+    assert (block.doubts[20:30] == DoubtKind.WRONG).all()
+    assert block.valid_samples[:20].all()
+    assert block.valid_samples[60:].all()
+    assert (block.valid, block.doubt.kind, block.newest_doubt.kind) == (
+        False,
+        DoubtKind.WRONG,
+        DoubtKind.NONE,
+    )
+
+
+def test_the_valid_share_of_a_stream_does_not_depend_on_its_blocks() -> None:
+    """A force that is wrong at the ends of each half-cycle."""
+    size = np.abs(RUN.force)
+    force = np.where(size > np.quantile(size, 0.9), 1.3 * RUN.force, RUN.force)
+    shares = [
+        np.mean(np.concatenate([p.valid_samples for p in predicted(force=force, size=size)]))
+        for size in (1, 10, 100)
+    ]
+    assert 0.3 < min(shares) < 0.9
+    assert max(shares) - min(shares) < 0.02
+
+
 def test_a_force_is_valid_again_once_it_is_right() -> None:
     force = RUN.force.copy()
     force[3000:3500] *= 10.0

@@ -83,7 +83,8 @@ class Rig:
         assert [f.header for f in forces] == [b.header for b in blocks]
         assert [len(f.force) for f in forces] == [len(b.force) for b in blocks]
         assert {f.period for f in forces} == {recording.period}
-        assert all(f.valid == (not f.reason) for f in forces)
+        assert all(f.valid == (not f.reason) == (not any(f.sample_doubts)) for f in forces)
+        assert all(len(f.sample_doubts) == len(f.force) for f in forces)
         return forces
 
     def send(self, *blocks: MtsSamples) -> list[PredictedForce]:
