@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mr_damper_ros.interface.comparison import Comparison
+from mr_damper_ros.processes.whole_files import write_bytes
 from mr_damper_ros.signals.arrays import Array
 
 if TYPE_CHECKING:
@@ -51,14 +53,15 @@ def save_figures(
     comparisons: Iterable[Comparison], folder: Path, formats: Sequence[str], title: str = ""
 ) -> list[Path]:
     """Draw each comparison into files of its name; returns their paths. Raises OSError."""
-    folder.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
     for comparison in comparisons:
         figure = comparison_figure(comparison, title)
         stem = _file_name(comparison.name, {path.stem for path in written})
         for kind in formats:
             written.append(folder / f"{stem}.{kind}")
-            figure.savefig(written[-1], dpi=150)
+            content = io.BytesIO()
+            figure.savefig(content, format=kind, dpi=150)
+            write_bytes(written[-1], content.getvalue())
     return written
 
 

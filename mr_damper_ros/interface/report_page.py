@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mr_damper_ros.processes.whole_files import write_bytes, write_text
+
 Cell = str | int | float | None
 
 
@@ -90,23 +92,22 @@ def to_error(value: float, error: float) -> str:
 
 def write_table(folder: Path, table: Table) -> None:
     """Write a table as CSV; numbers with all their digits."""
-    folder.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)
     writer.writerows(table.rows)
-    (folder / f"{table.name}.csv").write_text(text.getvalue(), encoding="utf-8")
+    write_text(folder / f"{table.name}.csv", text.getvalue())
 
 
 def write_picture(folder: Path, picture: Picture) -> bytes:
     """Write a figure as PNG and SVG; returns the SVG."""
-    folder.mkdir(parents=True, exist_ok=True)
-    picture.figure.savefig(folder / f"{picture.name}.png", dpi=150)
-    buffer = io.BytesIO()
+    pixels, svg = io.BytesIO(), io.BytesIO()
+    picture.figure.savefig(pixels, format="png", dpi=150)
+    write_bytes(folder / f"{picture.name}.png", pixels.getvalue())
     # No date and fixed ids: the same data give the same file.
-    picture.figure.savefig(buffer, format="svg", metadata={"Date": None})
-    (folder / f"{picture.name}.svg").write_bytes(buffer.getvalue())
-    return buffer.getvalue()
+    picture.figure.savefig(svg, format="svg", metadata={"Date": None})
+    write_bytes(folder / f"{picture.name}.svg", svg.getvalue())
+    return svg.getvalue()
 
 
 @dataclass(frozen=True)
@@ -142,13 +143,12 @@ def write_report(
         parts.append("</section>")
     body = "\n".join(parts)
     place = folder / page
-    folder.mkdir(parents=True, exist_ok=True)
-    place.write_text(
+    write_text(
+        place,
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>\n"
         f"<body>{body}</body></html>\n",
-        encoding="utf-8",
     )
     return place
 

@@ -114,9 +114,14 @@ def write_bag(
     ``recording.details``. The bag appears whole or not at all, with checksums; one that exists is
     replaced only with ``overwrite``.
 
-    Raises BagError where the bag exists, is something else, or the block size is below 1, and
-    OSError where the file system refuses.
+    Raises BagError where the bag exists, is something else, the block size is below 1, or the
+    arguments are exchanged, and OSError where the file system refuses.
     """
+    if not isinstance(recording, Recording):
+        raise BagError(
+            f"write_bag was given a {type(path).__name__} and a {type(recording).__name__}: give "
+            "the path first, then the recording"
+        )
     if block_size < 1:
         raise BagError(f"the block size is {block_size}: give at least 1 sample")
     if not 0 <= recording.start_ns <= recording.stamp_ns(recording.sample_count) < _STAMP_LIMIT:

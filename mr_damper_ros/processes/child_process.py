@@ -17,7 +17,7 @@ from importlib import import_module
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 SINGLE_THREADED = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment in which BLAS computes with one thread: the arrays here are small, more threads
@@ -72,10 +72,17 @@ class FreshContext(SpawnContext):
     """Of processes that multiprocessing starts for functions of modules, not of the program.
 
     It has its children read their parent's program first, whose imports may take seconds and are
-    of no use to them; and what is not guarded in it they would do again.
+    of no use to them; and what is not guarded in it they would do again. ``children`` are those
+    that it has started.
     """
 
-    Process: ClassVar[type[_FreshProcess]] = _FreshProcess  # type: ignore[assignment]
+    def __init__(self) -> None:
+        self.children: list[SpawnProcess] = []
+
+    def Process(self, *args: Any, **options: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802
+        """A process that has not started yet; see :class:`multiprocessing.Process`."""
+        self.children.append(_FreshProcess(*args, **options))
+        return self.children[-1]
 
 
 def _run(parent: str, module: str, function: str, *arguments: str) -> None:

@@ -6,10 +6,8 @@ task, and whether the workers share the folders of this process.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
-from multiprocessing.process import BaseProcess
 from typing import Any, Protocol
 
 from mr_damper_ros.processes import child_process
@@ -56,17 +54,17 @@ class LocalProcesses:
             raise ValueError(f"workers is {count}: at least 1 is needed")
         self.at_once = _AHEAD * count
         self._count = count
-        self._others: set[BaseProcess] = set()
+        self._context = child_process.FreshContext()
         self._pool: ProcessPoolExecutor | None = None
 
     def start(self) -> Executor:
         """An executor whose processes die with this one."""
         self.end()
-        self._others = set(multiprocessing.active_children())
+        self._context = child_process.FreshContext()
         os.environ.update({**child_process.SINGLE_THREADED, **os.environ})
         self._pool = ProcessPoolExecutor(
             self._count,
-            child_process.FreshContext(),
+            self._context,
             initializer=child_process.live_with,
             initargs=(os.getpid(),),
         )
@@ -77,7 +75,7 @@ class LocalProcesses:
         if self._pool is None:
             return
         self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(multiprocessing.active_children()) - self._others:
+        for process in self._context.children:
             process.kill()
         self._pool = None
 

@@ -12,6 +12,7 @@ from mr_damper_ros.interface.figure_style import styled
 from mr_damper_ros.interface.report_page import Chapter, write_report
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.study import earthquake, recordings
 from mr_damper_ros.study.oscillator_chapter import (
     oscillator_chapter,
@@ -117,7 +118,7 @@ def build_truth(
             notice += " Quick variant: few laws, few and short records; not the real figures."
         page = write_report(folder, _TITLE, notice, told, chapters)
     text = json.dumps(document, indent=2, allow_nan=False)
-    (folder / "truth.json").write_text(text + "\n", encoding="utf-8")
+    write_text(folder / "truth.json", text + "\n")
     return page
 
 

@@ -13,15 +13,18 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 
-_CODE = ("signals", "kinematics", "models", "models/sigmoid", "estimation", "rig", "thesis")
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+_ABOVE = ("nodes", "tools")
+"""Rooms that no result depends on: the reproduction knows nothing of them."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +117,9 @@ def _read(path: Path) -> dict[str, Any]:
 @lru_cache(maxsize=1)
 def _code_digest() -> str:
     """Digest of the code that the results depend on, as it is when the program starts."""
-    digest = hashlib.sha256(sys.version.encode() + np.__version__.encode())
-    root = resources.files("mr_damper_ros")
-    for folder in _CODE:
-        entries = sorted(root.joinpath(folder).iterdir(), key=lambda entry: entry.name)
-        for entry in entries:
-            if entry.name.endswith((".py", ".csv")):
-                digest.update(entry.read_bytes())
+    digest = hashlib.sha256(f"{sys.version} {np.__version__} {scipy.__version__}".encode())
+    for path in sorted(_PACKAGE.rglob("*")):
+        inside = path.relative_to(_PACKAGE)
+        if path.suffix in (".py", ".csv") and inside.parts[0] not in _ABOVE:
+            digest.update(inside.as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:12]

@@ -11,6 +11,8 @@ from pathlib import Path
 from mr_damper_ros.interface.comparison import Comparison
 from mr_damper_ros.interface.figures import FORMATS, save_figures
 
+_ROS = ("rclpy", "ament_index_python")
+
 FAILED = 2
 """Exit code where the input or the options cannot be used."""
 
@@ -26,9 +28,8 @@ def run_tool(
     """Parse the arguments (those of the process where None) and return the exit code of ``run``.
 
     What a user can mend (ValueError and its kinds in this package, OSError, data larger than the
-    memory) becomes one sentence
-    on standard error and exit code 2; anything else is a fault of the program and keeps its
-    traceback.
+    memory, a missing ROS) becomes one sentence on standard error and exit code 2; anything else is
+    a fault of the program and keeps its traceback.
     """
     given = sys.argv[1:] if arguments is None else arguments
     try:
@@ -47,6 +48,15 @@ def run_tool(
         return _fail(parser, f"{where}{error.strerror or error}")
     except ValueError as error:
         return _fail(parser, str(error))
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing not in _ROS and not missing.endswith("_msgs"):
+            raise
+        return _fail(
+            parser,
+            f"it needs ROS 2, and Python does not find {missing}: source the setup file of the "
+            "workspace that this package was built in, or env.bash of its folder",
+        )
     except MemoryError:
         return _fail(parser, "there is not enough memory for these data: take a part of them")
 

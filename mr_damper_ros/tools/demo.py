@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ament_index_python.packages import get_package_share_directory
 
 from mr_damper_ros.interface.comparison import Comparison
 from mr_damper_ros.interface.figures import save_figures
@@ -64,6 +63,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _demo(options: argparse.Namespace) -> int:
+    from ament_index_python.packages import get_package_share_directory
+
     share = Path(get_package_share_directory("mr_damper_ros"))
     bag = options.bag or share / "bags" / "5.0mm_1Hz_1.5A"
     recording = max(read_bag(bag), key=lambda part: part.sample_count)

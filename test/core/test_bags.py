@@ -188,6 +188,11 @@ def test_a_time_that_no_stamp_can_hold_is_refused(tmp_path: Path, start_ns: int)
         write_bag(tmp_path / "bag", recording(start_ns=start_ns))
 
 
+def test_exchanged_arguments_are_said_so(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="a Recording and a PosixPath: give the path first"):
+        write_bag(recording(), tmp_path)  # type: ignore[arg-type]
+
+
 # ---- damaged and foreign bags ----
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -91,6 +92,20 @@ def test_own_processes_are_others_than_this_one(tmp_path: Path) -> None:
     document = some.results.kept(some.tasks[0])
     assert document is not None
     assert document["process"] != str(os.getpid())
+
+
+def test_the_end_of_the_processes_is_not_that_of_the_callers_own() -> None:
+    own = LocalProcesses(1)
+    started = own.start().submit(os.getpid)
+    context = multiprocessing.get_context("spawn")
+    end = context.Event()
+    other = context.Process(target=end.wait)
+    other.start()
+    assert started.result() != other.pid
+    own.end()
+    end.set()
+    other.join()
+    assert other.exitcode == 0
 
 
 def test_what_is_kept_is_not_done_again(tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ import signal
 import subprocess
 import sys
 from functools import cache
+from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -26,7 +28,15 @@ from mr_damper_ros.interface.report_page import (
 from mr_damper_ros.models.published_conditions import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.thesis import facts, identifiability, one_set, optimisers, repeated, sensitivity
+from mr_damper_ros.thesis import (
+    campaign,
+    facts,
+    identifiability,
+    one_set,
+    optimisers,
+    repeated,
+    sensitivity,
+)
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.compared import Compared
 from mr_damper_ros.thesis.de import STRATEGIES, evolve
@@ -188,6 +198,20 @@ def test_results_do_not_depend_on_workers_and_are_kept(tmp_path, monkeypatch):
     again = Campaign(Settings(tmp_path / "one")).each("evolution", counted, tasks)
     assert again == one
     assert len(calls) == 1
+
+
+@pytest.mark.parametrize("inside", ["processes/a.py", "rig/faults/a.py", "models/a.csv", "a.py"])
+def test_kept_results_are_those_of_the_present_code(tmp_path, monkeypatch, inside):
+    monkeypatch.setattr(campaign, "_PACKAGE", tmp_path / "package")
+    file = tmp_path / "package" / inside
+    file.parent.mkdir(parents=True)
+    results = []
+    for text in ("before", "after"):
+        file.write_text(text)
+        campaign._code_digest.cache_clear()
+        results += Campaign(Settings(tmp_path)).each("name", lambda text=text: text, [{}])
+    assert results == ["before", "after"]
+    campaign._code_digest.cache_clear()
 
 
 def test_tables_do_not_depend_on_the_number_of_workers(tmp_path, capsys, monkeypatch):
@@ -415,6 +439,14 @@ def test_report_needs_nothing_from_outside_and_shows_the_numbers(tmp_path):
     assert float(first["Ours"]) == data[sensitivity.CONDITION]["f0"][-1]
     assert float(first["Thesis"]) == 16e5
     assert any(isinstance(block, Table) for block in blocks)
+
+
+def test_a_report_that_cannot_be_written_leaves_the_one_before(tmp_path, monkeypatch):
+    write_report(tmp_path, "Before", "", [], [])
+    monkeypatch.setattr(Path, "replace", Mock(side_effect=OSError(28, "No space left on device")))
+    with pytest.raises(OSError, match="No space left"):
+        write_report(tmp_path, "After", "", [], [])
+    assert "<title>Before</title>" in (tmp_path / "report.html").read_text("utf-8")
 
 
 def test_the_program_says_what_is_wrong(tmp_path, monkeypatch, capsys):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,7 @@ from mr_damper_ros.io.records import read_record, read_runs
 from mr_damper_ros.io.units import UNITS
 from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
-from mr_damper_ros.tools import import_record
+from mr_damper_ros.tools import check_rig, import_record, watch
 from mr_damper_ros.tools.console import run_tool
 
 COLUMNS = "time:s,displacement:mm,force:N"
@@ -505,6 +507,17 @@ def test_too_little_memory_is_one_sentence(capsys: pytest.CaptureFixture[str]) -
     assert capsys.readouterr().err == (
         "tool: there is not enough memory for these data: take a part of them\n"
     )
+
+
+@pytest.mark.parametrize("tool", [check_rig, watch])
+def test_without_ros_a_program_that_needs_it_says_so(
+    tool: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("mr_damper_ros.nodes.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    assert tool.main([]) == 2
+    assert "it needs ROS 2, and Python does not find rclpy" in capsys.readouterr().err
 
 
 def test_a_value_may_begin_with_a_minus_sign(write: Any, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import platform
 import sys
 import tempfile
@@ -13,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 from mr_damper_ros.control.export.c_header import filled, header, template
 from mr_damper_ros.control.export.compiler import compile_library
 from mr_damper_ros.control.export.exported_law import ExportedLaw, number
+from mr_damper_ros.processes.whole_files import write_bytes
 
 _VARIABLES = (
     ("displacement", "input", "m", "Displacement of the rod, extension positive"),
@@ -48,9 +50,11 @@ def write_fmu(law: ExportedLaw, name: str, path: Path) -> None:
             "sources/fmu.c": source.encode(),
             f"binaries/{_platform()}/{library.name}": library.read_bytes(),
         }
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for entry, content in entries.items():
             archive.writestr(zipfile.ZipInfo(entry, _EPOCH), content, zipfile.ZIP_DEFLATED)
+    write_bytes(path, packed.getvalue())
 
 
 def _platform() -> str:

@@ -51,7 +51,7 @@ class RowFormat:
             for column in self.columns:
                 value = float(values[column.position])
                 found[column.quantity] = value * column.factor + column.offset
-            number = None if self.count is None else int(values[self.count])
+            number = None if self.count is None else _whole(values[self.count])
         except (ValueError, OverflowError):
             return None
         time = found.pop("time", None)
@@ -108,5 +108,7 @@ def parse_row_format(text: str) -> RowFormat:
 
 
 def _whole(cell: float | bytes) -> int:
-    """The count in a cell; some programs write 12.000000."""
-    return int(float(cell)) if isinstance(cell, bytes) else int(cell)
+    """The count in a cell; some programs write 12.000000. Raises ValueError for other cells."""
+    if isinstance(cell, bytes) and b"." in cell:
+        cell = cell.rstrip(b" 0").removesuffix(b".")
+    return int(cell)
