@@ -26,6 +26,7 @@ TOOLS = (
         "live_rig",
         "plan_campaign",
         "plan_run",
+        "replay_recording",
         "reproduce",
         "thesis_bags",
         "validate",

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from mr_damper_ros.interface.law_comparison import choose_law
     from mr_damper_ros.interface.many_dampers import ManyDampers, identify_many
     from mr_damper_ros.interface.recorded_stream import follow
+    from mr_damper_ros.interface.replay import Replay, replay
     from mr_damper_ros.interface.validation import Validation, validate
     from mr_damper_ros.io.bag_reader import read_bag
     from mr_damper_ros.io.bag_writer import write_bag
@@ -36,12 +37,15 @@ if TYPE_CHECKING:
     from mr_damper_ros.models.parameter_set import ParameterSet
     from mr_damper_ros.signals.blocks import SampleBlock
     from mr_damper_ros.signals.recording import Recording
+    from mr_damper_ros.tracking.engine import Engine, EngineSettings
     from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
     from mr_damper_ros.tracking.tracker import WindowTracker
     from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 
 __all__ = [
     "MODELS",
+    "Engine",
+    "EngineSettings",
     "ForceCampaign",
     "ForceGoal",
     "ForcePredictor",
@@ -54,6 +58,7 @@ __all__ = [
     "PlannedRun",
     "PredictorSettings",
     "Recording",
+    "Replay",
     "SampleBlock",
     "TrackerSettings",
     "Validation",
@@ -65,6 +70,7 @@ __all__ = [
     "read_bag",
     "read_record",
     "read_runs",
+    "replay",
     "run_campaign",
     "validate",
     "write_bag",
@@ -72,6 +78,8 @@ __all__ = [
 
 _HOMES = {
     "MODELS": "models",
+    "Engine": "tracking.engine",
+    "EngineSettings": "tracking.engine",
     "ForceCampaign": "interface.force_campaign",
     "ForceGoal": "estimation.force_knowledge",
     "ForcePredictor": "tracking.predictor",
@@ -84,6 +92,7 @@ _HOMES = {
     "PlannedRun": "estimation.planned_run",
     "PredictorSettings": "tracking.predictor",
     "Recording": "signals.recording",
+    "Replay": "interface.replay",
     "SampleBlock": "signals.blocks",
     "TrackerSettings": "tracking.tracker_settings",
     "Validation": "interface.validation",
@@ -95,6 +104,7 @@ _HOMES = {
     "read_bag": "io.bag_reader",
     "read_record": "io.records",
     "read_runs": "io.records",
+    "replay": "interface.replay",
     "run_campaign": "interface.force_campaign",
     "validate": "interface.validation",
     "write_bag": "io.bag_writer",

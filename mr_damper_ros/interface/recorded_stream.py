@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.recorded_stream import CurrentReading, stream_of
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 _BLOCK = 100
 """Samples that come at once; the windows do not depend on it."""
@@ -41,23 +40,13 @@ def follow(
     [nan, 1.0, 1.0, 0.9, 0.9, 0.9]
     """
     assembler = WindowAssembler(window, hop)
-    changes = np.flatnonzero(np.diff(recording.current, prepend=np.nan))
-    for first in range(0, recording.sample_count, _BLOCK):
-        part = slice(first, min(first + _BLOCK, recording.sample_count))
-        ready: list[RawWindow] = []
-        inside = changes[(changes >= part.start) & (changes < part.stop)].tolist()
-        for place in sorted({*inside, part.stop - 1}):
-            current = float(recording.current[place])
-            ready += assembler.add_current(recording.stamp_ns(place), current)
-        ready += assembler.add_block(
-            SampleBlock(
-                recording.stamp_ns(first),
-                first,
-                recording.period,
-                recording.displacement[part],
-                recording.force[part],
-            )
-        )
+    for item in stream_of(recording, _BLOCK):
+        if isinstance(item, CurrentReading):
+            ready = assembler.add_current(*item)
+        elif isinstance(item, SampleBlock):
+            ready = assembler.add_block(item)
+        else:
+            continue
         for raw in ready:
             report = tracker.follow(raw)
             if report is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from mr_damper_ros.io.opened_bag import opened_bag
 from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
+from mr_damper_ros.signals.recorded_stream import CurrentReading, StreamItem, TemperatureReading
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError, ZeroOrderHold
@@ -91,6 +93,41 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     ]
 
 
+def bag_stream(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> Iterator[StreamItem]:
+    """The messages of the test machine in a bag, in the order in which they were recorded.
+
+    Topics are found as by :func:`read_bag`. Raises BagError, in one sentence, where the bag is
+    damaged, holds more than ``maximum_samples`` or lacks the streams.
+    """
+    with opened_bag(path, maximum_samples) as bag:
+        samples = bag.topic(MTS_TOPIC, SAMPLES_TYPE)
+        current = bag.topic(CURRENT_TOPIC, CURRENT_TYPE)
+        temperature = bag.topic(TEMPERATURE_TOPIC, TEMPERATURE_TYPE, required=False)
+        for topic, message in bag.decoded({samples, current, temperature} - {""}):
+            if topic == samples:
+                yield _block(message, bag.name, topic)
+            elif topic == current:
+                yield CurrentReading(_stamp_ns(message), float(message.current))
+            else:
+                yield TemperatureReading(float(message.temperature))
+
+
+def _block(message: Any, bag: str, topic: str) -> SampleBlock:
+    try:
+        return SampleBlock(
+            start_ns=_stamp_ns(message),
+            sequence=int(message.seq),
+            period=float(message.period),
+            displacement=np.asarray(message.displacement, dtype=float),
+            force=np.asarray(message.force, dtype=float),
+        )
+    except BlockError as error:
+        raise BagError(
+            f"the bag '{bag}' cannot be used: in the block on {topic} that "
+            f"starts at sample {message.seq}, {error}"
+        ) from error
+
+
 def _stamp_ns(message: Any) -> int:
     return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
 
@@ -112,19 +149,7 @@ class _Segments:
         self.found: list[_Segment] = []
 
     def add(self, message: Any) -> None:
-        try:
-            block = SampleBlock(
-                start_ns=_stamp_ns(message),
-                sequence=int(message.seq),
-                period=float(message.period),
-                displacement=np.asarray(message.displacement, dtype=float),
-                force=np.asarray(message.force, dtype=float),
-            )
-        except BlockError as error:
-            raise BagError(
-                f"the bag '{self._bag}' cannot be used: in the block on {self._topic} that "
-                f"starts at sample {message.seq}, {error}"
-            ) from error
+        block = _block(message, self._bag, self._topic)
         self._left -= block.sample_count
         if self._left < 0:
             raise BagError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
+from mr_damper_ros.processes.worker_pool import PooledWorker
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.identifier import Identifier
@@ -18,9 +19,14 @@ class IdentifierDiagnostics:
     """
 
     def __init__(
-        self, identifier: Identifier, maximum_nrmse: float, now_ns: Callable[[], int]
+        self,
+        identifier: Identifier,
+        worker: PooledWorker,
+        maximum_nrmse: float,
+        now_ns: Callable[[], int],
     ) -> None:
         self._identifier = identifier
+        self._worker = worker
         self._maximum_nrmse = maximum_nrmse
         self._now_ns = now_ns
 
@@ -60,7 +66,7 @@ class IdentifierDiagnostics:
 
     def worker(self) -> Finding:
         """What the worker does, and whether it keeps up."""
-        worker, pipeline = self._identifier.worker, self._identifier.pipeline
+        worker, pipeline = self._worker, self._identifier.pipeline
         dropped = pipeline.dropped_windows
         values = {
             "waiting windows": pipeline.waiting_windows,

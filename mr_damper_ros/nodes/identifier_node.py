@@ -104,7 +104,7 @@ class IdentifierNode(Node):
         self._goals = SearchGoals(
             self, self._identifier.pipeline, options.tracking.evolution, self._frame_id
         )
-        self._diagnose(options.tracking.acceptance.maximum_nrmse)
+        self._diagnose(worker, options.tracking.acceptance.maximum_nrmse)
         kept = options.state_dir
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(SAMPLES_TOPIC)} and "
@@ -135,9 +135,12 @@ class IdentifierNode(Node):
         if state.set_aside:
             self.get_logger().error(state.set_aside)
 
-    def _diagnose(self, maximum_nrmse: float) -> None:
+    def _diagnose(self, worker: PooledWorker, maximum_nrmse: float) -> None:
         findings = IdentifierDiagnostics(
-            self._identifier, maximum_nrmse, lambda: int(self.get_clock().now().nanoseconds)
+            self._identifier,
+            worker,
+            maximum_nrmse,
+            lambda: int(self.get_clock().now().nanoseconds),
         )
         sequence = self._identifier.assembler.sequence
         self._diagnostics = Diagnostics(

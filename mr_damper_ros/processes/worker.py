@@ -27,7 +27,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Protocol
 
 from mr_damper_ros.processes import child_process
 
@@ -81,6 +81,22 @@ class Failed:
 
 
 Outcome = Progress | Done | Failed
+
+
+class TaskRunner(Protocol):
+    """What runs one task at a time, here or elsewhere; see :class:`Worker`."""
+
+    def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
+        """Start a task and return its number."""
+
+    def cancel(self) -> None:
+        """Ask the running task to return soon with what it has."""
+
+    def poll(self) -> list[Outcome]:
+        """What has happened since the last call."""
+
+    def take_notices(self) -> list[str]:
+        """Sentences about the runner itself since the last call."""
 
 
 class Control:

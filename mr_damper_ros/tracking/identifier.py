@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.outbox import Outbox
-from mr_damper_ros.processes.worker_pool import PooledWorker
+from mr_damper_ros.processes.worker import TaskRunner
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.pipeline import Pipeline, PipelineSettings, SearchEnded, SearchProgress
 from mr_damper_ros.tracking.reports import Report
@@ -36,7 +36,7 @@ class Identifier:
         self,
         assembler: WindowAssembler,
         tracker: WindowTracker,
-        worker: PooledWorker,
+        worker: TaskRunner,
         settings: PipelineSettings,
         state: TrackerState,
     ) -> None:

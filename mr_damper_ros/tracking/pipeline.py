@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, GlobalProgress
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.worker import Control, Done, Failed, Progress
-from mr_damper_ros.processes.worker_pool import PooledWorker
+from mr_damper_ros.processes.worker import Control, Done, Failed, Progress, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.tracking.acceptance import Judgement, Verdict
 from mr_damper_ros.tracking.global_task import run_global
@@ -110,7 +109,7 @@ class Pipeline:
     """
 
     def __init__(
-        self, tracker: WindowTracker, worker: PooledWorker, settings: PipelineSettings
+        self, tracker: WindowTracker, worker: TaskRunner, settings: PipelineSettings
     ) -> None:
         self.dropped_windows = 0
         self._tracker = tracker

@@ -24,6 +24,7 @@ from mr_damper_ros.tracking.freshness import Freshness
 from mr_damper_ros.tracking.known_sets import Choice, KnownSets
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Foreseen, Reckoned, Unlearned
+from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
     Doubt,
@@ -173,6 +174,12 @@ class ForcePredictor:
         ``nrmse_before``: what the parameters in use leave of the window, NaN where it is unknown.
         """
         self._verdicts.follow(verdict, nrmse_before, confirms=confirms)
+
+    def follow_report(self, report: Report) -> None:
+        """Take note of the identifier's report on a window."""
+        self.follow_verdict(report.verdict, report.nrmse_before, confirms=report.confirms)
+        if report.confirms:
+            self.confirm(report.set_id, report.window_start_ns, report.stamp_ns)
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a value of the supply current [A]; raises CurrentError for one that is not finite."""

@@ -11,11 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from mr_damper_ros.tools import identify, import_record, validate
+from mr_damper_ros.tools import identify, import_record, replay_recording, validate
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "doc").glob("**/*.md"))]
-PROGRAMS = {"identify": identify, "import_record": import_record, "validate": validate}
+PROGRAMS = {
+    "identify": identify,
+    "import_record": import_record,
+    "replay_recording": replay_recording,
+    "validate": validate,
+}
 
 
 def blocks(language: str) -> list[tuple[Path, str]]:

@@ -1,0 +1,62 @@
+"""``replay_recording``: what identifier and model would have said of a bag, without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from mr_damper_ros.interface.figures import FORMATS
+from mr_damper_ros.interface.replay import replay
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tracking.engine import EngineSettings
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; returns the exit code."""
+    return run_tool(_parser(), _replay, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="replay_recording",
+        description="Report what identifier and model would have said of a recording: the verdict "
+        "on each window, the predicted force and when it is valid.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or .mcap file")
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument(
+        "--parameters", type=Path, metavar="FILE", help="set to begin with (default: none)"
+    )
+    start.add_argument(
+        "--model",
+        choices=tuple(MODELS),
+        default=DEFAULT_MODEL,
+        help=f"force law to identify (default {DEFAULT_MODEL})",
+    )
+    parser.add_argument("--output", type=Path, metavar="FILE", help="write the newest set as YAML")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help=f"draw the result ({', '.join(FORMATS)})"
+    )
+    return parser
+
+
+def _replay(options: argparse.Namespace) -> int:
+    result = replay(
+        options.bag, options.parameters, settings=EngineSettings().for_law(options.model)
+    )
+    print(result)
+    if options.output is not None:
+        if result.parameter_set is None:
+            raise ValueError(f"no set was accepted: {options.output} is not written")
+        result.parameter_set.save(options.output)
+    if options.json is not None:
+        write_text(options.json, json.dumps(result.document(), indent=2, allow_nan=False) + "\n")
+    if options.plot is not None:
+        result.plot().savefig(options.plot)
+    return 0

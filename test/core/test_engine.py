@@ -1,0 +1,123 @@
+"""The engine: identification and prediction of one stream, joined as the nodes are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import known
+import numpy as np
+import pytest
+
+import mr_damper_ros as mr
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.inline_worker import InlineWorker
+from mr_damper_ros.processes.worker import Done, Failed
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.recorded_stream import CurrentReading, TemperatureReading, stream_of
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.engine import Engine, EngineSettings
+from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+
+BAG = Path(__file__).resolve().parents[2] / "bags" / "5.0mm_1Hz_1.5A"
+QUICK = EngineSettings(tracking=TrackerSettings(method="least_squares", global_period=0))
+
+
+def recording(samples: int = 5000) -> mr.Recording:
+    run = known.run(samples=samples)
+    current = np.full(samples, run.current)
+    return mr.Recording("run", known.T0, 1e-3, run.displacement, run.force, current)
+
+
+def test_an_outcome_takes_effect_after_its_delay() -> None:
+    run = recording()
+    early, late = (mr.replay(run, settings=replace(QUICK, fit_delay=d)) for d in (0.1, 1.1))
+    assert [r.stamp_ns for r in early.reports] == [r.stamp_ns for r in late.reports]
+    first_valid = [said.time[np.argmax(said.valid)] for said in (early, late)]
+    assert first_valid[1] - first_valid[0] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_stream_that_ends_completes_the_jobs_that_wait() -> None:
+    engine = Engine(replace(QUICK, fit_delay=100.0))
+    for _ in engine.follow(stream_of(recording())):
+        assert engine.take_publications() == []
+    stamps = [each.report.stamp_ns for each in engine.take_publications()]
+    assert len(stamps) == 4
+    assert stamps == sorted(stamps)
+
+
+def test_windows_do_not_depend_on_the_blocks() -> None:
+    run = recording()
+    one, other = (mr.replay(run, settings=QUICK, block_size=size) for size in (10, 97))
+    assert [r.verdict for r in one.reports] == [r.verdict for r in other.reports]
+    for a, b in zip(one.sets, other.sets, strict=True):
+        np.testing.assert_array_equal(a.values, b.values)
+
+
+def test_a_bag_and_its_recording_say_the_same() -> None:
+    (run,) = mr.read_bag(BAG)
+    from_bag, from_recording = mr.replay(BAG, settings=QUICK), mr.replay(run, settings=QUICK)
+    assert [r.verdict for r in from_bag.reports] == [r.verdict for r in from_recording.reports]
+    for a, b in zip(from_bag.sets, from_recording.sets, strict=True):
+        np.testing.assert_array_equal(a.values, b.values)
+
+
+def test_the_given_set_predicts_from_the_start() -> None:
+    run = recording()
+    truth = ParameterSet(
+        known.PLAUSIBLE, peak_velocity_range=(0.0, 1.0), current_range=(0.0, 2.0), set_id="given"
+    )
+    said = mr.replay(run, truth, settings=QUICK)
+    before_a_window = slice(1500, 2000)
+    assert said.valid[before_a_window].all()
+    assert said.error.nrmse < 0.05
+
+
+def test_the_law_is_that_of_the_given_set(tmp_path: Path) -> None:
+    given = mr.identify(recording(2000), model="bingham").parameter_set
+    given.save(tmp_path / "set.yaml")
+    said = mr.replay(recording(), tmp_path / "set.yaml")
+    assert {found.model for found in said.sets} <= {"bingham"}
+    assert said.reports[0].verdict is not Verdict.FAILED
+
+
+def test_a_result_prints_and_draws() -> None:
+    said = mr.replay(recording(), settings=QUICK)
+    assert "window-1" in str(said)
+    assert "accepted" in said._repr_html_()
+    assert said.document()["reports"][0]["verdict"] == "ACCEPTED"
+    assert len(said.plot().axes) == 3
+
+
+def test_a_recording_is_read_in_order() -> None:
+    run = recording(25)
+    current = np.where(np.arange(25) < 13, 0.5, 1.0)
+    items = list(stream_of(replace(run, current=current, temperature=np.full(25, 40.0)), 10))
+    readings = [item for item in items if isinstance(item, CurrentReading)]
+    assert [(r.stamp_ns - run.start_ns) * 1000 // NANOSECONDS for r in readings] == [
+        *(0, 9),
+        *(13, 19),
+        24,
+    ]
+    assert [r.current for r in readings] == [0.5, 0.5, 1.0, 1.0, 1.0]
+    assert sum(isinstance(item, TemperatureReading) for item in items) == 3
+    with pytest.raises(ValueError, match="at least 1"):
+        next(stream_of(run, 0))
+
+
+def test_a_task_ends_after_its_latency_and_a_failure_is_an_outcome() -> None:
+    worker = InlineWorker(lambda task: float(task))
+    worker.now = 1.0
+    number = worker.submit(lambda task, control: task / 2, 4)
+    assert worker.poll() == []
+    worker.now = 5.0
+    assert worker.poll() == [Done(number, 2.0)]
+    number = worker.submit(lambda task, control: math.sqrt(task), -1)
+    with pytest.raises(RuntimeError, match="busy"):
+        worker.submit(lambda task, control: None, 1)
+    worker.cancel()
+    (outcome,) = worker.poll()
+    assert isinstance(outcome, Failed)
+    assert outcome.task == number
+    assert "math domain error" in outcome.reason or "nonnegative" in outcome.reason
