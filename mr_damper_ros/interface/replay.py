@@ -241,7 +241,7 @@ def _replayed(name: str, stream: Iterable[StreamItem], engine: Engine) -> Replay
                     block.displacement[arrived],
                     block.force[arrived],
                     prediction.force,
-                    np.broadcast_to(float(prediction.doubt.kind), count),
+                    prediction.doubts,
                 ]
             )
         )
