@@ -12,7 +12,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mr_damper_ros.live.rolling_table import RollingTable
@@ -37,6 +37,9 @@ SETS_KEPT = 1000
 SENTENCES_KEPT = 200
 CONCERNS_KEPT = 200
 """Names of diagnostics; nodes that come and go must not fill the memory."""
+
+SILENT_AFTER = 2.0
+"""Seconds after which what was last heard is no longer shown as the present state."""
 
 _JUMP = 1.0
 """Stamps that fall back by more than this [s] are those of another recording."""
@@ -80,6 +83,7 @@ class Concern:
     """A diagnostic: ``level`` 0 good, 1 warning, 2 error, 3 stale."""
 
     name: str
+    """Node and what it is about: ``model: input``."""
     level: int
     message: str
     values: Mapping[str, str]
@@ -97,7 +101,8 @@ class Rows:
 class LiveRecord:
     """Collects what comes; all methods may be called from any thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
         self._lock = threading.Lock()
         # Not those of the process before: a viewer that stays asks this one, too.
         self._generations = secrets.randbits(31)
@@ -106,11 +111,11 @@ class LiveRecord:
         self._windows_seen = 0
         self._last_window: WindowSeen | None = None
         self._set: SetSeen | None = None
-        self._concerns: dict[str, Concern] = {}
+        self._concerns: dict[str, tuple[Concern, float]] = {}
         self._events: deque[str] = deque(maxlen=SENTENCES_KEPT)
         self._origin = math.nan
         self._last_time = -math.inf
-        self._heard: float | None = None
+        self._heard = -math.inf
         self._fluid = (math.nan, math.nan)
         self._begin()
 
@@ -146,7 +151,7 @@ class LiveRecord:
             if math.isnan(self._origin):
                 self._origin = time_s
             self._last_time = time_s
-            self._heard = time.monotonic()
+            self._heard = self._clock()
             self._tables["signals"][1].append((*row, predicted - measured, float(valid)))
 
     def add_fluid_temperature(self, celsius: float, error: float) -> None:
@@ -213,7 +218,7 @@ class LiveRecord:
         """Take note of how something stands."""
         with self._lock:
             if concern.name in self._concerns or len(self._concerns) < CONCERNS_KEPT:
-                self._concerns[concern.name] = concern
+                self._concerns[concern.name] = (concern, self._clock())
 
     def add_event(self, sentence: str) -> None:
         """Take note of what was done from here."""
@@ -242,15 +247,18 @@ class LiveRecord:
         return self._last_window
 
     @property
-    def concerns(self) -> list[Concern]:
-        """The newest diagnostics, by name."""
+    def concerns(self) -> list[tuple[Concern, float]]:
+        """The newest diagnostics, by name, and the seconds since each was heard."""
         with self._lock:
-            return sorted(self._concerns.values(), key=lambda concern: concern.name)
+            now = self._clock()
+            return [
+                (concern, now - heard) for _, (concern, heard) in sorted(self._concerns.items())
+            ]
 
     @property
     def silence(self) -> float:
         """Seconds since the last signals; infinite before the first."""
-        return math.inf if self._heard is None else time.monotonic() - self._heard
+        return self._clock() - self._heard
 
     def status(self, windows_after: int) -> bytes:
         """All that is no table, as JSON: what the page asks for now and then.
@@ -267,9 +275,12 @@ class LiveRecord:
         parts = {
             "tables": _json(tables),
             "set": _json(None if seen is None else vars(seen)),
-            "concerns": _json([vars(concern) for concern in self.concerns]),
+            "concerns": _json(
+                [{**vars(concern), "silence": silence} for concern, silence in self.concerns]
+            ),
             "events": _json(events),
             "silence": _json(self.silence),
+            "silent_after": _json(SILENT_AFTER),
             "origin": _json(self._origin),
             "windows": b"[" + b",".join(sentences) + b"]",
         }

@@ -8,15 +8,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
+import re
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from mr_damper_ros.live.live_record import LiveRecord
 
@@ -37,12 +42,24 @@ FILES = {
 CONNECTIONS = 64
 """At once, of all viewers together; a browser opens up to six."""
 
+CONNECTIONS_EACH = 24
+"""At once, of one client address: the others still get in."""
+
 _IDLE = 30.0
-"""Seconds after which a connection that nothing passes through is closed."""
+"""Seconds that a connection may wait for its next request, and that an answer may take."""
 
-_LONGEST_COMMAND = 1000
+_REQUEST = 5.0
+"""Seconds from the first byte of a request to its last."""
 
-_LOCAL = {"localhost", "127.0.0.1", "::1"}
+_LONGEST_BODY = 1000
+_DRAINED = 1 << 16
+"""Bytes of a body that are read: closing on what is not read would lose the answer."""
+
+_LOCAL = frozenset({"localhost", "127.0.0.1", "::1"})
+_ANY = frozenset({"0.0.0.0", "::"})
+
+_NETLOC = re.compile(r"(?:\[([0-9A-Fa-f:.]+(?:%[\w.-]+)?)\]|([\w.-]+))(?::[0-9]{1,5})?", re.ASCII)
+_WHOLE_NUMBER = re.compile(r"-?[0-9]{1,15}", re.ASCII)
 
 _SECURITY = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; "
@@ -58,6 +75,32 @@ def is_local(host: str) -> bool:
     return host in _LOCAL
 
 
+def host_of(netloc: str) -> str:
+    """Name or address in ``HOST`` or ``HOST:PORT``, each in one spelling.
+
+    Raises ValueError where it is neither.
+    """
+    found = _NETLOC.fullmatch(netloc)
+    if found is None:
+        raise ValueError(f"{netloc!r} is neither a name nor an address")
+    return _spelling(found[1] or found[2])
+
+
+def _spelling(host: str) -> str:
+    try:
+        address = ip_address(host.partition("%")[0])
+    except ValueError:
+        return host.lower().rstrip(".")
+    return str(getattr(address, "ipv4_mapped", None) or address)
+
+
+def _own_names() -> frozenset[str]:
+    """Names of this computer; its addresses are those that its viewers reach."""
+    name = _spelling(socket.gethostname())
+    short = name.partition(".")[0]
+    return frozenset({*_LOCAL, name, short, f"{short}.local"})
+
+
 Command = Callable[[str], bool]
 """Takes the name of a command; whether there was room for it."""
 
@@ -65,8 +108,11 @@ Command = Callable[[str], bool]
 class PageServer:
     """The page of a record at ``address``; port 0 takes any that is free.
 
-    ``commands`` are the names that POST /command accepts and hands to ``command``; without
-    any the page is read-only. Raises OSError where the port cannot be had.
+    It answers requests for the names of this computer, for the address that they come to and for
+    ``allowed_hosts``: another site that makes its own name point here (DNS rebinding) learns
+    nothing. ``commands`` are the names that POST /command accepts and hands to ``command``; without
+    any the page is read-only. Raises OSError where the port cannot be had and ValueError for
+    allowed hosts that are neither names nor addresses.
     """
 
     def __init__(
@@ -77,14 +123,17 @@ class PageServer:
         title: str = "",
         commands: Collection[str] = (),
         command: Command = lambda _: False,
+        allowed_hosts: Collection[str] = (),
     ) -> None:
-        page = _Page(record, is_local(host), title, tuple(commands), command)
+        files = {path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
+        hosts = _own_names() | {_spelling(host)} | {host_of(name) for name in allowed_hosts}
+        page = _Page(record, title, tuple(commands), command, hosts, files)
 
         class Handler(_Handler):
             served = page
 
         self._server = _Server((host, port), Handler)
-        shown = f"[{host}]" if ":" in host else host
+        shown = socket.gethostname() if host in _ANY else f"[{host}]" if ":" in host else host
         self.address = f"http://{shown}:{self._server.server_address[1]}/"
         self._thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
@@ -95,29 +144,28 @@ class PageServer:
         """Stop serving; viewers see that the page is gone."""
         self._server.shutdown()
         self._server.server_close()
-        self._server.hang_up()
+        self._server.hang_up(math.inf)
         self._thread.join()
 
 
+@dataclass(frozen=True)
 class _Page:
     """What all connections share."""
 
-    def __init__(
-        self,
-        record: LiveRecord,
-        local: bool,
-        title: str,
-        commands: tuple[str, ...],
-        command: Command,
-    ) -> None:
-        self.record = record
-        self.local = local
-        self.title = title
-        self.commands = commands
-        self.command = command
-        self.files = {
-            path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()
-        }
+    record: LiveRecord
+    title: str
+    commands: tuple[str, ...]
+    command: Command
+    hosts: frozenset[str]
+    files: dict[str, tuple[bytes, str]]
+
+
+@dataclass
+class _Connection:
+    """A client's address, and when it must have got on."""
+
+    address: str
+    deadline: float
 
 
 class _Server(ThreadingHTTPServer):
@@ -127,8 +175,7 @@ class _Server(ThreadingHTTPServer):
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         self.address_family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
-        self._free = threading.BoundedSemaphore(CONNECTIONS)
-        self._open: set[socket.socket] = set()
+        self._open: dict[socket.socket, _Connection] = {}
         super().__init__(address, handler)
 
     def server_bind(self) -> None:
@@ -140,24 +187,33 @@ class _Server(ThreadingHTTPServer):
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        if not self._free.acquire(blocking=False):
+        address = _spelling(client_address[0])
+        shared = sum(known.address == address for known in list(self._open.values()))
+        if len(self._open) >= CONNECTIONS or shared >= CONNECTIONS_EACH:
             self.shutdown_request(request)
             return
-        self._open.add(request)
+        self._open[request] = _Connection(address, time.monotonic() + _IDLE)
         super().process_request(request, client_address)
 
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._open.discard(request)
-            self._free.release()
+    def grant(self, request: socket.socket, seconds: float) -> None:
+        """Let a connection last so long from now on."""
+        if request in self._open:
+            self._open[request].deadline = time.monotonic() + seconds
 
-    def hang_up(self) -> None:
-        """End all connections: their viewers would go on asking."""
-        for request in list(self._open):
-            with contextlib.suppress(OSError):
-                request.shutdown(socket.SHUT_RDWR)
+    def service_actions(self) -> None:
+        """Called ten times a second: end the connections that take too long."""
+        self.hang_up(time.monotonic())
+
+    def shutdown_request(self, request: Any) -> None:
+        self._open.pop(request, None)
+        super().shutdown_request(request)
+
+    def hang_up(self, now: float) -> None:
+        """End all connections whose deadline has passed."""
+        for request, known in list(self._open.items()):
+            if known.deadline < now:
+                with contextlib.suppress(OSError):
+                    request.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say what went wrong; that a viewer has left in the midst of an answer is no fault."""
@@ -165,27 +221,57 @@ class _Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
+class _RequestError(Exception):
+    """A request that is not granted: with which status, and why in a sentence."""
+
+    def __init__(self, status: HTTPStatus, sentence: str) -> None:
+        super().__init__(sentence)
+        self.status = status
+
+
 class _Handler(BaseHTTPRequestHandler):
-    protocol_version = "HTTP/1.1"
+    protocol_version = default_request_version = "HTTP/1.1"
     disable_nagle_algorithm = True
     wbufsize = 1 << 16  # head and body go together
-    timeout = _IDLE
     served: _Page
+    server: _Server
+
+    def handle_one_request(self) -> None:
+        """Wait for a request, and then no longer than it may take."""
+        self.close_connection = True
+        self.server.grant(self.connection, _IDLE)
+        if self.rfile.peek(1):  # type: ignore[attr-defined]
+            self.server.grant(self.connection, _REQUEST)
+            super().handle_one_request()
 
     def do_GET(self) -> None:
         """Serve a file of the page, the status or rows of a table."""
-        if not self._is_for_this_host():
-            return
-        path, query = self._address()
+        self._serve(self._read)
+
+    def do_POST(self) -> None:
+        """Take a command, from this page alone."""
+        self._serve(self._take_command)
+
+    def _serve(self, answer: Callable[[bytes], None]) -> None:
+        """Answer a request, or say why not."""
+        try:
+            body = self._body()
+            self._check_host()
+            answer(body)
+        except _RequestError as error:
+            self._refuse(error.status, str(error))
+
+    def _read(self, _: bytes) -> None:
+        path, query = self._target()
         record = self.served.record
         if path in self.served.files:
-            body, kind = self.served.files[path]
-            self._answer(HTTPStatus.OK, body, kind)
+            content, kind = self.served.files[path]
+            self._answer(HTTPStatus.OK, content, kind)
         elif path == "/status":
             fixed = {"title": self.served.title, "commands": self.served.commands}
             status = record.status(_number(query, "windows", 0))
-            body = json.dumps(fixed).encode()[:-1] + b"," + status[1:]
-            self._answer(HTTPStatus.OK, body, "application/json")
+            content = json.dumps(fixed).encode()[:-1] + b"," + status[1:]
+            self._answer(HTTPStatus.OK, content, "application/json")
         elif path.startswith("/tables/"):
             name = path.removeprefix("/tables/")
             rows = record.rows(name, _number(query, "after", -1), _number(query, "generation", -1))
@@ -199,49 +285,75 @@ class _Handler(BaseHTTPRequestHandler):
                 {"X-Generation": str(rows.generation), "X-Columns": ",".join(rows.columns)},
             )
         else:
-            self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
+            raise _RequestError(HTTPStatus.NOT_FOUND, "there is nothing here")
 
-    def do_POST(self) -> None:
-        """Take a command, from this page alone."""
-        length = _length(self.headers.get("Content-Length"))
-        # What is not read would be taken for the next request; closing on it would lose the answer.
-        self.close_connection = True
-        body = self.rfile.read(min(length, _LONGEST_COMMAND + 1))
-        if not self._is_for_this_host():
-            return
-        origin = self.headers.get("Origin", "")
-        if urlsplit(origin).netloc != self.headers.get("Host", ""):
-            self._refuse(HTTPStatus.FORBIDDEN, "commands are taken from the page itself alone")
-        elif self._address()[0] != "/command" or not self.served.commands:
-            self._refuse(HTTPStatus.FORBIDDEN, "the page is read-only: allow_commands is not set")
-        elif not 0 < length <= _LONGEST_COMMAND:
-            self._refuse(HTTPStatus.BAD_REQUEST, "a command is a few letters")
-        else:
-            name = body.decode("utf-8", "replace")
-            if name not in self.served.commands:
-                known = ", ".join(self.served.commands)
-                self._refuse(HTTPStatus.BAD_REQUEST, f"the commands are {known}")
-            elif not self.served.command(name):
-                self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "too many commands wait already")
-            else:
-                self._answer(HTTPStatus.ACCEPTED)
+    def _take_command(self, body: bytes) -> None:
+        self._check_origin()
+        commands = self.served.commands
+        if self._target()[0] != "/command" or not commands:
+            raise _RequestError(
+                HTTPStatus.FORBIDDEN, "the page is read-only: allow_commands is not set"
+            )
+        name = body.decode("utf-8", "replace")
+        if name not in commands:
+            raise _bad(f"the commands are {', '.join(commands)}")
+        if not self.served.command(name):
+            raise _RequestError(HTTPStatus.SERVICE_UNAVAILABLE, "too many commands wait already")
+        self._answer(HTTPStatus.ACCEPTED)
 
     def log_message(self, format: str, *arguments: Any) -> None:
         """Say nothing: thirty requests a second are no news."""
 
-    def _address(self) -> tuple[str, dict[str, list[str]]]:
-        parts = urlsplit(self.path)
-        return parts.path, parse_qs(parts.query)
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Say in a sentence what the library finds wrong with a request."""
+        status = HTTPStatus(code)
+        self.close_connection = True
+        self._refuse(status, message or explain or status.phrase)
 
-    def _is_for_this_host(self) -> bool:
+    def _target(self) -> tuple[str, dict[str, list[str]]]:
+        path, _, query = self.path.partition("?")
+        if not path.startswith("/"):
+            raise _bad(f"the target of a request begins with a slash, unlike {path!r}")
+        return path, parse_qs(query)
+
+    def _body(self) -> bytes:
+        lengths = self.headers.get_all("Content-Length", ["0"])
+        if len(lengths) > 1 or not _WHOLE_NUMBER.fullmatch(lengths[0]) or int(lengths[0]) < 0:
+            raise _bad(f"Content-Length is one whole number, not {', '.join(lengths)!r}")
+        if "Transfer-Encoding" in self.headers:
+            raise _bad("a body comes with its Content-Length, without a Transfer-Encoding")
+        body = self.rfile.read(min(int(lengths[0]), _DRAINED))
+        if int(lengths[0]) > _LONGEST_BODY:
+            raise _bad(f"a body has at most {_LONGEST_BODY} bytes, not {lengths[0]}")
+        return body
+
+    def _check_host(self) -> None:
         """Refuse what a page from elsewhere asks by a name that it has made point here."""
-        host = self.headers.get("Host", "")
-        if not self.served.local or urlsplit(f"//{host}").hostname in _LOCAL:
-            return True
-        self._refuse(HTTPStatus.FORBIDDEN, "this page is served as localhost alone")
-        return False
+        hosts = self.headers.get_all("Host", [])
+        if len(hosts) != 1:
+            raise _bad(f"a request has one Host, not {len(hosts)}")
+        host = _host_in("Host", hosts[0])
+        if host not in self.served.hosts and host != _spelling(self.connection.getsockname()[0]):
+            raise _RequestError(
+                HTTPStatus.FORBIDDEN,
+                f"the page is not served as {host}: use localhost, or the name or address of "
+                "the computer that it runs on, or add this name to the parameter allowed_hosts",
+            )
+
+    def _check_origin(self) -> None:
+        """Refuse commands that another site makes a browser send; after :meth:`_check_host`."""
+        origin = self.headers.get("Origin", "")
+        scheme, _, netloc = origin.partition("://")
+        if origin not in ("", "null"):
+            _host_in("Origin", netloc)
+        if scheme not in ("http", "https") or netloc.lower() != self.headers["Host"].lower():
+            raise _RequestError(
+                HTTPStatus.FORBIDDEN, "commands are taken from the page itself alone"
+            )
 
     def _refuse(self, status: HTTPStatus, sentence: str) -> None:
+        # What follows a malformed request may be a part of it.
+        self.close_connection |= status == HTTPStatus.BAD_REQUEST
         self._answer(status, f"{sentence}\n".encode(), "text/plain; charset=utf-8")
 
     def _answer(
@@ -264,12 +376,19 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
 
-def _number(query: dict[str, list[str]], name: str, default: int) -> int:
+def _bad(sentence: str) -> _RequestError:
+    return _RequestError(HTTPStatus.BAD_REQUEST, sentence)
+
+
+def _host_in(header: str, netloc: str) -> str:
     try:
-        return int(query[name][0])
-    except (KeyError, ValueError):
-        return default
+        return host_of(netloc)
+    except ValueError as error:
+        raise _bad(f"{header}: {error}") from None
 
 
-def _length(text: str | None) -> int:
-    return int(text) if text and text.isdigit() else 0
+def _number(query: dict[str, list[str]], name: str, default: int) -> int:
+    text = query.get(name, [str(default)])[0]
+    if not _WHOLE_NUMBER.fullmatch(text):
+        raise _bad(f"{name} is a whole number, not {text!r}")
+    return int(text)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 
-from mr_damper_ros.live.live_record import LiveRecord
+from mr_damper_ros.live.live_record import SILENT_AFTER, LiveRecord
 
 _SIGNS = ("+", "!", "x", "?")
 """Of the levels good, warning, error and stale."""
@@ -27,10 +28,11 @@ def _signals(record: LiveRecord) -> list[str]:
         return ["no signals yet: is the node model running, in this namespace?"]
     named = dict(zip(rows.columns, rows.values[-_ERROR_OVER:].T, strict=True))
     now = {name: float(column[-1]) for name, column in named.items()}
-    head = "live" if record.silence < 2.0 else f"silent for {record.silence:.0f} s"
+    silence = _since(record.silence)
     valid = "valid" if now["valid"] else "not to be relied on"
     return [
-        f"{head:24} displacement {1e3 * now['displacement']:9.3f} mm   "
+        *([f"{'no signals':24} {silence}; the last ones:"] if silence else []),
+        f"{'' if silence else 'live':24} displacement {1e3 * now['displacement']:9.3f} mm   "
         f"velocity {now['velocity']:8.4f} m/s   current {now['current']:6.3f} A",
         f"{'force':24} measured {now['measured_force']:13.1f} N    "
         f"predicted {now['predicted_force']:9.1f} N ({valid})",
@@ -51,10 +53,12 @@ def _window(record: LiveRecord) -> list[str]:
     if last is None:
         return ["no window yet"]
     figures = last.figures
+    silence = _since(_silence_of(record, "identifier"))
     drift = "force scale {:.3f} ± {:.3f}".format(
         *(figures.get(name, math.nan) for name in ("force_scale", "force_scale_error"))
     )
     return [
+        *([f"{'identifier':24} {silence}; its last window:"] if silence else []),
         f"{'window':24} {last.verdict.lower().replace('_', ' ')}: {last.reason}",
         f"{'':24} NRMSE {figures.get('nrmse_before', math.nan):.2%} -> "
         f"{figures.get('nrmse_after', math.nan):.2%}   {drift}   "
@@ -79,11 +83,29 @@ def _parameters(record: LiveRecord) -> list[str]:
     lines = [
         "   ".join(f"{entry:28}" for entry in entries[k : k + 3]) for k in range(0, len(entries), 3)
     ]
-    return [f"{'set in use':24} {seen.set_id} ({seen.model}, {seen.source})", *lines]
+    silence = _since(_silence_of(record, "identifier", "model"))
+    head = "last set" if silence else "set in use"
+    return [f"{head:24} {seen.set_id} ({seen.model}, {seen.source})", *lines]
 
 
 def _concerns(record: LiveRecord) -> list[str]:
-    return [
-        f"{_SIGNS[min(concern.level, 3)]} {concern.name:22} {concern.message}"
-        for concern in record.concerns
-    ]
+    lines = []
+    for concern, silence in record.concerns:
+        since = _since(silence)
+        sign = "?" if since else _SIGNS[min(concern.level, 3)]
+        lines.append(f"{sign} {concern.name:22} {since}{'; last: ' * bool(since)}{concern.message}")
+    return lines
+
+
+def _silence_of(record: LiveRecord, *nodes: str) -> float:
+    """Seconds since one of these nodes was last heard; 0 where none has ever been."""
+    silences = [s for concern, s in record.concerns if concern.name.partition(": ")[0] in nodes]
+    return min(silences, default=0.0)
+
+
+def _since(silence: float) -> str:
+    """Since when something has not been heard; empty for what is heard."""
+    if silence < SILENT_AFTER:
+        return ""
+    clock = time.strftime("%H:%M:%S", time.localtime(time.time() - silence))
+    return f"not heard since {clock} ({silence:.0f} s)"

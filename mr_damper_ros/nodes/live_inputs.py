@@ -134,7 +134,7 @@ class _Ear:
             if status.name.startswith(self._prefix):
                 self._record.add_concern(
                     Concern(
-                        status.name,
+                        status.name.removeprefix(self._prefix),
                         int.from_bytes(status.level, "little"),
                         status.message,
                         {entry.key: entry.value for entry in status.values},

@@ -54,6 +54,12 @@ class LiveParameters(ParameterTable):
         "acknowledge what it has set aside; false: the page only shows.",
         read_only=True,
     )
+    allowed_hosts: str = option(
+        "",
+        "Other names and addresses under which browsers may ask for the page, separated by blanks; "
+        "localhost, this computer's name and its addresses always may.",
+        read_only=True,
+    )
     identifier: str = option(
         "identifier", "Name of the node that these commands go to.", read_only=True
     )
@@ -80,7 +86,12 @@ class LiveNode(Node):
                 self.get_namespace(),
                 tuple(commands),
                 self._take_command,
+                options.allowed_hosts.split(),
             )
+        except ValueError as error:
+            raise ConfigurationError(
+                f"allowed_hosts: {error}: give names and addresses, separated by blanks"
+            ) from error
         except OSError as error:
             raise ConfigurationError(
                 f"the page cannot be served at {options.host}, port {options.port}: "

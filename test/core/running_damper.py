@@ -85,8 +85,8 @@ def show_set(record: LiveRecord, number: int) -> None:
     )
 
 
-def show_health(record: LiveRecord) -> None:
-    """Diagnostics as the nodes give them."""
+def show_health(record: LiveRecord, node: str = "") -> None:
+    """Diagnostics as the nodes give them, or one of the nodes."""
     for concern in (
         Concern(
             "model: prediction", 0, "valid; NRMSE 4.1% of the measured force", {"doubt": "NONE"}
@@ -106,7 +106,8 @@ def show_health(record: LiveRecord) -> None:
         Concern("identifier: window", 0, "window 40% full", {}),
         Concern("identifier: state", 2, "the state cannot be kept: the disk is full", {}),
     ):
-        record.add_concern(concern)
+        if concern.name.startswith(node):
+            record.add_concern(concern)
 
 
 def running(seconds: int = 30) -> LiveRecord:

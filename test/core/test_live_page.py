@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -21,7 +22,7 @@ COLOUR_OF = "getComputedStyle(document.body).backgroundColor"
 
 
 class GoingOn:
-    """A record that goes on: ten times a second a tenth of a second of signals."""
+    """A record that goes on: ten times a second a tenth of a second of signals, and diagnostics."""
 
     def __init__(self) -> None:
         self.record = running_damper.running(SECONDS)
@@ -33,6 +34,7 @@ class GoingOn:
     def _run(self) -> None:
         while not self._stop.wait(0.1):
             running_damper.show_signals(self.record, self._time, 0.1)
+            running_damper.show_health(self.record)
             self._time += 0.1
 
     def close(self) -> None:
@@ -242,6 +244,58 @@ def test_a_page_of_nothing_says_what_is_missing(browser: Browser) -> None:
         browser.until("document.querySelector('#state')?.innerText.includes('waiting for signals')")
         assert "is the node model running" in browser.text("#force")
         leave(browser)
+
+
+def grey(browser: Browser) -> set[str]:
+    """Captions of what is not shown as the present state."""
+    expression = (
+        "[...document.querySelectorAll('.gone')]"
+        ".map((shown) => shown.querySelector('dt, h2, strong').innerText)"
+    )
+    return set(browser.evaluate(expression))
+
+
+GONE = "document.querySelectorAll('.gone').length"
+
+
+def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser) -> None:
+    clock = 100.0
+    record = LiveRecord(lambda: clock)
+    running_damper.show_signals(record, 0.0, 3.0)
+    running_damper.show_window(record, 2)
+    running_damper.show_health(record)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        browser.until("document.querySelector('#state')?.innerText === '● live'")
+        browser.until(f"document.querySelector('#tile-prediction .sign').innerText && !{GONE}")
+        clock = 112.0
+        running_damper.show_signals(record, 3.0, 1.0)
+        running_damper.show_health(record, "model")
+        browser.until(GONE)
+        assert grey(browser) == {
+            *("Force scale", "Temperature", "Motion", "Drift", "Operating-point coefficients"),
+            *("Windows", "identifier: window", "identifier: state"),
+        }
+        assert browser.text("#state") == "✕ live; not heard: identifier"
+        shown = browser.text('[data-name="identifier: window"]')
+        assert re.search(r"not heard since \d\d:\d\d:\d\d \(12 s\)", shown)
+        assert "good" not in shown
+
+        clock = 124.0
+        running_damper.show_health(record)
+        browser.until("document.querySelector('#state').innerText === '▲ no signals for 12 s'")
+        assert grey(browser) == {"Force", "Error over the span", "Current"}
+        leave(browser)
+
+
+def test_nothing_is_called_good_when_the_page_has_lost_its_node(browser: Browser) -> None:
+    record = running_damper.running(3)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        browser.until("document.querySelector('#tile-prediction .sign')?.innerText")
+    browser.until(f"{GONE} >= 14")
+    assert "Prediction" in grey(browser)
+    leave(browser)
 
 
 def test_commands_are_offered_where_they_are_allowed(browser: Browser, record: LiveRecord) -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import replace
 from typing import Any
+
+import pytest
 
 from mr_damper_ros.live import live_record
 from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowSeen
@@ -15,8 +18,8 @@ T0 = 1_700_000_000.0
 
 
 def signals(record: LiveRecord, *times: float) -> None:
-    for time in times:
-        record.add_signals(time, 0.001, 0.02, 0.5, 400.0, 380.0, valid=True)
+    for stamp in times:
+        record.add_signals(stamp, 0.001, 0.02, 0.5, 400.0, 380.0, valid=True)
 
 
 def window(time: float = T0, *, accepted: bool = True, **coefficients: float) -> WindowSeen:
@@ -221,3 +224,68 @@ def test_a_summary_says_what_is_missing_and_how_it_stands() -> None:
     for part in ("accepted", "f_t", "500 ± 50", "f0 2 (not determined)", "! model: input"):
         assert part in text
     assert max(map(len, text.splitlines())) <= 100
+
+
+class Clock:
+    """Seconds that pass only where a test says so."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def left_alone(clock: Clock) -> LiveRecord:
+    """Of a model and an identifier that were heard once, ten seconds ago."""
+    record = LiveRecord(clock)
+    signals(record, T0)
+    record.add_window(window())
+    record.set_parameters(a_set("f0"))
+    record.add_concern(Concern("identifier: fit", 0, "accepted as nm-1", {}))
+    record.add_concern(Concern("model: prediction", 0, "valid; NRMSE 0.6%", {}))
+    clock.now += 10.0
+    return record
+
+
+def test_the_status_says_how_long_each_is_silent(left_alone: LiveRecord) -> None:
+    left_alone.add_concern(Concern("model: prediction", 3, "no samples come", {}))
+    told = status(left_alone)
+    silences = {concern["name"]: concern["silence"] for concern in told["concerns"]}
+    assert silences == {"identifier: fit": 10.0, "model: prediction": 0.0}
+    assert told["silence"] == 10.0
+    assert told["silent_after"] == live_record.SILENT_AFTER
+
+
+def line_of(text: str, part: str) -> str:
+    return next(line for line in text.splitlines() if part in line)
+
+
+def test_a_summary_says_since_when_a_dead_node_is_silent(
+    left_alone: LiveRecord, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.time", lambda: 10.0)
+    since = f"not heard since {time.strftime('%H:%M:%S', time.localtime(0.0))} (10 s)"
+    text = summary(left_alone, width=120)
+    for part in ("no signals", "? model: prediction", "? identifier: fit", "its last window"):
+        assert since in line_of(text, part), part
+    assert "set in use" not in text
+    assert "last set" in text
+    assert "live " not in text
+
+
+def test_a_summary_tells_a_dead_node_from_one_without_samples(left_alone: LiveRecord) -> None:
+    left_alone.add_concern(Concern("model: prediction", 3, "no samples come", {}))
+    text = summary(left_alone, width=120)
+    assert line_of(text, "model: prediction").split() == [
+        *("?", "model:", "prediction", "no", "samples", "come")
+    ]
+    assert "not heard since" in line_of(text, "no signals")
+    assert "not heard since" in line_of(text, "identifier: fit")
+    assert "set in use" in text, "the model still predicts with it"

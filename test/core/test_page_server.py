@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import http.client
 import json
+import random
 import re
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -87,7 +88,7 @@ def test_a_table_that_is_not_there_is_empty(server: PageServer) -> None:
 
 
 def test_the_status_says_what_is_shown(server: PageServer) -> None:
-    told = json.loads(ask(server, "/status?windows=nonsense")[1])
+    told = json.loads(ask(server, "/status?windows=0")[1])
     assert told["title"] == "/left"
     assert told["commands"] == []
     assert told["tables"]["signals"]["generation"] >= 1
@@ -105,10 +106,134 @@ def test_one_connection_serves_many_requests(server: PageServer) -> None:
             assert asked.getresponse().read()
 
 
-def test_another_name_for_this_computer_is_refused(server: PageServer) -> None:
-    answer, body = ask(server, "/status", headers={"Host": "elsewhere.example"})
+NAME = socket.gethostname()
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        *("localhost", "LocalHost:8770", "127.0.0.1", "[::1]:8770", NAME.upper()),
+        *(f"{NAME.partition('.')[0]}.local.", "rig.example:80"),
+    ],
+)
+def test_names_of_this_computer_and_allowed_ones_are_served(record: LiveRecord, host: str) -> None:
+    with closing(PageServer(record, "127.0.0.1", 0, allowed_hosts=["Rig.Example"])) as server:
+        assert ask(server, "/status", headers={"Host": host})[0].status == 200
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "0.0.0.0"])
+@pytest.mark.parametrize("path", ["/", "/status", "/tables/signals"])
+def test_another_name_is_refused_whatever_is_asked(
+    record: LiveRecord, address: str, path: str
+) -> None:
+    with closing(PageServer(record, address, 0)) as server:
+        answer, body = ask(server, path, headers={"Host": "elsewhere.example"})
     assert answer.status == 403
-    assert b"localhost" in body
+    assert b"elsewhere.example" in body
+    assert b"allowed_hosts" in body
+
+
+def test_the_address_that_a_viewer_reaches_is_allowed(record: LiveRecord) -> None:
+    with closing(PageServer(record, "0.0.0.0", 0)) as server:
+        port = urlsplit(server.address).port or 0
+        assert raw(("127.0.0.3", port), b"GET / HTTP/1.1\r\nHost: 127.0.0.3\r\n").status == 200
+        assert raw(("127.0.0.3", port), b"GET / HTTP/1.1\r\nHost: 127.0.0.4\r\n").status == 403
+
+
+def test_a_page_for_everybody_gives_an_address_that_others_can_use(record: LiveRecord) -> None:
+    with closing(PageServer(record, "0.0.0.0", 0)) as server:
+        assert urlsplit(server.address).hostname == NAME.lower()
+
+
+@pytest.mark.parametrize("name", ["http://rig", "rig example", "", "rig:port"])
+def test_an_allowed_host_is_a_name_or_an_address(record: LiveRecord, name: str) -> None:
+    with pytest.raises(ValueError, match="neither a name nor an address"):
+        PageServer(record, "127.0.0.1", 0, allowed_hosts=[name])
+
+
+class Answer:
+    """What a server says before it closes the connection; status 0 where it says nothing."""
+
+    def __init__(self, said: bytes) -> None:
+        self.said = said
+        self.status = int(said.split()[1]) if said.startswith(b"HTTP/1.1 ") else 0
+        self.body = said.partition(b"\r\n\r\n")[2].decode("utf-8", "replace")
+
+
+def raw(address: tuple[str, int], head: bytes, body: bytes = b"") -> Answer:
+    """Send a request as it is, and nothing after it."""
+    with socket.create_connection(address, timeout=PATIENCE) as sent:
+        with suppress(ConnectionError):
+            sent.sendall(head + b"\r\n" + body)
+            sent.shutdown(socket.SHUT_WR)
+        said = b""
+        with suppress(ConnectionError):
+            while part := sent.recv(1 << 16):
+                said += part
+    return Answer(said)
+
+
+MALFORMED = {
+    "no host": (b"GET / HTTP/1.1\r\n", "one Host"),
+    "two hosts": (b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: localhost\r\n", "one Host"),
+    "open bracket": (b"GET / HTTP/1.1\r\nHost: [\r\n", "neither a name nor an address"),
+    "port in words": (b"GET / HTTP/1.1\r\nHost: rig:http\r\n", "neither a name nor an address"),
+    "user in host": (b"GET / HTTP/1.1\r\nHost: a@b\r\n", "neither a name nor an address"),
+    "folded host": (b"GET / HTTP/1.1\r\nHost: a\r\n b\r\n", "neither a name nor an address"),
+    "target with host": (b"GET http://[ HTTP/1.1\r\nHost: localhost\r\n", "begins with a slash"),
+    "star": (b"GET * HTTP/1.1\r\nHost: localhost\r\n", "begins with a slash"),
+    "words for rows": (
+        b"GET /tables/signals?after=ten HTTP/1.1\r\nHost: localhost\r\n",
+        "after is a whole number",
+    ),
+    "endless rows": (
+        b"GET /tables/signals?after=" + b"9" * 5000 + b" HTTP/1.1\r\nHost: localhost\r\n",
+        "after is a whole number",
+    ),
+    "raised length": (
+        "POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Length: ²\r\n".encode("latin-1"),
+        "Content-Length is one whole number",
+    ),
+    "negative length": (
+        b"POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Length: -1\r\n",
+        "Content-Length is one whole number",
+    ),
+    "two lengths": (
+        b"GET / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\nContent-Length: 1\r\n",
+        "Content-Length is one whole number",
+    ),
+    "long body": (
+        b"POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1001\r\n",
+        "at most 1000 bytes",
+    ),
+    "chunks": (
+        b"POST /command HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n",
+        "Transfer-Encoding",
+    ),
+    "origin": (
+        b"POST /command HTTP/1.1\r\nHost: localhost\r\nOrigin: http://[\r\n",
+        "neither a name nor an address",
+    ),
+    "version": (b"GET / HTTP/one\r\nHost: localhost\r\n", "version"),
+    "one word": (b"GET\r\nHost: localhost\r\n", "syntax"),
+}
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_what_is_malformed_is_refused_in_a_sentence(
+    server: PageServer, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    head, sentence = MALFORMED[name]
+    answer = raw(place_of(server), head)
+    assert answer.status == 400
+    assert sentence in answer.body
+    assert len(answer.body.splitlines()) == 1
+    assert capfd.readouterr().err == ""
+
+
+def place_of(server: PageServer) -> tuple[str, int]:
+    parts = urlsplit(server.address)
+    return parts.hostname or "", parts.port or 0
 
 
 def own(server: PageServer) -> dict[str, str]:
@@ -183,24 +308,112 @@ def test_a_viewer_that_reads_nothing_holds_up_nobody(
         assert json.loads(ask(server, "/status")[1])["tables"]["signals"]["next"] == known + 1
 
 
-def test_connections_beyond_the_limit_are_closed_and_free_places_taken_again(
+PIECES = (
+    *(b"\r\n", b"\n", b" ", b":", b"/", b"?", b"%00", b"\x00", b"[", b"]", b"\xff", b"\xb2", b"-1"),
+    *(b"HTTP/9.9", b"HTTP/1.0", b"Content-Length: 7", b"Host: [::1]:99999", b"A: b\r\n" * 120),
+    *(b"Transfer-Encoding: chunked", b"Connection: keep-alive", b"Origin: null", b"9" * 400),
+    *(b"after=", b"generation=1e9", b"GET", b"POST", b"http://localhost", b"Expect: 100-continue"),
+)
+WHOLE = (
+    b"GET /status?windows=3 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    b"GET /tables/signals?after=90&generation=7 HTTP/1.1\r\nHost: localhost:1\r\nA: b\r\n\r\n",
+    b"POST /command HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\n"
+    b"Content-Length: 5\r\n\r\nreset",
+)
+ANSWERS = {0, 100, 200, 202, 204, 400, 403, 404, 414, 431, 501, 503, 505}
+
+
+def test_requests_at_random_end_in_an_answer(
+    commanded: PageServer, capfd: pytest.CaptureFixture[str]
+) -> None:
+    chance = random.Random(27)
+    for _ in range(400):
+        text = bytearray(chance.choice(WHOLE))
+        for _ in range(chance.randrange(1, 5)):
+            begin = chance.randrange(len(text) + 1)
+            end = begin + chance.choice((0, 0, 1, 1, 5, 40))
+            text[begin:end] = chance.choice((b"", chance.randbytes(2), chance.choice(PIECES)))
+        answer = raw(place_of(commanded), bytes(text))
+        assert answer.status in ANSWERS, bytes(text)
+    assert ask(commanded, "/status")[0].status == 200
+    assert capfd.readouterr().err == ""
+
+
+def eventually_served(server: PageServer) -> bool:
+    """Whether there is room again for one more connection, sooner or later."""
+    pause = threading.Event()
+    for _ in range(300):
+        with suppress(ConnectionError):
+            return ask(server, "/status")[0].status == 200
+        pause.wait(0.1)
+    return False
+
+
+def test_one_address_has_its_share_of_connections_and_leaves_room_for_others(
     server: PageServer,
 ) -> None:
     with ExitStack() as stack:
-        for _ in range(page_server.CONNECTIONS):
+        for _ in range(page_server.CONNECTIONS_EACH):
             asked = stack.enter_context(closing(connection(server)))
             asked.request("GET", "/status")
             assert asked.getresponse().read()
         with pytest.raises(ConnectionError):
             ask(server, "/status")
-    deadline = threading.Event()
+        other = http.client.HTTPConnection(*place_of(server), PATIENCE, ("127.0.0.2", 0))
+        with closing(other):
+            other.request("GET", "/status")
+            assert other.getresponse().status == 200
+    assert eventually_served(server), "places that were left are not taken again"
+
+
+def test_there_is_an_end_of_connections_of_all_addresses(
+    server: PageServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_server, "CONNECTIONS", 3)
+    with ExitStack() as stack:
+        for number in range(3):
+            source = (f"127.0.0.{number + 2}", 0)
+            asked = http.client.HTTPConnection(*place_of(server), PATIENCE, source)
+            stack.enter_context(closing(asked))
+            asked.request("GET", "/status")
+            assert asked.getresponse().read()
+        with pytest.raises(ConnectionError):
+            ask(server, "/status")
+    assert eventually_served(server)
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [
+        b"G",
+        b"GET / HTTP/1.1\r\nHost: localhost\r\n",
+        b"POST /command HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\n\r\nr",
+    ],
+)
+def test_a_request_that_comes_byte_by_byte_is_given_up(
+    server: PageServer, monkeypatch: pytest.MonkeyPatch, begun: bytes
+) -> None:
+    monkeypatch.setattr(page_server, "_REQUEST", 0.3)
+    with socket.create_connection(place_of(server), timeout=PATIENCE) as slow:
+        slow.sendall(begun)
+        with pytest.raises(ConnectionError):
+            dribble(slow)
+
+
+def dribble(slow: socket.socket) -> None:
+    """Send a byte ten times a second; raises ConnectionError once nobody takes them."""
+    pause = threading.Event()
     for _ in range(300):
-        try:
-            assert ask(server, "/status")[0].status == 200
-            return
-        except ConnectionError:
-            deadline.wait(0.1)
-    pytest.fail("places that were left are not taken again")
+        pause.wait(0.1)
+        slow.sendall(b"x")
+
+
+def test_a_connection_that_asks_nothing_is_closed(
+    server: PageServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_server, "_IDLE", 0.3)
+    with socket.create_connection(place_of(server), timeout=PATIENCE) as silent:
+        assert silent.recv(1) == b""
 
 
 def test_a_port_that_is_taken_is_an_error(server: PageServer, record: LiveRecord) -> None:

@@ -16,7 +16,7 @@ from mr_damper_msgs.msg import DamperSignals, PredictedForce
 from rclpy.serialization import serialize_message
 from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
 
-from mr_damper_ros.live.live_record import SIGNALS
+from mr_damper_ros.live.live_record import SIGNALS, SILENT_AFTER
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.live_inputs import signals_in
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
@@ -51,10 +51,10 @@ class Client:
         assert found
         self.netloc = urlsplit(found[1]).netloc
 
-    def get(self, path: str) -> tuple[dict[str, str], bytes]:
+    def get(self, path: str, host: str = "") -> tuple[dict[str, str], bytes]:
         connection = http.client.HTTPConnection(self.netloc, timeout=PATIENCE)
         try:
-            connection.request("GET", path)
+            connection.request("GET", path, headers={"Host": host} if host else {})
             answer = connection.getresponse()
             return dict(answer.headers), answer.read()
         finally:
@@ -177,3 +177,30 @@ def test_it_only_shows_unless_commands_are_allowed_and_has_its_port_alone(start:
     assert second.wait() == 2
     assert_one_sentence(second.errors)
     assert f"port {port}" in second.errors
+
+
+def test_a_killed_node_is_told_from_one_without_samples(start: Any, listener: Listener) -> None:
+    left = {"__ns": "/left"}
+    start("identifier", remap=left)
+    model = start("model", remap=left)
+    client = Client(start("live", remap=left, port=0))
+
+    def silences(node: str) -> list[float]:
+        return [c["silence"] for c in client.status()["concerns"] if c["name"].startswith(node)]
+
+    listener.until(lambda: silences("model:") and silences("identifier:"), "all diagnostics")
+    model.kill()
+    listener.until(lambda: min(silences("model:")) > SILENT_AFTER, "the model's silence")
+    listener.until(lambda: max(silences("identifier:")) < SILENT_AFTER, "the identifier's news")
+
+
+def test_other_hosts_are_allowed_by_a_parameter(start: Any) -> None:
+    client = Client(start("live", port=0, allowed_hosts="proxy.example rig.example"))
+    assert json.loads(client.get("/status", host="rig.example")[1])
+
+
+def test_what_is_no_host_is_refused_at_the_start(start: Any) -> None:
+    live = start("live", port=0, allowed_hosts="http://rig")
+    assert live.wait() == 2
+    assert_one_sentence(live.errors)
+    assert "allowed_hosts" in live.errors

@@ -13,7 +13,7 @@ const byId = (id) => document.getElementById(id);
 const tables = {}; // by name: generation, columns, rows (arrays of numbers), column (index by name)
 const failing = new Set(); // what is asked for in vain
 const windows = []; // what became of them, in words, oldest first
-let status = null, paused = false, span = 10, origin = null;
+let status = null, received = 0, paused = false, span = 10, origin = null;
 
 // -- what comes in ------------------------------------------------------------------------------
 
@@ -49,6 +49,7 @@ async function fetchStatus() {
   windows.push(...told.windows);
   windows.splice(0, windows.length - 200);
   status = told;
+  received = performance.now();
   origin = told.origin;
   for (const name of ["windows", "coefficients", "parameters"]) {
     const there = told.tables[name], known = tables[name];
@@ -66,7 +67,7 @@ async function repeat(name, ask, show, every) {
   for (;;) {
     const began = performance.now();
     let pause = every;
-    if (!document.hidden && !paused) {
+    if (!document.hidden && !(paused && name === "signals")) {
       let news = false;
       try {
         news = await ask();
@@ -78,7 +79,7 @@ async function repeat(name, ask, show, every) {
       }
       try {
         if (news) show();
-        showState();
+        showSilence();
       } catch (error) {
         reportError(error);
       }
@@ -244,10 +245,18 @@ function showTraces(section) {
 
 // -- words --------------------------------------------------------------------------------------
 
-function tile(name, text, detail = "", level = "") {
+/** A sign and word of how something stands; hidden once that is no longer heard. */
+function sign(text) {
+  const shown = document.createElement("span");
+  shown.className = "sign";
+  shown.textContent = text;
+  return shown;
+}
+
+function tile(name, text, detail = "", level = "", mark = "") {
   const shown = byId(`tile-${name}`);
   shown.className = level;
-  shown.replaceChildren(text);
+  shown.replaceChildren(sign(mark), text);
   if (detail) {
     const small = document.createElement("small");
     small.textContent = detail;
@@ -271,13 +280,38 @@ function showError(rows, at) {
   tile("current", `${short(number(last[at.current]), 3)} A`);
 }
 
-const concern = (name) => status.concerns.find((known) => known.name === `${status.title.replace(/^\//, "")}${status.title.length > 1 ? "/" : ""}${name}`);
+const concern = (name) => status.concerns.find((known) => known.name === name);
+const nodeOf = (known) => known.name.split(": ")[0];
+
+/** Seconds since one of these sources was heard: "signals", nodes, or names of diagnostics. */
+function silenceOf(...sources) {
+  const since = (performance.now() - received) / 1000;
+  const silences = status.concerns.filter((known) => sources.includes(known.name) || sources.includes(nodeOf(known)))
+    .map((known) => known.silence);
+  if (sources.includes("signals") && status.silence !== null) silences.push(status.silence);
+  return silences.length ? Math.min(...silences) + since : null;
+}
+
+const isSilent = (silence) => silence !== null && silence > status.silent_after;
+
+/** What has not been heard for a while is grey, and says since when. */
+function showSilence() {
+  showState();
+  if (status === null) return;
+  for (const shown of document.querySelectorAll("[data-source]")) {
+    const silence = silenceOf(...(shown.dataset.source === "concern" ? [shown.dataset.name] : shown.dataset.source.split(" ")));
+    const gone = isSilent(silence), since = shown.querySelector(".since");
+    shown.classList.toggle("gone", gone);
+    const text = gone ? `not heard since ${new Date(Date.now() - 1000 * silence).toTimeString().slice(0, 8)} (${clock(Math.round(silence))})` : "";
+    if (since.textContent !== text) since.textContent = text;
+  }
+}
 
 function showTiles() {
   const prediction = concern("model: prediction");
   if (prediction) {
-    const [sign, word, colour] = LEVELS[prediction.level] ?? LEVELS[2];
-    tile("prediction", `${sign} ${prediction.message}`, "", `sentence ${colour}`);
+    const [mark, word, colour] = LEVELS[prediction.level] ?? LEVELS[2];
+    tile("prediction", prediction.message, "", `sentence ${colour}`, `${mark} `);
     byId("tile-prediction").title = word;
   }
   const latency = concern("model: latency");
@@ -335,17 +369,23 @@ const entries = new Map(); // of the concerns shown, by name, so that what is op
 
 function showConcerns() {
   if (status.concerns.length) byId("health").classList.remove("waiting");
+  for (const [name, entry] of entries) {
+    if (concern(name)) continue;
+    entry.remove(); // the page's node was started again, and has not heard of it
+    entries.delete(name);
+  }
   for (const { name, level, message, values } of status.concerns) {
     if (!entries.has(name)) {
       const entry = document.createElement("li");
-      entry.innerHTML = "<strong></strong><span></span><details><summary>Figures</summary><dl></dl></details>";
-      entry.firstChild.textContent = name;
+      entry.innerHTML = "<strong></strong><small class=since></small><span></span><details><summary>Figures</summary><dl></dl></details>";
+      entry.dataset.source = "concern";
+      entry.dataset.name = entry.firstChild.textContent = name;
       entries.set(name, entry);
       byId("concerns").append(entry);
     }
-    const entry = entries.get(name), [sign, word, colour] = LEVELS[level] ?? LEVELS[2];
-    entry.children[1].textContent = `${sign} ${word}: ${message}`;
-    entry.children[1].className = colour;
+    const entry = entries.get(name), [mark, word, colour] = LEVELS[level] ?? LEVELS[2];
+    entry.children[2].replaceChildren(sign(`${mark} ${word}: `), message);
+    entry.children[2].className = colour;
     const list = entry.querySelector("dl");
     entry.querySelector("details").hidden = !Object.keys(values).length;
     list.replaceChildren(...Object.entries(values).flatMap(([key, value]) => {
@@ -358,12 +398,14 @@ function showConcerns() {
 }
 
 function showState() {
-  const silent = status?.silence;
+  const silence = status && silenceOf("signals");
+  const lost = status ? [...new Set(status.concerns.map(nodeOf))].filter((node) => isSilent(silenceOf(node))) : [];
+  const signals = silence === null ? "waiting for signals" : isSilent(silence) ? `no signals for ${clock(Math.round(silence))}` : "live";
   const [text, level] = failing.size ? ["✕ no connection: trying again", "bad"]
-    : paused ? ["❚❚ paused", "warn"]
     : status === null ? ["… connecting", ""]
-    : silent === null ? ["▲ waiting for signals", "warn"]
-    : silent > 2 ? [`▲ silent for ${Math.round(silent)} s`, "warn"] : ["● live", "good"];
+    : lost.length ? [`✕ ${paused ? "paused" : signals}; not heard: ${lost.join(", ")}`, "bad"]
+    : paused ? ["❚❚ paused", "warn"]
+    : signals === "live" ? ["● live", "good"] : [`▲ ${signals}`, "warn"];
   const shown = byId("state");
   if (shown.textContent !== text) shown.textContent = text;
   shown.className = level;
@@ -399,6 +441,7 @@ function showStatus() {
   showTiles();
   showConcerns();
   showCommands();
+  if (paused) return;
   showWindowRows();
   const show = { windows: showWindows, coefficients: () => showTraces("coefficients"), parameters: () => showTraces("parameters") };
   for (const name of stale) show[name]();
