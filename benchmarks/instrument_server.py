@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socketserver
 import threading
+import time
 
 from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument
 
@@ -12,13 +13,15 @@ class InstrumentServer:
     """Serves lines of SCPI on a free port of this computer, in threads of its own.
 
     ``silent``: it hears and obeys, and answers nothing. ``deaf``: what comes is not even heard, as
-    when a cable is cut and nobody is told.
+    when a cable is cut and nobody is told. ``dribble`` [s]: a byte of an answer comes after each
+    such time, and no answer ends; meanwhile nothing more is heard over that connection.
     """
 
     def __init__(self, instrument: EmulatedInstrument) -> None:
         self.instrument = instrument
         self.silent = False
         self.deaf = False
+        self.dribble = 0.0
         self.lines: list[str] = []
         self._connections: list[socketserver.StreamRequestHandler] = []
         outer = self
@@ -67,6 +70,9 @@ class InstrumentServer:
         answer = self.instrument.hear(text)
         if answer is not None and not self.silent:
             try:
+                while self.dribble:
+                    connection.wfile.write(b"1")
+                    time.sleep(self.dribble)
                 connection.wfile.write(answer.encode("ascii") + b"\n")
             except OSError:
                 return

@@ -2,7 +2,10 @@
 
 An emulated instrument with a coil of 20 ms behind a real TCP socket, the node supply and a
 commander as processes of their own, 1 A. Its watchdog is set to 0.5 s, commands hold for 0.3 s.
-Measured is the time from the event to less than 0.02 A in the coil.
+Measured is the time from the event to less than 0.02 A in the coil. An instrument that dribbles,
+whose answers come byte by byte and never end, is tried without a watchdog and with a node at its
+defaults: it begins to dribble at any time from half a second before to half a second after the
+death of the commander.
 """
 
 from __future__ import annotations
@@ -10,10 +13,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from ament_index_python.packages import get_package_prefix
 
 from benchmarks.figure import Figure
@@ -40,10 +45,18 @@ LIMITS = {
 """Stated time [s] for each event."""
 
 
+_DRIBBLE = 0.2
+"""Seconds between two bytes of an answer that never ends."""
+
+DRIBBLE_LIMIT = 1.5
+"""Stated time [s] for such an instrument."""
+
+
 class _Rig:
     """Instrument, node and commander; what has died is started again."""
 
-    def __init__(self) -> None:
+    def __init__(self, **parameters: object) -> None:
+        self._parameters = parameters
         self._domain = RosDomain()
         self._environment = self._domain.environment
         self.server = InstrumentServer(EmulatedInstrument(time_constant=0.02))
@@ -52,15 +65,8 @@ class _Rig:
         self.commander = self._start_commander()
 
     def _start_node(self) -> Program:
-        parameters = {
-            "address": self.server.address,
-            "profile": "emulated",
-            "rate": 20.0,
-            "watchdog": _WATCHDOG,
-            "command_timeout": _TIMEOUT,
-            "link_timeout": _LINK,
-        }
-        return Program([str(self._path), *node_arguments(parameters)], self._environment)
+        given = {"address": self.server.address, **self._parameters}
+        return Program([str(self._path), *node_arguments(given)], self._environment)
 
     def _start_commander(self) -> Program:
         module = ["-m", "benchmarks.current_sender", str(_CURRENT)]
@@ -91,8 +97,22 @@ class _Rig:
         self._mend(event)
         return passed
 
+    def dribble(self, lead: float) -> float:
+        """Seconds from the commander's death to no current; answers dribble ``lead`` [s] before."""
+        self.until(lambda current: current > 0.95 * _CURRENT, "the current")
+        begins = threading.Timer(max(-lead, 0.0), lambda: setattr(self.server, "dribble", _DRIBBLE))
+        begins.start()
+        time.sleep(max(lead, 0.0))
+        os.kill(self.commander.pid, signal.SIGKILL)
+        passed = self.until(lambda current: current < _NONE, "no current")
+        begins.join()
+        self._mend("dribble")
+        self.commander.close()
+        self.commander = self._start_commander()
+        return passed
+
     def _mend(self, event: str) -> None:
-        self.server.deaf = False
+        self.server.deaf, self.server.dribble = False, 0.0
         if event.startswith("commander"):
             if event.endswith("killed"):
                 self.commander.close()
@@ -117,12 +137,24 @@ class _Rig:
 
 def figures(trials: int = 200) -> list[Figure]:
     """Measure ``trials`` of all events together, in turn."""
-    rig = _Rig()
+    rig = _Rig(
+        profile="emulated",
+        rate=20.0,
+        watchdog=_WATCHDOG,
+        command_timeout=_TIMEOUT,
+        link_timeout=_LINK,
+    )
     times: dict[str, list[float]] = {event: [] for event in LIMITS}
     try:
         for place in range(trials):
             event = list(LIMITS)[place % len(LIMITS)]
             times[event].append(rig.trial(event))
+    finally:
+        rig.close()
+    rig = _Rig()
+    leads = np.linspace(-0.5, 0.5, max(trials // 10, 3)).tolist()
+    try:
+        dribbling = [rig.dribble(lead) for lead in leads]
     finally:
         rig.close()
     within = sum(t <= LIMITS[event] for event, found in times.items() for t in found)
@@ -143,5 +175,12 @@ def figures(trials: int = 200) -> list[Figure]:
             )
             for event, found in times.items()
             if found
+        ),
+        Figure(
+            "dribble_off_s",
+            max(dribbling),
+            f"Longest time [s] of {len(dribbling)} until the coil is without current after the "
+            "commands have stopped, where a byte of an answer comes every 0.2 s and none ends.",
+            (0.0, DRIBBLE_LIMIT),
         ),
     ]

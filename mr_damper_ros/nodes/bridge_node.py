@@ -6,6 +6,7 @@ the start, so that ``ros2 run`` gives data.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -161,9 +162,13 @@ class BridgeNode(LifecycleNode):
         self._stop()
         super().destroy_node()
 
-    def _apply(self, values: BridgeParameters) -> None:
-        if self._source is not None:
-            self._source.settings = values.sources[values.source]
+    def _apply(self, values: BridgeParameters, changed: Collection[str]) -> None:
+        source = self._source
+        if source is None:
+            return
+        source.settings = values.sources[values.source]
+        if source.commander is not None and f"{source.prefix}current" in changed:
+            source.commander.set_by_hand(source.settings.current)
 
     # --- life cycle: rclpy's calls these, and swallows what they raise --------------------------
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -41,15 +41,16 @@ class NodeParameters(Generic[T]):
 
     Raises ConfigurationError where a value given at the start is unknown, of the wrong type or
     not allowed. Later changes are accepted or rejected with a sentence as the reason; ``changed``
-    is called after each accepted change of a value that is not read-only. ``configured`` is given
-    by a managed node: as long as it is false, what is read-only may be set, too.
+    is called after each that is accepted, with the values and the names of those that were set,
+    be it to the same value. ``configured`` is given by a managed node: as long as it is false, what
+    is read-only may be set, too.
     """
 
     def __init__(
         self,
         node: Node,
         table: type[T],
-        changed: Callable[[T], None] | None = None,
+        changed: Callable[[T, Collection[str]], None] | None = None,
         configured: Callable[[], bool] | None = None,
     ) -> None:
         self._table = table
@@ -127,11 +128,12 @@ class NodeParameters(Generic[T]):
         return SetParametersResult(successful=not objection, reason=objection)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        if not any(parameter.name in self._options for parameter in parameters):
+        names = {parameter.name for parameter in parameters} & self._options.keys()
+        if not names:
             return
         self._values = self._merged(parameters)
         if self._changed is not None:
-            self._changed(self._values)
+            self._changed(self._values, names)
 
 
 def _descriptor(item: Option) -> ParameterDescriptor:

@@ -7,8 +7,8 @@ output on. By itself it does both at the start. The output is off whenever it is
 from __future__ import annotations
 
 import math
-import threading
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from mr_damper_msgs.msg import SupplyCurrent
@@ -22,17 +22,17 @@ from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParamete
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.supplies.current_commander import CommandSettings, CurrentCommander
 from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument, EmulatedLink
-from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, connect
-from mr_damper_ros.rig.supplies.scpi_supply import ScpiSupply, SupplyError
+from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, ScpiLink, connect
+from mr_damper_ros.rig.supplies.scpi_supply import ScpiSupply
 from mr_damper_ros.rig.supplies.supply_driver import SupplyDriver
 from mr_damper_ros.rig.supplies.supply_profile import read_profile
+from mr_damper_ros.rig.supplies.supply_thread import SupplyThread
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 
 _EMULATED = "emulated"
 """The address, and the profile, of the emulated instrument in this process."""
 
-_RESCUE = 0.5
-"""Seconds between two attempts to switch off a supply that does not answer."""
+_NOT_OFF = "the output may still be on: the node goes on trying to switch it off"
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class SupplyParameters(ParameterTable):
     )
     current: float = option(
         0.0,
-        "Current [A] that is set by hand. It may be changed while the node works, and holds until "
-        "a command comes.",
+        "Current [A] that is set by hand. It may be set while the node works, and holds until a "
+        "command comes or the output is switched off; then it is to be set again.",
         minimum=-1000.0,
         maximum=1000.0,
     )
@@ -87,7 +87,7 @@ class SupplyParameters(ParameterTable):
     )
     link_timeout: float = option(
         0.5,
-        "Time [s] in which the instrument must answer; then the link counts as lost.",
+        "Time [s] in which the whole of an answer must come; then the link counts as lost.",
         minimum=0.01,
         maximum=60.0,
         read_only=True,
@@ -103,7 +103,13 @@ class SupplyParameters(ParameterTable):
     frame_id: str = option("damper", "Frame of the measured current.", read_only=True)
 
     def objection(self) -> str:
-        """Say why a reading may come too late for the watchdog."""
+        """Say which current is beyond the limits, or why the watchdog may bite."""
+        low, high = self.commands.smallest_current, self.commands.largest_current
+        if not low <= self.current <= high:
+            return (
+                f"current is {self.current:g} A, beyond the {low:g} to {high:g} A of "
+                "smallest_current and largest_current: set one between them"
+            )
         if self.watchdog < 2.0 / self.rate:
             return (
                 f"watchdog is {self.watchdog:g} s, but a line goes out only every "
@@ -113,7 +119,11 @@ class SupplyParameters(ParameterTable):
 
 
 class SupplyNode(LifecycleNode):
-    """Commands and readings run in a thread of their own: an instrument may take its time."""
+    """Commands and readings run in a thread of their own: an instrument may take its time.
+
+    A supply that is lost makes the node inactive at once, as a lifecycle manager must know that
+    commands are not obeyed; the thread goes on trying to switch the output off.
+    """
 
     def __init__(self) -> None:
         super().__init__("supply")
@@ -124,7 +134,7 @@ class SupplyNode(LifecycleNode):
             changed=self._apply,
             configured=lambda: self._supply is not None,
         )
-        self._drive: _Drive | None = None
+        self._drive: SupplyThread | None = None
         self._commander = CurrentCommander(CommandSettings())
         self._by_hand = self.parameters.values.current
         self._commands: CurrentCommands | None = None
@@ -147,19 +157,20 @@ class SupplyNode(LifecycleNode):
         self._let_go()
         super().destroy_node()
 
-    def _apply(self, values: SupplyParameters) -> None:
-        if values.current != self._by_hand:
+    def _apply(self, values: SupplyParameters, changed: Collection[str]) -> None:
+        if "current" not in changed:
+            return
+        if self._commands is None:
             self._by_hand = values.current
+        elif self._drive is not None:
             self._commander.set_by_hand(values.current)
-            if self._drive is not None:
-                self._drive.hurry()
+            self._drive.hurry()
 
     # --- life cycle: rclpy's calls these, and swallows what they raise --------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Connect to the instrument and set it up, with its output off."""
         values = self.parameters.values
-        self._commander = CurrentCommander(values.commands, values.current)
         try:
             self._supply = _supply(values)
             self._identity = self._supply.open()
@@ -182,9 +193,13 @@ class SupplyNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Switch the output on, and hear commands."""
+        """Switch the output on, and hear commands. A current of before does not come back."""
         assert self._supply is not None
         values = self.parameters.values
+        if self._drive is not None:
+            self.get_logger().error(f"{self._problem}; it is not switched on before that")
+            return TransitionCallbackReturn.FAILURE
+        self._commander = CurrentCommander(values.commands, self._by_hand)
         driver = SupplyDriver(self._supply, self._commander, values.tolerance)
         try:
             try:
@@ -194,11 +209,25 @@ class SupplyNode(LifecycleNode):
                 self._supply.open()
                 driver.start(time.monotonic())
         except (ValueError, OSError) as error:
+            if self._supply.switched_on:  # at no current, but on
+                self._drive = self._thread(driver, str(error))
             return self._fail("the supply cannot be switched on", error)
-        self._problem = ""
-        self._drive = _Drive(self, self._supply, driver, 1.0 / values.rate)
+        self._problem, self._by_hand = "", 0.0
+        self._drive = self._thread(driver)
         self._commands = CurrentCommands(self, self._commander, self._drive.hurry)
         return TransitionCallbackReturn.SUCCESS
+
+    def _thread(self, driver: SupplyDriver, failure: str = "") -> SupplyThread:
+        assert self._supply is not None
+        return SupplyThread(
+            self._supply,
+            driver,
+            period=1.0 / self.parameters.values.rate,
+            clock_ns=lambda: int(self.get_clock().now().nanoseconds),
+            publish=self._publish_current,
+            say=self.get_logger().error,
+            failure=failure,
+        )
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Switch the output off."""
@@ -226,14 +255,19 @@ class SupplyNode(LifecycleNode):
         if self._commands is not None:
             self._commands.close()
             self._commands = None
-        if self._drive is not None:
-            self._drive.stop()
-            if self._supply is not None and self._supply.switched_on:
-                self._problem = f"{self._drive.failure}; the output may still be on"
-                self.get_logger().error(self._problem)
+        drive = self._drive
+        if drive is None or drive.failure:
+            return  # a lost supply is being switched off
+        if drive.stop():
             self._drive = None
+        else:
+            self._tell(f"{drive.failure}; {_NOT_OFF}")
 
     def _let_go(self) -> None:
+        drive, self._drive = self._drive, None
+        if drive is not None and not drive.stop():
+            drive.end()
+            self._tell(f"{drive.failure}; the output may still be on: the node tries no more")
         supply, self._supply = self._supply, None
         if supply is None:
             return
@@ -243,16 +277,26 @@ class SupplyNode(LifecycleNode):
             self.get_logger().warning(f"the link was not closed in order: {error}")
         self.destroy_publisher(self._publisher)
 
-    def publish_current(self, stamp_ns: int, current: float) -> None:
-        """Publish a reading."""
+    def _tell(self, problem: str) -> None:
+        self._problem = problem
+        self.get_logger().error(problem)
+
+    def _publish_current(self, stamp_ns: int, current: float) -> None:
         self._publisher.publish(current_message(stamp_ns, current, self.parameters.values.frame_id))
 
-    def leave_a_lost_supply(self) -> float:
-        """Deactivate once a supply that was lost has been switched off; returns no hurry."""
-        if self._drive is not None and self._drive.failure and self._drive.finished:
-            self._problem = f"{self._drive.failure}; the output has been switched off since"
-            self.get_logger().error(f"{self._problem}: activate the node again to go on")
-            self.trigger_deactivate()
+    def watch(self) -> float:
+        """Deactivate where the supply is lost, and say when it is off again; returns no hurry."""
+        drive = self._drive
+        if drive is not None and drive.failure:
+            if self._commands is not None:
+                self._problem = f"{drive.failure}; {_NOT_OFF}"
+                self.trigger_deactivate()
+            if drive.finished:
+                self._drive = None
+                self._tell(
+                    f"{drive.failure}; the output has been switched off since: activate the node "
+                    "again to go on"
+                )
         return math.inf
 
     # --- state ----------------------------------------------------------------------------------
@@ -265,13 +309,11 @@ class SupplyNode(LifecycleNode):
             "instrument": self._identity,
             "watchdog [s]": "none" if math.isnan(supply.watchdog) else f"{supply.watchdog:g}",
         }
+        if drive is not None and drive.failure:
+            return Finding(ERROR, self._problem or drive.failure, values)
         if drive is None:
             level = ERROR if self._problem else WARN
             return Finding(level, self._problem or "not active: the output is off", values)
-        if drive.failure:
-            return Finding(
-                ERROR, f"{drive.failure}; the output cannot be reached to switch it off", values
-            )
         state = drive.driver.state
         values["complaints"] = state.complaints
         if state.last_complaint:
@@ -297,99 +339,24 @@ class SupplyNode(LifecycleNode):
         return Finding(found.level, f"{state.measured:.3f} A; {found.message}", values)
 
 
-class _Drive:
-    """The thread that drives the supply until it is stopped; where that fails it tries to end it.
-
-    ``failure`` says in a sentence why the supply is not driven any more. Then the thread goes on
-    until the output is off, or it is stopped.
-    """
-
-    def __init__(
-        self, node: SupplyNode, supply: ScpiSupply, driver: SupplyDriver, period: float
-    ) -> None:
-        self._node = node
-        self._supply = supply
-        self.driver = driver
-        self._period = period
-        self._ended = False
-        self._wake = threading.Event()
-        self.failure = ""
-        self._thread = threading.Thread(target=self._run, name="supply", daemon=True)
-        self._thread.start()
-
-    @property
-    def finished(self) -> bool:
-        """Whether it has come to its end."""
-        return not self._thread.is_alive()
-
-    def hurry(self) -> None:
-        """There is something new to obey."""
-        self._wake.set()
-
-    def stop(self) -> None:
-        """Switch off, and wait until that is done."""
-        self._ended = True
-        self._wake.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        try:
-            self._follow()
-        except Exception as error:  # whatever it is: the current must not stay on
-            self.failure = (
-                str(error)
-                if isinstance(error, (LinkLostError, SupplyError))
-                else f"driving the supply failed: {error}"
-            )
-            self._node.get_logger().error(f"{self.failure}: trying to switch the output off")
-            self._rescue()
-
-    def _follow(self) -> None:
-        due = time.monotonic()
-        while not self._ended:
-            self._wake.clear()
-            now = time.monotonic()
-            self.driver.obey(now)
-            if now >= due:
-                asked_ns = self._node.get_clock().now().nanoseconds
-                measured = self.driver.read(now)
-                answered_ns = self._node.get_clock().now().nanoseconds
-                self._node.publish_current((asked_ns + answered_ns) // 2, measured)
-                due = max(due + self._period, time.monotonic())
-            now = time.monotonic()
-            self._wake.wait(max(min(due - now, self.driver.wait(now)), 0.0))
-        self.driver.stop()
-
-    def _rescue(self) -> None:
-        while self._supply.switched_on:
-            try:
-                self._supply.rescue()
-            except Exception:  # whatever it is, as above
-                if self._ended:
-                    return
-                self._wake.wait(_RESCUE)
-
-
 def _supply(values: SupplyParameters) -> ScpiSupply:
     """The supply of the parameters; raises ValueError."""
     emulated = values.address == _EMULATED
     profile = read_profile(values.profile or (_EMULATED if emulated else "scpi"))
-    if emulated:
-        instrument = EmulatedInstrument()
-        return ScpiSupply(
-            lambda: EmulatedLink(instrument),
-            profile,
-            voltage=values.largest_voltage,
-            watchdog=values.watchdog,
-        )
+    instrument = EmulatedInstrument()
+
+    def link(patience: Patience) -> ScpiLink:
+        return EmulatedLink(instrument) if emulated else connect(values.address, patience)
+
     return ScpiSupply(
-        lambda: connect(values.address, values.link_timeout),
+        link,
         profile,
         voltage=values.largest_voltage,
         watchdog=values.watchdog,
+        timeout=values.link_timeout,
     )
 
 
 def main() -> int:
     """Run the node."""
-    return run(SupplyNode, SupplyParameters, between=SupplyNode.leave_a_lost_supply)
+    return run(SupplyNode, SupplyParameters, between=SupplyNode.watch)

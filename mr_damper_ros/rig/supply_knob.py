@@ -26,19 +26,12 @@ class SupplyKnob:
 
 
 class CommandedKnob(SupplyKnob):
-    """A knob that is turned by a commander; what is set ``by_hand`` [A] goes to that one.
+    """A knob that is turned by a commander; ``clock`` is the steady clock [s] of its commands."""
 
-    ``clock`` is the steady clock [s], by which commands grow old.
-    """
-
-    def __init__(self, commander: CurrentCommander, by_hand: float, clock: float) -> None:
+    def __init__(self, commander: CurrentCommander, clock: float) -> None:
         super().__init__(commander.step(clock))
         self._commander = commander
-        self._by_hand = by_hand
 
-    def follow(self, time: float, by_hand: float, clock: float) -> None:
+    def follow(self, time: float, clock: float) -> None:
         """Supply from a time [s] on what the commander now says."""
-        if by_hand != self._by_hand:
-            self._by_hand = by_hand
-            self._commander.set_by_hand(by_hand)
         self.turn(time, self._commander.step(clock))

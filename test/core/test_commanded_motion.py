@@ -117,7 +117,7 @@ def test_the_machine_rests_when_the_commands_stop() -> None:
         (replace(SWEEP, highest_frequency=5.0), 0.0, "beyond 0.2 m/s"),
         (replace(RANDOM, highest_frequency=20.0, frequency=5.0), 0.0, "beyond 0.2 m/s"),
         (sine(0.01, 1.0), 0.6, "0.6 s old"),
-        (sine(0.01, 1.0), -0.6, "in the future"),
+        (sine(0.01, 1.0), -0.45, "0.45 s ahead"),
     ],
 )
 def test_what_cannot_be_made_is_refused(wanted: PeriodicMotion, age: float, sentence: str) -> None:

@@ -104,7 +104,8 @@ def test_the_knob_of_the_supply_works_between_two_blocks() -> None:
     rig.open()
     blocks = rig.blocks(START)
     before = next(blocks)
-    rig.settings = dataclasses.replace(rig.settings, current=1.0)
+    assert rig.commander is not None
+    rig.commander.set_by_hand(1.0)
     after = list(islice(blocks, 3))
     assert set(before.current) == {0.5}
     assert after[-1].current[-1] == 1.0

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import os
+import select
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.instrument_server import InstrumentServer
@@ -16,7 +22,7 @@ from mr_damper_ros.rig.supplies.current_commander import (
     Origin,
 )
 from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument, EmulatedLink
-from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, connect
+from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, connect
 from mr_damper_ros.rig.supplies.scpi_supply import ScpiSupply, SupplyError
 from mr_damper_ros.rig.supplies.supply_driver import SupplyDriver
 from mr_damper_ros.rig.supplies.supply_profile import (
@@ -25,6 +31,7 @@ from mr_damper_ros.rig.supplies.supply_profile import (
     read_profile,
     shipped_profiles,
 )
+from mr_damper_ros.rig.supplies.supply_thread import SupplyThread
 
 SECOND = 10**9
 TIMEOUT = 0.2
@@ -60,9 +67,16 @@ def test_the_age_of_a_command_counts_as_time_that_it_has_held() -> None:
 
 
 def test_a_command_of_the_future_holds_no_longer_than_one_of_now() -> None:
-    tried = commander(command_timeout=0.5)
+    tried = commander(command_timeout=0.5, stamp_tolerance=0.4)
     assert tried.command(1.0, 0, -0.4, now=10.0) == ""
     assert tried.step(10.5) == 0.0
+
+
+def test_a_command_stamped_ahead_within_the_tolerance_keeps_no_other_out() -> None:
+    tried = commander(stamp_tolerance=0.4)
+    assert tried.command(1.0, 10 * SECOND + 4 * SECOND // 10, -0.4, now=10.0) == ""
+    assert tried.command(0.3, 10 * SECOND + 1, 0.0, now=10.0) == ""
+    assert tried.step(10.0) == 0.3
 
 
 @pytest.mark.parametrize(
@@ -71,7 +85,7 @@ def test_a_command_of_the_future_holds_no_longer_than_one_of_now() -> None:
         (math.nan, 0.0, "not finite"),
         (math.inf, 0.0, "not finite"),
         (1.0, 0.6, "0.6 s old"),
-        (1.0, -0.6, "0.6 s in the future"),
+        (1.0, -0.45, "0.45 s ahead, where 0.05 s are tolerated"),
         (1.0, math.nan, "command_timeout"),
     ],
 )
@@ -239,7 +253,11 @@ def server(instrument: EmulatedInstrument) -> Iterator[InstrumentServer]:
 
 def supply_at(address: str, profile: str = "emulated") -> ScpiSupply:
     return ScpiSupply(
-        lambda: connect(address, TIMEOUT), read_profile(profile), voltage=12.0, watchdog=0.5
+        lambda patience: connect(address, patience),
+        read_profile(profile),
+        voltage=12.0,
+        watchdog=0.5,
+        timeout=TIMEOUT,
     )
 
 
@@ -293,7 +311,9 @@ class AnsweringLink(EmulatedLink):
 @pytest.mark.parametrize("answer", ["", "nan", "9.91E+37", "-9.9E37"])
 def test_what_is_no_number_is_no_measured_current(answer: str) -> None:
     profile = read_profile("emulated")
-    supply = ScpiSupply(lambda: AnsweringLink(answer), profile, voltage=12.0, watchdog=0.5)
+    supply = ScpiSupply(
+        lambda _: AnsweringLink(answer), profile, voltage=12.0, watchdog=0.5, timeout=TIMEOUT
+    )
     supply.open()
     with pytest.raises(SupplyError, match="is no current"):
         supply.measured()
@@ -368,26 +388,101 @@ def test_complaints_from_before_do_not_keep_it_from_being_switched_off(
 @pytest.mark.parametrize("address", ["", "a b", "host:99999", "host:port"])
 def test_an_address_that_is_none_is_refused(address: str) -> None:
     with pytest.raises(ValueError, match="give host:port"):
-        connect(address, TIMEOUT)
+        connect(address, Patience(TIMEOUT))
 
 
 def test_nobody_at_the_address_is_a_lost_link(server: InstrumentServer) -> None:
     server.close()
     with pytest.raises(LinkLostError, match="refused"):
-        connect(server.address, TIMEOUT)
+        connect(server.address, Patience(TIMEOUT))
+
+
+def test_an_answer_that_dribbles_is_a_lost_link(
+    supply: ScpiSupply, server: InstrumentServer
+) -> None:
+    supply.open()
+    server.dribble = 0.2 * TIMEOUT
+    with pytest.raises(LinkLostError, match="has not answered within"):
+        supply.measured()
+
+
+def test_somebody_else_can_end_the_wait_for_an_answer(
+    server: InstrumentServer, supply: ScpiSupply
+) -> None:
+    supply.open()
+    supply.patience.timeout = 60.0
+    server.silent = True
+    threading.Timer(TIMEOUT, lambda: setattr(supply.patience, "end", 0.0)).start()
+    with pytest.raises(LinkLostError, match="has not answered within"):
+        supply.measured()
+
+
+class SerialInstrument:
+    """An instrument at one end of a serial line, of which the other is ``path``."""
+
+    def __init__(self, instrument: EmulatedInstrument) -> None:
+        self._instrument = instrument
+        self.dribble = False
+        self._here, self._there = os.openpty()
+        tty.setraw(self._here)
+        tty.setraw(self._there)
+        self.path = os.ttyname(self._there)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        os.close(self._here)
+        os.close(self._there)
+
+    def _serve(self) -> None:
+        heard = b""
+        while not self._ended.is_set():
+            if not select.select([self._here], [], [], 0.01)[0]:
+                continue
+            heard += os.read(self._here, 1000)
+            *lines, heard = heard.split(b"\n")
+            for line in lines:
+                answer = self._instrument.hear(line.decode("ascii"))
+                while self.dribble and not self._ended.wait(0.2 * TIMEOUT):
+                    os.write(self._here, b"1")
+                if answer is not None:
+                    os.write(self._here, answer.encode("ascii") + b"\n")
+
+
+@pytest.fixture
+def line(instrument: EmulatedInstrument) -> Iterator[SerialInstrument]:
+    serving = SerialInstrument(instrument)
+    yield serving
+    serving.close()
 
 
 @with_visa
-def test_pyvisa_reaches_the_same_instrument(server: InstrumentServer, clock: SetClock) -> None:
-    host, _, port = server.address.partition(":")
-    supply = supply_at(f"TCPIP::{host}::{port}::SOCKET")
+def test_pyvisa_reaches_the_same_instrument_over_a_serial_line(
+    line: SerialInstrument, clock: SetClock
+) -> None:
+    supply = supply_at(f"ASRL{line.path}::INSTR")
     supply.open()
     supply.switch_on()
     give(supply, 1.5)
     clock.now += 0.45
     assert supply.measured() == pytest.approx(1.5, abs=1e-3)
-    server.silent = True
-    with pytest.raises(LinkLostError, match=port):
+    line.dribble = True
+    with pytest.raises(LinkLostError, match=line.path):
+        supply.measured()
+    supply.close()
+
+
+def test_a_plain_socket_by_its_visa_name_needs_no_visa(
+    server: InstrumentServer, clock: SetClock
+) -> None:
+    host, _, port = server.address.partition(":")
+    supply = supply_at(f"TCPIP0::{host}::{port}::SOCKET")
+    supply.open()
+    server.dribble = 0.2 * TIMEOUT
+    with pytest.raises(LinkLostError, match="has not answered within"):
         supply.measured()
     supply.close()
 
@@ -397,7 +492,11 @@ def test_pyvisa_reaches_the_same_instrument(server: InstrumentServer, clock: Set
 
 def driven(instrument: EmulatedInstrument) -> tuple[SupplyDriver, CurrentCommander]:
     supply = ScpiSupply(
-        lambda: EmulatedLink(instrument), read_profile("emulated"), voltage=12.0, watchdog=0.5
+        lambda _: EmulatedLink(instrument),
+        read_profile("emulated"),
+        voltage=12.0,
+        watchdog=0.5,
+        timeout=TIMEOUT,
     )
     supply.open()
     made = CurrentCommander(CommandSettings(largest_current=20.0))
@@ -441,6 +540,88 @@ def test_complaints_of_the_instrument_are_counted(
     driver.start(clock.now)
     commands.set_by_hand(9.0)  # more than the instrument gives
     driver.obey(clock.now)
-    driver.read(clock.now)
+    driver.check(clock.now)
     assert driver.state.complaints == 1
     assert driver.state.last_complaint.startswith("-222")
+
+
+# --- in a thread of its own ---------------------------------------------------------------------
+
+
+@pytest.fixture
+def live() -> Iterator[InstrumentServer]:
+    """An instrument in real time, as a thread needs it."""
+    serving = InstrumentServer(EmulatedInstrument())
+    yield serving
+    serving.close()
+
+
+def in_thread(server: InstrumentServer, said: list[str], current: float = 1.0) -> SupplyThread:
+    """A supply without a watchdog, driven by hand."""
+    supply = supply_at(server.address, "scpi")
+    supply.open()
+    driver = SupplyDriver(supply, CurrentCommander(CommandSettings(), current), tolerance=0.05)
+    driver.start(time.monotonic())
+    return SupplyThread(
+        supply,
+        driver,
+        period=0.02,
+        clock_ns=time.time_ns,
+        publish=lambda *_: None,
+        say=said.append,
+    )
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def gives_current(server: InstrumentServer) -> None:
+    wait_until(lambda: server.instrument.current() > 0.9)
+
+
+def test_a_supply_that_dribbles_is_switched_off_over_a_new_link(live: InstrumentServer) -> None:
+    said: list[str] = []
+    thread = in_thread(live, said)
+    gives_current(live)
+    live.dribble = 0.2 * TIMEOUT
+    wait_until(lambda: live.instrument.is_off)
+    assert "has not answered within" in said[0]
+    assert not thread.finished, "it was not heard to be off"
+    live.dribble = 0.0
+    wait_until(lambda: thread.finished)
+
+
+def test_stopping_a_supply_that_dribbles_ends_and_says_what_could_not_be_done(
+    live: InstrumentServer,
+) -> None:
+    thread = in_thread(live, [])
+    gives_current(live)
+    live.dribble = 0.2 * TIMEOUT
+    assert not thread.stop()
+    assert "has not answered within" in thread.failure
+    assert live.instrument.is_off
+    thread.end()
+    assert thread.finished
+
+
+def test_stopping_a_supply_that_answers_is_heard(live: InstrumentServer) -> None:
+    thread = in_thread(live, [])
+    gives_current(live)
+    assert thread.stop()
+    assert live.instrument.is_off
+    assert thread.failure == ""
+
+
+def test_a_command_that_ends_is_obeyed_between_two_complaints(live: InstrumentServer) -> None:
+    thread = in_thread(live, [])
+    gives_current(live)
+    for _ in range(9):
+        live.instrument.hear("NONSENSE 1")
+    wait_until(lambda: thread.driver.state.complaints == 9)
+    asked = [k for k, line in enumerate(live.lines) if line == "SYST:ERR?"]
+    assert min(np.diff(asked[-9:])) > 1, "one complaint at a time"
+    assert thread.stop()

@@ -127,6 +127,22 @@ def test_two_that_command_are_an_error(
     assert found.level == DiagnosticStatus.ERROR
 
 
+def test_a_commander_whose_clock_is_ahead_keeps_the_right_one_out_no_longer(
+    supply: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    right = Commander(listener)
+    with Listener() as other:
+        wrong = Commander(other)
+        for _ in range(5):
+            wrong.send(0.2, age=-0.45)
+        right.current = 1.2
+        listener.until(gives(server, 1.2), "the current of the right one")
+        wrong.send(0.2, age=-0.45)
+        found = listener.wait_for_finding("supply: current", "s ahead, where 0.05 s are tolerated")
+    assert found.level == DiagnosticStatus.ERROR
+    assert "end all but one" in found.message, "both are told"
+
+
 def test_the_current_set_by_hand_lasts(
     start: Any, server: InstrumentServer, listener: Listener
 ) -> None:
@@ -134,6 +150,26 @@ def test_the_current_set_by_hand_lasts(
     listener.until(gives(server, 0.5), "the current of the start")
     assert listener.set_parameter("supply", "current", 0.9).successful
     listener.until(gives(server, 0.9), "the new one")
+
+
+def test_a_current_that_is_set_to_its_value_of_before_counts_after_a_time_out(
+    start: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    start_supply(start, server, current=0.5)
+    Commander(listener).send(1.2)
+    listener.until(gives(server, 1.2), "the commanded current")
+    listener.until(gives(server, 0.0), "no current after the time-out")
+    assert listener.set_parameter("supply", "current", 0.5).successful
+    listener.until(gives(server, 0.5), "the current set by hand")
+
+
+def test_a_current_beyond_the_largest_is_refused(
+    supply: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    answer = listener.set_parameter("supply", "current", 2.5)
+    assert not answer.successful
+    assert "current is 2.5 A, beyond the 0 to 2 A" in answer.reason
+    assert gives(server, 0.0)()
 
 
 def test_the_output_is_on_only_while_the_node_is_active(
@@ -148,9 +184,32 @@ def test_the_output_is_on_only_while_the_node_is_active(
     assert change(listener, Transition.TRANSITION_DEACTIVATE)
     assert server.instrument.is_off
     assert change(listener, Transition.TRANSITION_ACTIVATE)
-    listener.until(gives(server, 0.5), "the current again")
+    listener.until(lambda: not server.instrument.is_off, "the output")
     assert change(listener, Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert server.instrument.is_off
+
+
+def test_a_current_of_before_comes_back_neither_with_activation_nor_with_configuration(
+    start: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    start_supply(start, server, current=0.5)
+    listener.until(gives(server, 0.5), "the current")
+    for transitions in (
+        [Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE],
+        [
+            Transition.TRANSITION_DEACTIVATE,
+            Transition.TRANSITION_CLEANUP,
+            Transition.TRANSITION_CONFIGURE,
+            Transition.TRANSITION_ACTIVATE,
+        ],
+    ):
+        assert all(change(listener, transition) for transition in transitions)
+        del server.lines[:]
+        listener.until(lambda: server.lines.count("MEAS:CURR?") > 10, "readings")
+        assert not server.instrument.is_off
+        assert gives(server, 0.0)()
+        assert listener.set_parameter("supply", "current", 0.5).successful
+        listener.until(gives(server, 0.5), "the current that is set again")
 
 
 def test_after_a_cut_link_the_output_goes_off_over_a_new_one_and_stays_off(
@@ -163,7 +222,8 @@ def test_after_a_cut_link_the_output_goes_off_over_a_new_one_and_stays_off(
     listener.wait_for_finding("supply: supply", "has been switched off since")
     assert state_of(listener) == State.PRIMARY_STATE_INACTIVE
     assert change(listener, Transition.TRANSITION_ACTIVATE)
-    listener.until(gives(server, 0.7), "the current, once it is activated again")
+    assert listener.set_parameter("supply", "current", 0.6).successful
+    listener.until(gives(server, 0.6), "the current, once it is activated and set again")
 
 
 @pytest.mark.parametrize("trouble", ["deaf", "silent"])
@@ -174,8 +234,42 @@ def test_an_instrument_that_is_not_reached_switches_off_by_itself_and_the_node_s
     listener.until(gives(server, 0.7), "the current")
     setattr(server, trouble, True)
     listener.until(off(server), "no current")
-    listener.wait_for_finding("supply: supply", "cannot be reached")
+    listener.wait_for_finding("supply: supply", "the output may still be on")
+    assert state_of(listener) == State.PRIMARY_STATE_INACTIVE
+    assert not change(listener, Transition.TRANSITION_ACTIVATE), "it may still be on"
     assert node.stop(signal.SIGINT) == 0
+    assert "the output may still be on" in node.log
+
+
+def test_an_instrument_that_dribbles_is_switched_off(
+    start: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    # It has no watchdog.
+    start_supply(start, server, profile="scpi", current=1.0, link_timeout=0.2)
+    listener.until(gives(server, 1.0), "the current")
+    server.dribble = 0.05
+    listener.until(off(server), "no current")
+    listener.until(lambda: state_of(listener) == State.PRIMARY_STATE_INACTIVE, "the state")
+    server.dribble = 0.0
+    listener.wait_for_finding("supply: supply", "has been switched off since")
+    assert change(listener, Transition.TRANSITION_ACTIVATE)
+
+
+@pytest.mark.parametrize("way", ["deactivate", "terminate"])
+def test_an_instrument_that_dribbles_can_be_left(
+    start: Any, server: InstrumentServer, listener: Listener, way: str
+) -> None:
+    # The time-out is so long that the link is not lost before.
+    node = start_supply(start, server, profile="scpi", current=1.0, link_timeout=30.0)
+    listener.until(gives(server, 1.0), "the current")
+    server.dribble = 0.05
+    if way == "deactivate":
+        assert change(listener, Transition.TRANSITION_DEACTIVATE)
+        listener.wait_for_finding("supply: supply", "has not answered within")
+        assert off(server)()
+    assert node.stop(signal.SIGTERM) == 0
+    assert off(server)()
+    assert "the output may still be on" in node.log
 
 
 def test_an_output_that_cannot_be_reached_is_not_said_to_be_off(

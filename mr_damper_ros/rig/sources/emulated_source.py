@@ -262,7 +262,7 @@ class EmulatedSource(Source):
         )
         faults = faults_of(given.faults.split(), given.seed)
         instruments = Instruments(faults)
-        knob = CommandedKnob(commander, given.current, time.monotonic())
+        knob = CommandedKnob(commander, time.monotonic())
         rig = EmulatedRig(
             self._damper,
             self._excitation,
@@ -281,7 +281,7 @@ class EmulatedSource(Source):
         taken = 0
         while True:
             now = time.monotonic()
-            knob.follow(taken * settings.period, self.settings.current, now)
+            knob.follow(taken * settings.period, now)
             rig.surround(self.settings.ambient_temperature)
             rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
             if mover.commanded:

@@ -140,7 +140,7 @@ class QuarterCarSource(Source):
         assert self._damper is not None
         assert self.commander is not None
         given = self.settings
-        knob = CommandedKnob(self.commander, given.current, time.monotonic())
+        knob = CommandedKnob(self.commander, time.monotonic())
         rig = PlantRig(
             self._damper,
             _CAR.plant,
@@ -159,7 +159,7 @@ class QuarterCarSource(Source):
         )
         taken = 0
         while True:
-            knob.follow(taken / given.sample_rate, self.settings.current, time.monotonic())
+            knob.follow(taken / given.sample_rate, time.monotonic())
             made = rig.next_block(self.stream.block_size)
             taken += self.stream.block_size
             yield replace(made, suspension=moment_of(rig))

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from mr_damper_ros.rig.commander import STAMP_TOLERANCE, Commander
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 
 _RAMP_STEP = 0.01
@@ -36,9 +37,16 @@ class CommandSettings(CheckedSettings):
     )
     command_timeout: float = option(
         0.5,
-        "Time [s] that a command holds from its stamp on; after that the current is zero. No "
-        "command that is older, or stamped further in the future, is taken.",
+        "Time [s] that a command holds from its stamp on; after that the current is zero. An "
+        "older command is refused.",
         minimum=0.01,
+        maximum=3600.0,
+    )
+    stamp_tolerance: float = option(
+        STAMP_TOLERANCE,
+        "Time [s] that a command may be stamped ahead of this computer's clock; one further ahead "
+        "is refused.",
+        minimum=0.0,
         maximum=3600.0,
     )
 
@@ -51,23 +59,20 @@ class Origin(Enum):
     TIMED_OUT = "zero, for the commands have stopped"
 
 
-class CurrentCommander:
+class CurrentCommander(Commander):
     """Current [A] from commands, each of which holds for a while, or set by hand, which lasts.
 
-    Times are seconds of one steady clock, which nobody sets. A command takes the place of what was
-    set by hand; when the commands stop, the current is zero at once, and stays so until another
-    command comes or it is set by hand again. Counted: the commands that were refused, and those
-    that were cut to the limits.
+    A command takes the place of what was set by hand; when the commands stop, the current is zero
+    at once, and stays so until another command comes or it is set by hand again. ``cut`` counts the
+    commands that were cut to the limits.
     """
 
     def __init__(self, settings: CommandSettings, by_hand: float = 0.0) -> None:
+        super().__init__(settings.command_timeout, settings.stamp_tolerance)
         self.settings = settings
-        self.refused = 0
         self.cut = 0
-        self._wanted = self._within(by_hand)
-        self._until = math.inf
-        self._stamp_ns: int | None = None
         self._given, self._at = 0.0, 0.0
+        self.set_by_hand(by_hand)
 
     def set_by_hand(self, current: float) -> None:
         """Give this current from now on, until a command comes."""
@@ -80,23 +85,18 @@ class CurrentCommander:
 
         ``stamp_ns`` is the time of the decision: a command that was overtaken is refused.
         """
-        timeout = self.settings.command_timeout
-        if not math.isfinite(current):
-            return self._refuse("the commanded current is not finite")
-        if not -timeout <= age <= timeout:
-            when = f"{age:.3g} s old" if age > 0.0 else f"stamped {-age:.3g} s in the future"
-            return self._refuse(
-                f"the command is {when}, and command_timeout is {timeout:g} s: are the clocks of "
-                "both computers the same?"
-            )
-        if self._stamp_ns is not None and stamp_ns < self._stamp_ns and now < self._until:
-            return self._refuse("the command came after a newer one")
+        objection = (
+            self._objection(stamp_ns, age, now)
+            if math.isfinite(current)
+            else "the commanded current is not finite"
+        )
+        if objection:
+            return self.refuse(objection)
         within = self._within(current)
         self.cut += within != current
         # Another thread may step in between: what is wanted is there before it holds.
-        self._wanted, self._stamp_ns = within, stamp_ns
-        # One that is stamped in the future holds no longer than one of now.
-        self._until = now + timeout - max(age, 0.0)
+        self._wanted = within
+        self._hold(stamp_ns, age, now)
         return ""
 
     def origin(self, now: float) -> Origin:
@@ -129,7 +129,3 @@ class CurrentCommander:
 
     def _within(self, current: float) -> float:
         return min(max(current, self.settings.smallest_current), self.settings.largest_current)
-
-    def _refuse(self, reason: str) -> str:
-        self.refused += 1
-        return reason

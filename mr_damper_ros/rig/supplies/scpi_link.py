@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 import socket
+import time
 from typing import Any, Protocol
 
 _PORT = 5025
@@ -11,9 +13,28 @@ _PORT = 5025
 
 _LONGEST_ANSWER = 4096
 
+_LOOK = 0.05
+"""Seconds after which somebody who waits looks whether there is still time."""
+
 
 class LinkLostError(OSError):
     """The instrument does not answer, or cannot be reached; the message is a sentence."""
+
+
+class Patience:
+    """How long an answer may take: ``timeout`` [s] each, and none beyond ``end``.
+
+    Another thread may set ``end`` (on the clock of ``time.monotonic``) while an answer is waited
+    for.
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
+        self.end = math.inf
+
+    def left(self, since: float) -> float:
+        """Seconds left for an answer that is waited for since then; not positive when over."""
+        return min(since + self.timeout, self.end) - time.monotonic()
 
 
 class ScpiLink(Protocol):
@@ -30,18 +51,19 @@ class ScpiLink(Protocol):
 
 
 class SocketLink:
-    """A plain TCP connection ("SCPI-RAW"), made within ``timeout`` [s], in which each answer comes.
+    """A plain TCP connection ("SCPI-RAW").
 
+    The patience is that for the connection, and for each answer as a whole, however its bytes come.
     What has not answered in time is given up: a late answer would be taken for that to the next
     line.
     """
 
-    def __init__(self, host: str, port: int, timeout: float) -> None:
+    def __init__(self, host: str, port: int, patience: Patience) -> None:
         self._name = f"{host}:{port}"
-        self._timeout = timeout
+        self._patience = patience
         self._rest = b""
         try:
-            self._socket = socket.create_connection((host, port), timeout)
+            self._socket = socket.create_connection((host, port), self._left(time.monotonic()))
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             raise self._lost(error) from error
@@ -49,21 +71,28 @@ class SocketLink:
     def write(self, line: str) -> None:
         """Send a line that is not answered."""
         try:
+            self._socket.settimeout(self._left(time.monotonic()))
             self._socket.sendall(line.encode("ascii") + b"\n")
         except OSError as error:
             raise self._lost(error) from error
 
     def query(self, line: str) -> str:
         """Send a line and return the answer to it."""
+        asked = time.monotonic()
         self.write(line)
         while b"\n" not in self._rest:
             try:
+                self._socket.settimeout(min(self._left(asked), _LOOK))
                 part = self._socket.recv(_LONGEST_ANSWER)
+            except TimeoutError:
+                continue
             except OSError as error:
                 raise self._lost(error) from error
-            if not part or len(self._rest) > _LONGEST_ANSWER:
+            if not part:
                 raise LinkLostError(f"{self._name} has closed the connection")
             self._rest += part
+            if len(self._rest) > _LONGEST_ANSWER:
+                raise LinkLostError(f"{self._name} sends an answer that does not end")
         answer, _, self._rest = self._rest.partition(b"\n")
         return answer.decode("ascii", "replace").strip()
 
@@ -71,16 +100,29 @@ class SocketLink:
         """Let the instrument go."""
         self._socket.close()
 
+    def _left(self, since: float) -> float:
+        left = self._patience.left(since)
+        if left <= 0.0:
+            raise LinkLostError(
+                f"{self._name} has not answered within {time.monotonic() - since:.3g} s"
+            )
+        return left
+
     def _lost(self, error: OSError) -> LinkLostError:
+        if isinstance(error, LinkLostError):
+            return error
         if isinstance(error, TimeoutError):
-            return LinkLostError(f"{self._name} has not answered within {self._timeout:g} s")
+            return LinkLostError(f"{self._name} takes nothing within {self._patience.timeout:g} s")
         return LinkLostError(f"{self._name}: {error.strerror or error}")
 
 
 class VisaLink:
-    """An instrument by its VISA resource name, through PyVISA with PyVISA-py or a vendor's VISA."""
+    """An instrument by its VISA resource name, through PyVISA with PyVISA-py or a vendor's VISA.
 
-    def __init__(self, resource: str, timeout: float) -> None:
+    VISA counts its time-out per answer. One that has begun cannot be cut short.
+    """
+
+    def __init__(self, resource: str, patience: Patience) -> None:
         try:
             import pyvisa
         except ImportError as error:
@@ -88,13 +130,13 @@ class VisaLink:
                 f"{resource} needs PyVISA: pip install PyVISA==1.16.2 PyVISA-py==0.8.1"
             ) from error
         self._name = resource
+        self._patience = patience
         self._failures: tuple[type[Exception], ...] = (pyvisa.errors.Error, OSError, ValueError)
         try:
             self._manager = pyvisa.ResourceManager()
             self._resource: Any = self._manager.open_resource(
-                resource, open_timeout=round(1e3 * timeout)
+                resource, open_timeout=self._milliseconds()
             )
-            self._resource.timeout = round(1e3 * timeout)
             self._resource.read_termination = self._resource.write_termination = "\n"
         except self._failures as error:
             raise self._lost(error) from error
@@ -102,6 +144,7 @@ class VisaLink:
     def write(self, line: str) -> None:
         """Send a line that is not answered."""
         try:
+            self._resource.timeout = self._milliseconds()
             self._resource.write(line)
         except self._failures as error:
             raise self._lost(error) from error
@@ -109,6 +152,7 @@ class VisaLink:
     def query(self, line: str) -> str:
         """Send a line and return the answer to it."""
         try:
+            self._resource.timeout = self._milliseconds()
             return str(self._resource.query(line)).strip()
         except self._failures as error:
             raise self._lost(error) from error
@@ -121,21 +165,32 @@ class VisaLink:
         except self._failures as error:
             raise self._lost(error) from error
 
+    def _milliseconds(self) -> int:
+        return max(round(1e3 * self._patience.left(time.monotonic())), 1)
+
     def _lost(self, error: Exception) -> LinkLostError:
         return LinkLostError(f"{self._name}: {' '.join(str(error).split())}")
 
 
-def connect(address: str, timeout: float) -> ScpiLink:
+_VISA_SOCKET = re.compile(r"TCPIP\d*::(?P<host>[^:]+)::(?P<port>\d{1,5})::SOCKET", re.IGNORECASE)
+
+
+def connect(address: str, patience: Patience) -> ScpiLink:
     """The link to an address: ``host``, ``host:port``, or a VISA resource name with ``::`` in it.
 
-    Raises LinkLostError where nobody answers, ValueError where it is none of these.
+    A VISA name of a plain socket needs no VISA, and PyVISA-py 0.8.1 waits without end for one whose
+    answer comes byte by byte. Raises LinkLostError where nobody answers, ValueError where the
+    address is none of these.
     """
+    plain = _VISA_SOCKET.fullmatch(address)
+    if plain is not None:
+        address = f"{plain['host']}:{plain['port']}"
     if "::" in address:
-        return VisaLink(address, timeout)
+        return VisaLink(address, patience)
     match = re.fullmatch(r"(?P<host>[^\s:/]+)(?::(?P<port>\d{1,5}))?", address)
     if match is None or int(match["port"] or _PORT) > 65535:
         raise ValueError(
             f"the address '{address}' cannot be used: give host:port (port {_PORT} for most "
             "instruments), or a VISA resource name such as USB0::0x2A8D::0x1202::MY1::INSTR"
         )
-    return SocketLink(match["host"], int(match["port"] or _PORT), timeout)
+    return SocketLink(match["host"], int(match["port"] or _PORT), patience)

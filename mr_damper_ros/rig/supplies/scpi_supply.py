@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 
-from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, ScpiLink
+from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, ScpiLink
 from mr_damper_ros.rig.supplies.supply_profile import SupplyProfile
 
 _MOST_ERRORS = 50
@@ -22,19 +23,22 @@ class SupplyError(ValueError):
 class ScpiSupply:
     """One instrument; every method raises LinkLostError where it does not answer.
 
-    ``connect`` makes a link to it. ``voltage`` [V] is the most that it may put on the coil,
-    ``watchdog`` [s] after how long without a line it shall switch off by itself, where it can.
+    ``connect`` makes a link to it, in which each answer comes within ``timeout`` [s]. ``voltage``
+    [V] is the most that it may put on the coil, ``watchdog`` [s] after how long without a line it
+    shall switch off by itself, where it can.
     """
 
     def __init__(
         self,
-        connect: Callable[[], ScpiLink],
+        connect: Callable[[Patience], ScpiLink],
         profile: SupplyProfile,
         *,
         voltage: float,
         watchdog: float,
+        timeout: float,
     ) -> None:
         self._connect = connect
+        self.patience = Patience(timeout)
         self._profile = profile
         self._voltage = voltage
         self._delay = profile.watchdog_delay(watchdog)
@@ -54,7 +58,8 @@ class ScpiSupply:
         Raises SupplyError where it does not understand that.
         """
         self.close()
-        self._link = self._connect()
+        self.patience.end = math.inf
+        self._link = self._connect(self.patience)
         name = self._link.query("*IDN?")
         self.switch_off()
         for line in self._profile.setup:
@@ -64,6 +69,7 @@ class ScpiSupply:
 
     def switch_on(self) -> None:
         """Switch the output on, at no current; raises SupplyError where the instrument objects."""
+        self.patience.end = math.inf
         self.switch_off()
         for line in (*self._profile.rearm, *self._profile.watchdog):
             self._write(line)
@@ -107,23 +113,30 @@ class ScpiSupply:
             )
         return value
 
+    def next_error(self) -> str:
+        """The oldest in the instrument's queue of errors; empty where there is none."""
+        answer = self._query(self._profile.read_error)
+        return "" if answer.startswith(self._profile.no_error) else answer
+
     def errors(self) -> list[str]:
         """All that waits in the instrument's queue of errors."""
         found: list[str] = []
         while len(found) < _MOST_ERRORS:
-            answer = self._query(self._profile.read_error)
-            if answer.startswith(self._profile.no_error):
+            error = self.next_error()
+            if not error:
                 return found
-            found.append(answer)
+            found.append(error)
         raise SupplyError(
             f"the supply's queue of errors does not end: {found[-1][:80]} again and again to "
             f"{self._profile.read_error}; does the profile fit it?"
         )
 
     def rescue(self) -> None:
-        """Switch the output off over a new link."""
-        self.close()
-        self._link = self._connect()
+        """Switch the output off over a new link, however little time the old one was given."""
+        self.patience.end = math.inf
+        with suppress(LinkLostError):  # of the old one, which is given up
+            self.close()
+        self._link = self._connect(self.patience)
         self.switch_off()
 
     def close(self) -> None:

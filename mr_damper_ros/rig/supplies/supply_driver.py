@@ -59,19 +59,24 @@ class SupplyDriver:
         return self._commander.wait(now)
 
     def read(self, now: float) -> float:
-        """The measured current [A]; now and then the instrument's complaints are read, too."""
+        """The measured current [A]."""
         measured = self._supply.measured()
-        state = self.state
-        state.measured = measured
-        if abs(measured - state.given) <= self._tolerance:
+        self.state.measured = measured
+        if abs(measured - self.state.given) <= self._tolerance:
             self._agreed = now
-        state.deviates = now - self._agreed > _SETTLING
-        if now - self._asked >= _ASK_FOR_ERRORS:
-            self._asked = now
-            for complaint in self._supply.errors():
-                state.complaints += 1
-                state.last_complaint = complaint
+        self.state.deviates = now - self._agreed > _SETTLING
         return measured
+
+    def check(self, now: float) -> None:
+        """Read one of the instrument's complaints, now and then, and while there are more."""
+        if now - self._asked < _ASK_FOR_ERRORS:
+            return
+        complaint = self._supply.next_error()
+        if complaint:
+            self.state.complaints += 1
+            self.state.last_complaint = complaint
+        else:
+            self._asked = now
 
     def stop(self) -> None:
         """Switch off."""
