@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks import (
+    block_sizes,
     building_cases,
     car_on_roads,
     cold_start,
@@ -29,6 +30,7 @@ from benchmarks import (
     inverse,
     jitter,
     kinematics,
+    load_cell_spikes,
     many_recordings,
     noise_limit,
     planned_runs,
@@ -97,6 +99,8 @@ FULL: dict[str, Measure] = {
     "faults": faults.figures,
     "healthy": healthy.figures,
     "foreign_dampers": foreign_dampers.figures,
+    "load_cell_spikes": load_cell_spikes.figures,
+    "block_sizes": block_sizes.figures,
     "many_recordings": many_recordings.figures,
     "inverse": inverse.figures,
     "exports": exports.figures,
@@ -128,6 +132,8 @@ QUICK: dict[str, Measure] = {
     "global_minimum": lambda: global_minimum.figures(4, ("sigmoid",), step=4),
     "faults": lambda: faults.figures(SCENARIOS[::8], ("viscous_tanh",)),
     "healthy": lambda: healthy.figures(healthy.PROGRAMMES[2:5], ("viscous_tanh",)),
+    "load_cell_spikes": lambda: load_cell_spikes.figures(load_cell_spikes.STREAMS[1:2]),
+    "block_sizes": lambda: block_sizes.figures(12.0, block_sizes.CASES[:1]),
     "foreign_dampers": lambda: foreign_dampers.figures(foreign_dampers.COMBINATIONS[::5]),
     "switched_current": lambda: switched_current.figures(30.0, switched_current.CASES[:1]),
     "step_current": lambda: step_current.figures(step_current.CASES[:1]),

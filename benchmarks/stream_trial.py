@@ -242,7 +242,8 @@ class StreamTrial:
             thermal=thermal,
             faults=faults,
         )
-        self._noise = np.random.default_rng(given.seed)
+        # One for each channel: the noise does not depend on the size of the blocks.
+        self._noise = [np.random.default_rng((given.seed, channel)) for channel in range(2)]
         self._instruments = Instruments(faults)
         self._supply = Meter(1.0 / given.current_rate, step=CURRENT_STEP)
         windows = given.windows
@@ -331,7 +332,7 @@ class StreamTrial:
         rows[1:4] = made.displacement, made.current, made.force
         rows[6:] = np.array([[-1.0], [0.0], [-1.0]])
         self._parts.append(rows)
-        noise = self._noise.standard_normal((2, size))
+        noise = [rng.standard_normal(size) for rng in self._noise]
         block = replace(
             made,
             displacement=made.displacement + self._settings.displacement_noise * noise[0],

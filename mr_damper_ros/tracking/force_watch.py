@@ -37,9 +37,9 @@ _BACK = 0.9
 _CALM = 0.02
 """Seconds for which the error of a sample must have been below that before one is valid again."""
 
-_BEYOND, _JUMP, _LONGEST_WILD = 1.5, 1.0, 0.02
-"""Samples of the measured force are wild that are so many peaks away from its centre and came there
-by a jump of the error of so many. After so many seconds the force is taken to be such."""
+_JUMP, _LONGEST_WILD = 1.0, 0.02
+"""Samples of the measured force are wild whose error has jumped by so many peaks from one to the
+next, until it is small again; after so many seconds the force is taken to be such."""
 
 _MOST_NOISE = 0.1
 """What looks like noise is taken for it up to this part of the peak."""
@@ -128,14 +128,21 @@ class ForceWatch:
         return doubts
 
     def learn(
-        self, forces: tuple[Array, Array], velocity: Array, half_cycle: float, *, steady: bool
+        self,
+        forces: tuple[Array, Array],
+        velocity: Array,
+        current: Array | float,
+        half_cycle: float,
+        *,
+        steady: bool,
     ) -> None:
         """What only later samples need of these; arrays of shape (n,).
 
-        ``forces`` [N], predicted and measured; ``velocity`` [m/s]; ``half_cycle`` [s] of the
-        motion, NaN before it is known; ``steady``: whether that is a sine that goes on.
+        ``forces`` [N], predicted and measured; ``velocity`` [m/s]; ``current`` [A], also a
+        number; ``half_cycle`` [s] of the motion, NaN before it is known; ``steady``: whether that
+        is a sine that goes on.
         """
-        self._recent.add(forces, velocity, half_cycle, steady=steady)
+        self._recent.add(forces, velocity, current, half_cycle, steady=steady)
         if not math.isnan(half_cycle):
             self._time = min(max(half_cycle, _SHORTEST), _LONGEST)
 
@@ -151,18 +158,16 @@ class ForceWatch:
         if self._wait == 0 and float(sizes.max()) <= self._allowed(limit, noise):
             self._wild_for = 0
             return None, None
-        off = np.abs(measured - self._recent.centre)
         # A force that grows is not wrong because it was smaller before.
-        largest = np.maximum(off, peak)
+        largest = np.maximum(np.abs(measured - self._recent.centre), peak)
         begins, stays = (
             (sizes > np.maximum(*self._limits(part * self._limit * largest, noise))).tolist()
             for part in (1.0, _BACK)
         )
-        beyond = (off > _BEYOND * peak).tolist()
         jumps = (np.abs(np.diff(errors, prepend=before)) > _JUMP * peak).tolist()
         wrong, wild = np.zeros((2, sizes.size), dtype=bool)
         for k, (begin, stay) in enumerate(zip(begins, stays, strict=True)):
-            if begin and beyond[k] and (jumps[k] or 0 < self._wild_for < self._longest_wild):
+            if begin and (jumps[k] or 0 < self._wild_for < self._longest_wild):
                 self._wild_for += 1
                 wild[k] = True
                 continue

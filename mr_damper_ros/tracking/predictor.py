@@ -208,8 +208,8 @@ class ForcePredictor:
         unlearned, self._unlearned = self._unlearned, None
         if unlearned is not None and self._watch is not None and self._motion is not None:
             half_cycle, steady = self._motion.half_cycle, self._motion.steady
-            forces, motion, current, period, bridged = unlearned
-            if current is not None:
+            forces, motion, current, known, period, bridged = unlearned
+            if known:
                 self._known.follow(motion, current, forces, period, half_cycle, bridged)
             self._watch.learn(*unlearned.measured, half_cycle, steady=steady)
             if self._newest_doubt.kind in _OF_THE_SET and self._known.search_is_due():
@@ -387,9 +387,11 @@ class ForcePredictor:
             self._watch.forget_moment()
             self._known.forget_samples()
             if settling.kind is not DoubtKind.AT_REST:
-                self._unlearned = Unlearned(forces, motion, None, block.period, bridged)
+                self._unlearned = Unlearned(
+                    forces, motion, reckoned.current, False, block.period, bridged
+                )
             return [settling]
-        self._unlearned = Unlearned(forces, motion, reckoned.current, block.period, bridged)
+        self._unlearned = Unlearned(forces, motion, reckoned.current, True, block.period, bridged)
         measured = self._watch.judge(reckoned.force[bridged:], block.force[bridged:])
         settings, live, present = self._settings, self._freshness.live, self._known.present
         assert present is not None

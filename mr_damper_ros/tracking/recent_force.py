@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress, product
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, span_of
 from mr_damper_ros.signals.white_noise import white_noise
+from mr_damper_ros.tracking.known_set import SAME_CURRENT
 
 _HALF_CYCLES = 8
 _SHORTEST_MEMORY = 2.0
@@ -20,6 +22,12 @@ _LONGEST_MEMORY = 120.0
 _PEAK_MEMORY = 10.0
 """Seconds, or a cycle if that is longer, where the motion is not steady: eight half-cycles of it
 may all be small ones, or go back to when it was another motion."""
+
+_WILD = 20
+"""One sample in so many may be wild to either side: the span is that of the rest ..."""
+
+_FEWEST = 4
+"""... but of no more than so many samples it is that of all."""
 
 _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
@@ -40,20 +48,31 @@ _STILL = 1e-9
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Extremes and noise [N] of the measured force; sums of velocity and forces, and products."""
+    """Span and noise [N] of the measured force; sums of velocity and forces, and products.
+
+    ``currents``: lowest and highest [A]; ``settled``: the stretch before had the same.
+    """
 
     count: int
     top: float
     bottom: float
     noise: float
     sums: Array
+    currents: tuple[float, float]
+    settled: bool
+
+    def had(self, current: float) -> bool:
+        """Whether its force was that at this current [A] all along."""
+        return self.settled and all(abs(end - current) <= SAME_CURRENT for end in self.currents)
 
 
 class RecentForce:
     """Remembers some cycles of a stream of samples ``period`` [s] apart.
 
-    ``peak`` and ``centre`` [N]: half the span of the measured force and its middle, NaN before
-    anything is known of it. Where the motion is not steady, those of ten seconds or a cycle.
+    ``peak`` and ``centre`` [N]: half the span of the measured force and its middle, but for wild
+    samples; NaN before anything is known of it. Where the motion is not steady, those of ten
+    seconds or a cycle. The force at another current counts for ten seconds at most, and no longer
+    than until the present one has stayed for a cycle.
     ``noise`` [N]: standard deviation of its white part. ``stuck``: it has not changed at all for a
     half-cycle. ``measured_drives`` and ``predicted_drives``: that force puts power into the motion.
     """
@@ -61,6 +80,7 @@ class RecentForce:
     def __init__(self, period: float) -> None:
         self._period = period
         self._parts: list[tuple[Array, Array, Array]] = []
+        self._currents: list[tuple[float, float]] = []
         self._count = 0
         self._stretch = max(round(_SHORTEST_MEMORY / _STRETCHES / period), 1)
         self._past: deque[_Stretch] = deque()
@@ -77,16 +97,20 @@ class RecentForce:
         self,
         forces: tuple[Array, Array],
         velocity: Array,
+        current: Array | float,
         half_cycle: float,
         *,
         steady: bool,
     ) -> None:
         """Add samples of the predicted and the measured force [N] and the velocity [m/s], (n,).
 
-        ``half_cycle`` [s] is that of the motion, NaN before it is known; ``steady``: whether it is
-        a sine that goes on.
+        ``current`` [A] is a number or has shape (n,); ``half_cycle`` [s] is that of the motion, NaN
+        before it is known; ``steady``: whether it is a sine that goes on.
         """
         self._parts.append((*forces, velocity))
+        self._currents.append(
+            (current, current) if isinstance(current, float) else span_of(current)
+        )
         self._count += velocity.size
         if self._count >= self._stretch:
             self._finish(half_cycle, steady)
@@ -103,18 +127,28 @@ class RecentForce:
             np.concatenate(rows) for rows in zip(*self._parts, strict=True)
         )
         count, self._count = self._count, 0
+        lows, highs = zip(*self._currents, strict=True)
+        currents = min(lows), max(highs)
         self._parts.clear()
+        self._currents.clear()
         if not np.isfinite(predicted).all():
             predicted = np.zeros(count)
         rows = np.stack((velocity, measured, predicted))
-        top, bottom = float(measured.max()), float(measured.min())
+        wild = max(count // _WILD, 1) if count > _FEWEST else 0
+        bottom, top = np.partition(measured, (wild, count - 1 - wild))[[wild, -1 - wild]].tolist()
+        rows[1] = measured.clip(bottom, top)
         with np.errstate(over="ignore", invalid="ignore"):
             sums = np.column_stack((rows.sum(axis=1), rows @ rows.T))
-        unchanged = top == bottom and (
-            not self._past or top == self._past[-1].top == self._past[-1].bottom
+        before = self._past[-1] if self._past else None
+        unchanged = np.ptp(measured) == 0.0 and (
+            before is None or top == before.top == before.bottom
         )
         self._unchanged = self._unchanged + count if unchanged else 0
-        self._past.append(_Stretch(count, top, bottom, white_noise(measured), sums))
+        settled = before is None or all(
+            abs(one - other) <= SAME_CURRENT for one, other in product(currents, before.currents)
+        )
+        noise = white_noise(measured)
+        self._past.append(_Stretch(count, top, bottom, noise, sums, currents, settled))
         self._remembered += count
         # Without a half-cycle nothing is known of how long to remember: the shortest time.
         known = 0.0 if math.isnan(half_cycle) else half_cycle
@@ -125,7 +159,7 @@ class RecentForce:
         while (self._remembered - self._past[0].count) * self._period >= kept:
             self._remembered -= self._past.popleft().count
         recent = self._latest(memory)
-        self._judge_span(recent if steady else self._latest(unsteady))
+        self._judge_span(recent if steady else self._latest(unsteady), 2.0 * known)
         self.noise = sorted(stretch.noise for stretch in recent)[len(recent) // 2]
         self._judge_power(known)
 
@@ -140,8 +174,18 @@ class RecentForce:
                 break
         return latest
 
-    def _judge_span(self, stretches: Collection[_Stretch]) -> None:
-        top, bottom = max(s.top for s in stretches), min(s.bottom for s in stretches)
+    def _judge_span(self, stretches: Sequence[_Stretch], cycle: float) -> None:
+        """That of stretches, newest first, of a motion of this ``cycle`` [s]."""
+        current = stretches[0].currents[1]
+        here = [stretch.had(current) for stretch in stretches]
+        counts = np.array([stretch.count for stretch in stretches])
+        stayed = int(counts[: (*here, False).index(False)].sum()) * self._period
+        counted: Sequence[_Stretch] = stretches
+        if not all(here):
+            others = 0.0 if stayed >= max(cycle, _SHORTEST_MEMORY) else _PEAK_MEMORY
+            ages = (counts.cumsum() - counts) * self._period
+            counted = list(compress(stretches, here | (ages < others)))
+        top, bottom = max(s.top for s in counted), min(s.bottom for s in counted)
         self.peak, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
 
     def _judge_power(self, half_cycle: float) -> None:

@@ -33,21 +33,24 @@ class Reckoned:
 class Unlearned(NamedTuple):
     """What is yet to be learnt from a block, of samples ``period`` [s] apart.
 
-    Predicted and measured force [N], motion, and the current [A]; without it the force could not be
-    known. The force of the first ``bridged`` samples was not measured.
+    Predicted and measured force [N], motion, the current [A], and whether the force could be
+    ``known``. That of the first ``bridged`` samples was not measured.
     """
 
     forces: tuple[Array, Array]
     motion: Motion
-    current: Array | float | None
+    current: Array | float
+    known: bool
     period: float
     bridged: int
 
     @property
-    def measured(self) -> tuple[tuple[Array, Array], Array]:
-        """The forces [N] and the velocity [m/s] of the samples whose force was measured."""
-        part = slice(self.bridged, None)
-        return (self.forces[0][part], self.forces[1][part]), self.motion.velocity[part]
+    def measured(self) -> tuple[tuple[Array, Array], Array, Array | float]:
+        """Forces [N], velocity [m/s] and current of the samples whose force was measured."""
+        part, current = slice(self.bridged, None), self.current
+        if not isinstance(current, float):
+            current = current[part]
+        return (self.forces[0][part], self.forces[1][part]), self.motion.velocity[part], current
 
 
 @dataclass(eq=False)

@@ -24,6 +24,7 @@ from benchmarks import (
     inverse,
     jitter,
     kinematics,
+    load_cell_spikes,
     many_recordings,
     noise_limit,
     planned_runs,
@@ -83,6 +84,7 @@ KEYS = [
     *("inverse_miss_of_span", "inverse_us_per_sample"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
     *("foreign_wrong_valid_s", "foreign_right_refused_percent", "foreign_worse_sets"),
+    "spike_wrong_valid_s",
 ]
 FEW_FAULTS = {"force_hum:20": Trouble.HUM, "force_gain:-1": Trouble.INVERTED}
 FAST = TrackerSettings(method="least_squares", global_period=0)
@@ -221,6 +223,11 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "foreign_dampers": lambda: foreign_dampers.figures_of(
             foreign_dampers.measure(foreign_dampers.COMBINATIONS[41:42], processes=1)
         ),
+        "load_cell_spikes": lambda: load_cell_spikes.figures(
+            load_cell_spikes.STREAMS[2:3], (8000,)
+        ),
+        # It identifies three times: test_validity.py.
+        "block_sizes": list,
         # These need ROS: test/ros/test_node_benchmarks.py.
         "streaming_load": list,
         "command_latency": list,

@@ -20,7 +20,7 @@ def watch_of(noise: float) -> tuple[ForceWatch, Array]:
     force = PEAK * np.sin(angle) + noise * np.random.default_rng(0).standard_normal(angle.size)
     for part in np.split(force, 300):
         watch.judge(part, part)
-        watch.learn((part, part), part / PEAK, 0.5, steady=True)
+        watch.learn((part, part), part / PEAK, 1.0, 0.5, steady=True)
     return watch, force[:10]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.recent_force import RecentForce
 
 PERIOD = 1e-3
@@ -21,7 +22,7 @@ def test_small_half_cycles_are_no_smaller_peak_unless_the_motion_is_steady(
         time = PERIOD * np.arange(seconds * 1000)
         force = size * np.sign(np.cos(np.pi * time / HALF_CYCLE))
         for part in np.split(force, seconds * 10):
-            recent.add((part, part), part / LARGE, HALF_CYCLE, steady=steady)
+            recent.add((part, part), part / LARGE, 1.0, HALF_CYCLE, steady=steady)
     assert recent.peak == pytest.approx(peak)
 
 
@@ -30,5 +31,38 @@ def test_a_large_force_is_forgotten_in_any_motion(half_cycle: float) -> None:
     recent = RecentForce(PERIOD)
     for size, seconds in ((LARGE, 2), (SMALL, 11)):
         for part in np.split(size * np.tile((1.0, -1.0), 500 * seconds), seconds * 10):
-            recent.add((part, part), part / LARGE, half_cycle, steady=False)
+            recent.add((part, part), part / LARGE, 1.0, half_cycle, steady=False)
     assert recent.peak == pytest.approx(SMALL)
+
+
+def followed(force: Array, current: Array, half_cycle: float) -> RecentForce:
+    """What is remembered after a force [N] at a current [A], each of shape (n,)."""
+    recent = RecentForce(PERIOD)
+    for part in np.split(np.arange(force.size), force.size // 10):
+        forces = force[part], force[part]
+        recent.add(forces, force[part], current[part], half_cycle, steady=True)
+    return recent
+
+
+def test_some_wild_samples_are_no_peak() -> None:
+    force = LARGE * np.sin(np.pi * PERIOD / HALF_CYCLE * np.arange(4000))
+    force[[1500, 2000, 2001, 2002]] = 20_000.0
+    recent = followed(force, np.ones(4000), HALF_CYCLE)
+    assert recent.peak == pytest.approx(LARGE, rel=0.02)
+    assert recent.centre == pytest.approx(0.0, abs=0.02 * LARGE)
+
+
+@pytest.mark.parametrize(("since", "peak"), [(9.0, LARGE), (11.0, SMALL)])
+def test_the_force_at_another_current_counts_for_ten_seconds(since: float, peak: float) -> None:
+    count = round((20.0 + since) / PERIOD)
+    time = PERIOD * np.arange(count)
+    current = np.where(time < 20.0, 1.5, 0.0)
+    force = np.where(time < 20.0, LARGE, SMALL) * np.sin(2.0 * np.pi * time)
+    assert followed(force, current, 10.0).peak == pytest.approx(peak, rel=0.02)
+
+
+def test_the_force_at_another_current_counts_no_more_once_the_present_one_has_stayed() -> None:
+    time = PERIOD * np.arange(6500)
+    current = np.where(time < 4.0, 1.5, 0.0)
+    force = np.where(time < 4.0, LARGE, SMALL) * np.sin(2.0 * np.pi * time)
+    assert followed(force, current, 0.5).peak == pytest.approx(SMALL, rel=0.02)

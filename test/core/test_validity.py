@@ -130,6 +130,28 @@ def test_the_valid_share_of_a_stream_does_not_depend_on_its_blocks() -> None:
     assert max(shares) - min(shares) < 0.02
 
 
+def spiked(size: float) -> Array:
+    """The force with wild samples of this size [N] in the second before the change."""
+    force = RUN.force.copy()
+    force[CHANGE - 900 : CHANGE - 100 : 200] += size
+    return force
+
+
+@pytest.mark.parametrize("size", [3000.0, -20_000.0])
+def test_a_wild_sample_of_the_load_cell_is_told_and_spoils_no_other(size: float) -> None:
+    predictions = predicted(force=spiked(size))[(CHANGE - 1000) // 10 : (CHANGE + 500) // 10]
+    doubts = np.concatenate([p.doubts for p in predictions])
+    assert np.flatnonzero(doubts).tolist() == [100, 300, 500, 700]
+    assert set(doubts[doubts > 0]) == {DoubtKind.SENSOR}
+    assert "the measured force jumps to" in predictions[10].reason
+
+
+def test_wild_samples_of_the_load_cell_hide_no_wrong_force() -> None:
+    force = spiked(20_000.0)
+    force[CHANGE:] *= 0.3
+    assert seconds_until_doubt(predicted(force=force)) <= SOON
+
+
 def test_a_force_is_valid_again_once_it_is_right() -> None:
     force = RUN.force.copy()
     force[3000:3500] *= 10.0
