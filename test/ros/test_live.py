@@ -129,7 +129,8 @@ def assert_named_numbers_are_those_of_one_sample(
     for message in forces:
         begin = to_nanoseconds(message.header.stamp)
         for k, force in enumerate(from_field(message.force)):
-            predicted[begin + round(k * message.period * 1e9)] = (force, message.valid)
+            valid = message.sample_doubts[k] == PredictedForce.NONE
+            predicted[begin + round(k * message.period * 1e9)] = (force, valid)
     found = [(m, predicted[s]) for m, s in zip(signals, stamps, strict=True) if s in predicted]
     assert len(found) > 0.9 * len(signals)
     for message, (force, valid) in found:
