@@ -25,13 +25,14 @@ from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
+import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.identifier_node import IdentifierParameters
-from mr_damper_ros.nodes.results import parameter_set
+from mr_damper_ros.nodes.results import parameter_set, parameters_message, report_message
 from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.state_directory import StateDirectory
@@ -149,6 +150,14 @@ def test_a_bag_gives_the_same_sets_at_every_rate(start: Any, listener: Listener)
             outcomes.append(comparable(results.reports) + comparable(results.sets))
     assert outcomes[0] == outcomes[1]
     assert outcomes[0] == outcomes[2]
+    replayed = mr.replay(BAG)
+    reports = [report_message(report, 0.0, "damper") for report in replayed.reports]
+    for message in reports:
+        message.verdict = int(message.verdict)  # as it comes over the wire
+    sets = [parameters_message(found, "damper", "/identifier") for found in replayed.sets]
+    before, (initial, *published) = outcomes[0][:WINDOWS], outcomes[0][WINDOWS:]
+    assert before == comparable(reports)
+    assert published == comparable(sets)
 
 
 def test_every_window_has_its_report_and_the_sets_fit(

@@ -19,6 +19,7 @@ from press import BAD_BLOCKS, BLOCK, Press, block_message
 from rclpy.duration import Duration
 from support import Listener, assert_one_sentence
 
+import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models import MODELS
@@ -155,6 +156,16 @@ def test_with_a_parameter_file_it_works_alone(
             assert wrench.wrench.force.x == by_stamp[start_ns].force[-1]
     stamps = np.array([to_nanoseconds(wrench.header.stamp) for wrench in wrenches])
     assert (np.diff(stamps) >= 200_000_000).all()
+
+
+def test_it_predicts_what_a_replay_predicts(rig: Rig, recording: Recording) -> None:
+    predicted = rig.run(recording)
+    nothing_identified = mr.EngineSettings(fit_delay=3600.0)
+    replayed = mr.replay(recording, TRUE_SET, settings=nothing_identified, block_size=BLOCK)
+    force = np.concatenate([from_field(f.force) for f in predicted])
+    doubts = np.concatenate([f.sample_doubts for f in predicted])
+    np.testing.assert_array_equal(force, replayed.predicted)
+    np.testing.assert_array_equal(doubts, replayed.doubts)
 
 
 def test_another_model_is_predicted_with_as_well(
