@@ -1,13 +1,18 @@
-"""What the page costs: processor time and memory of its node, and the latency of the model."""
+"""What the page costs, what it says of nodes that have died, and who can lock viewers out."""
 
 from __future__ import annotations
 
-import re
+import http.client
+import json
+import math
+import socket
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
+from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -16,9 +21,12 @@ from benchmarks.figure import Figure
 from benchmarks.processes import ProfiledDomain, start_node
 from benchmarks.side_by_side import SideBySide
 from benchmarks.streaming_load import SETTLED, sine_blocks
+from mr_damper_ros.live.live_record import SILENT_AFTER
+from mr_damper_ros.live.page_server import CONNECTIONS
 from mr_damper_ros.processes.programs import PATIENCE, Program
 from mr_damper_ros.processes.ros_domain import RosDomain
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tools.node_programs import page_of
 
 VIEWERS = 3
 DURATION = 300.0
@@ -26,15 +34,25 @@ SEGMENT, SEGMENTS = 20.0, 5
 RATE, BLOCK = 1000.0, 10
 WARM = 30.0
 """Seconds after which the memory of the page's node is compared: it has started by then."""
+SIEGE = 20.0
+"""Seconds that slow connections last while a viewer asks."""
+_DRIBBLE = 4.0
+"""Seconds between two bytes of a slow connection."""
 
 
 @dataclass(frozen=True)
 class PageCost:
-    """Share of a core and growth of the memory [bytes] of the node live; windows that it saw."""
+    """Share of a core and growth of the memory [bytes] of the node live; windows that it saw.
+
+    ``grey``: seconds after the death of identifier and model until both are said to be silent;
+    ``answer``: longest time [s] to an answer while another client holds slow connections.
+    """
 
     cpu: float
     growth: int
     windows: int
+    answer: float
+    grey: float
 
 
 @contextmanager
@@ -43,20 +61,18 @@ def watched(domain: RosDomain) -> Iterator[Program]:
     with ExitStack() as stack:
         live = start_node("live", domain, port=0)
         stack.callback(live.close)
-        live.wait_for_log("the page is at", PATIENCE)
-        found = re.search(r"the page is at (\S+)", live.log)
-        assert found
-        viewers = Program([sys.executable, page_viewers.__file__, found[1], str(VIEWERS)])
+        viewers = Program([sys.executable, page_viewers.__file__, page_of(live), str(VIEWERS)])
         stack.callback(viewers.close)
         yield live
 
 
-def measure_cost(duration: float, warm: float = WARM) -> PageCost:
+def measure_cost(duration: float, warm: float = WARM, siege: float = SIEGE) -> PageCost:
     """Let a whole system run with its page, and see what the page's node takes."""
     with ExitStack() as stack:
         domain = stack.enter_context(closing(ProfiledDomain()))
-        for name in ("identifier", "model"):
-            stack.callback(start_node(name, domain).close)
+        nodes = [start_node(name, domain) for name in ("identifier", "model")]
+        for node in nodes:
+            stack.callback(node.close)
         live = stack.enter_context(watched(domain))
         bridge = start_node(
             "bridge",
@@ -71,15 +87,68 @@ def measure_cost(duration: float, warm: float = WARM) -> PageCost:
         began, before, memory = time.monotonic(), live.cpu_seconds, live.resident_bytes
         time.sleep(duration)
         used = (live.cpu_seconds - before) / (time.monotonic() - began)
-        return PageCost(used, live.resident_bytes - memory, _windows(live))
+        growth = live.resident_bytes - memory
+        page = page_of(live)
+        windows = page_viewers.Viewer(page).windows()
+        return PageCost(used, growth, windows, _besieged(page, siege), _grey(page, nodes))
 
 
-def _windows(live: Program) -> int:
-    """Windows that the page has to show."""
-    found = re.search(r"the page is at (\S+)", live.log)
-    assert found
-    viewer = page_viewers.Viewer(found[1])
-    return viewer.windows()
+def _ask(page: str) -> dict[str, Any]:
+    """The status, asked for from another address than those of the slow connections."""
+    netloc = urlsplit(page).netloc
+    asked = http.client.HTTPConnection(netloc, timeout=PATIENCE, source_address=("127.0.0.2", 0))
+    with closing(asked):
+        asked.request("GET", "/status")
+        told: dict[str, Any] = json.loads(asked.getresponse().read())
+        return told
+
+
+def _besieged(page: str, duration: float) -> float:
+    """Longest time [s] to an answer while a client has as many connections as the page takes."""
+    parts = urlsplit(page)
+    slow: list[socket.socket] = []
+    longest, end, due = 0.0, time.monotonic() + duration, 0.0
+    while time.monotonic() < end:
+        if time.monotonic() >= due:
+            due = time.monotonic() + _DRIBBLE
+            slow = [each for each in slow if _dribbles(each)]
+            while len(slow) < CONNECTIONS:
+                slow.append(socket.create_connection((parts.hostname, parts.port), PATIENCE))
+        began = time.monotonic()
+        try:
+            _ask(page)
+            longest = max(longest, time.monotonic() - began)
+        except (OSError, http.client.HTTPException):
+            longest = math.inf
+        time.sleep(0.2)
+    for each in slow:
+        each.close()
+    return longest
+
+
+def _dribbles(slow: socket.socket) -> bool:
+    """Send a byte; whether it was taken."""
+    with suppress(OSError):
+        return slow.send(b"x") == 1
+    slow.close()
+    return False
+
+
+def _grey(page: str, nodes: list[Program]) -> float:
+    """Seconds from the death of all nodes until the page says of all that they are silent."""
+    for node in nodes:
+        node.kill()
+    died = time.monotonic()
+    names = ("identifier", "model")
+    while time.monotonic() < died + PATIENCE:
+        if all(
+            concern["silence"] > SILENT_AFTER
+            for concern in _ask(page)["concerns"]
+            if concern["name"].startswith(names)
+        ):
+            return time.monotonic() - died
+        time.sleep(0.05)
+    return math.inf
 
 
 def measure_latencies(segment: float, segments: int) -> tuple[Array, Array]:
@@ -109,9 +178,10 @@ def figures(
     segment: float = SEGMENT,
     segments: int = SEGMENTS,
     warm: float = WARM,
+    siege: float = SIEGE,
 ) -> list[Figure]:
-    """``live_cpu_percent``, ``live_memory_growth_mb`` and ``live_p99_ratio``."""
-    cost = measure_cost(duration, warm)
+    """Figures whose keys begin with ``live_``."""
+    cost = measure_cost(duration, warm, siege)
     with_page, without = measure_latencies(segment, segments)
     p99 = [float(np.quantile(times, 0.99)) for times in (with_page, without)]
     system = (
@@ -131,6 +201,20 @@ def figures(
             cost.growth / 1e6,
             f"Growth of its resident memory [MB] meanwhile, from {warm:g} s after its start.",
             (-np.inf, 5.0),
+        ),
+        Figure(
+            "live_grey_s",
+            cost.grey,
+            "Seconds from kill -9 of identifier and model until the page shows both as silent.",
+            (SILENT_AFTER - 1.0, SILENT_AFTER + 1.0),
+        ),
+        Figure(
+            "live_besieged_answer_s",
+            cost.answer,
+            f"Longest time [s] to an answer for one client while another opens {CONNECTIONS} "
+            f"connections with a byte every {_DRIBBLE:g} s, in {siege:g} s; infinite where it is "
+            "refused once.",
+            (0.0, 1.0),
         ),
         Figure(
             "live_p99_ratio",

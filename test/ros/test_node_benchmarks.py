@@ -53,9 +53,10 @@ def test_every_key_of_single_samples_is_measured_once() -> None:
 
 
 def test_every_key_of_the_page_is_measured_once() -> None:
-    figures = live_page.figures(duration=2.0, segment=4.0, segments=1, warm=1.0)
+    figures = live_page.figures(duration=2.0, segment=4.0, segments=1, warm=1.0, siege=1.0)
     assert [figure.key for figure in figures] == [
-        *("live_cpu_percent", "live_memory_growth_mb", "live_p99_ratio")
+        *("live_cpu_percent", "live_memory_growth_mb", "live_grey_s", "live_besieged_answer_s"),
+        "live_p99_ratio",
     ]
     assert all(isinstance(figure.value, float) for figure in figures)
 
