@@ -113,7 +113,7 @@ def followed(rig: Fine, blocks: list[SampleBlock], way: Way) -> tuple[float, flo
     """Share of the samples sent whose force is valid, and NRMSE against the rig's force."""
     assembler = WindowAssembler(2.0, 1.0, 3)
     settings = TrackerSettings(method="least_squares")
-    tracker = WindowTracker(settings, start_set(settings.model))
+    tracker = WindowTracker(settings, start_set(settings.law))
     predictor = ForcePredictor(PredictorSettings())
     valid, errors, truths = [], [], []
     grid = np.arange(rig.force.size) * rig.period

@@ -126,8 +126,8 @@ def _window(number: int, temperature: float = math.nan) -> RawWindow:
 
 def _tracker(kind: str, folder: Path) -> tuple[WindowTracker, TrackerState]:
     settings = _SETTINGS[kind]
-    start = start_set(settings.model)
-    if settings.model == "sigmoid":
+    start = start_set(settings.law)
+    if settings.law == "sigmoid":
         start = ParameterSet(0.9 * THESIS_28_CELSIUS, set_id="start")
     tracker = WindowTracker(settings, start)
     return tracker, TrackerState(tracker, StateDirectory(folder), _NAME)

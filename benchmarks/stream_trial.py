@@ -254,7 +254,7 @@ class StreamTrial:
             windows.longest_window,
             centre_memory=windows.centre_memory,
         )
-        initial = given.initial or start_set(given.tracker.model)
+        initial = given.initial or start_set(given.tracker.law)
         self._tracker = WindowTracker(given.tracker, initial)
         self._predictor = ForcePredictor(given.predictor)
         self._waiting: deque[_Outcome] = deque()

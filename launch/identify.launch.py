@@ -3,7 +3,7 @@
 ros2 launch mr_damper_ros identify.launch.py
 ros2 launch mr_damper_ros identify.launch.py bag:=/path/to/bag rate:=2.0
 ros2 launch mr_damper_ros identify.launch.py live:=true
-ros2 launch mr_damper_ros identify.launch.py control:=true
+ros2 launch mr_damper_ros identify.launch.py control:=true parameters:=/path/to/damper.yaml
 ros2 launch mr_damper_ros identify.launch.py namespace:=left bridge_config:=/path/to/bridge.yaml
 
 It ends some seconds after the bag, and as soon as a node fails, then with exit code 1.
@@ -32,6 +32,13 @@ PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 LAST_FITS = 5.0
 """Seconds after the end of the bag, in which the last windows are fitted."""
+
+TAKES_PARAMETERS = {
+    "identifier": "initial_parameters",
+    "model": "parameter_file",
+    "controller": "parameter_file",
+}
+"""What each node calls a set that the user gives."""
 
 YES_OR_NO = ["true", "false", "True", "False"]
 
@@ -68,6 +75,12 @@ def arguments() -> list[DeclareLaunchArgument]:
             "false",
             "Command the supply too, so that the damper gives the force on damper/desired_force.",
             YES_OR_NO,
+        ),
+        argument(
+            "parameters",
+            "",
+            "Parameter file of what is known of the damper: the identifier starts from it, in its "
+            "law, and model and controller begin with it. Empty: what the parameter files say.",
         ),
         argument("namespace", "", "Namespace; one for each damper."),
         argument(
@@ -116,7 +129,8 @@ def check(values: Mapping[str, str]) -> None:
     if values["bag"] and not Path(values["bag"]).exists():
         raise RuntimeError(f"there is no bag {values['bag']}")
     for name, value in values.items():
-        if name.endswith("_config") and not Path(value).is_file():
+        given = name.endswith("_config") or (name == "parameters" and value)
+        if given and not Path(value).is_file():
             raise RuntimeError(f"{name}: there is no file {value}")
 
 
@@ -160,6 +174,11 @@ def nodes(context: LaunchContext) -> list[Node]:
     def text(name: str) -> ParameterValue:
         return ParameterValue(values[name], value_type=str)
 
+    known = {
+        name: {option: text("parameters")} if values["parameters"] else {}
+        for name, option in TAKES_PARAMETERS.items()
+    }
+
     def node(
         name: str, parameters: dict[str, object], remappings: list[tuple[str, str]] | None = None
     ) -> Node:
@@ -168,7 +187,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             executable=name,
             name=name,
             namespace=values["namespace"],
-            parameters=[values[f"{name}_config"], parameters],
+            parameters=[values[f"{name}_config"], {**parameters, **known.get(name, {})}],
             remappings=remappings or [],
             ros_arguments=["--enclave", f"{values['enclave'].rstrip('/')}/{name}"],
             additional_env=environment,

@@ -34,6 +34,14 @@ class SupplyLimits(CheckedSettings):
         maximum=1e6,
     )
 
+    def limited(self, command: float, before: float, duration: float) -> float:
+        """The command [A] within the limits; it may move from ``before`` for ``duration`` [s]."""
+        command = min(max(command, self.lowest_current), self.highest_current)
+        if self.slew_rate > 0.0:
+            reach = self.slew_rate * duration
+            command = min(max(command, before - reach), before + reach)
+        return command
+
 
 class CoilDrive:
     """Commands for a supply within limits, to a coil of this time constant [s], 0 for no lag.
@@ -55,12 +63,3 @@ class CoilDrive:
         if self._time_constant == 0.0:
             return wanted
         return coil + (wanted - coil) / -math.expm1(-horizon / self._time_constant)
-
-    def limited(self, command: float, before: float, duration: float) -> float:
-        """The command [A] within the limits; it may move from ``before`` for ``duration`` [s]."""
-        limits = self._limits
-        command = min(max(command, limits.lowest_current), limits.highest_current)
-        if limits.slew_rate > 0.0:
-            reach = limits.slew_rate * duration
-            command = min(max(command, before - reach), before + reach)
-        return command

@@ -1,8 +1,8 @@
 """Control of the damper's force: from a wanted force to a command for the supply, block by block.
 
 Feedforward by the inverse of the identified law, and, where asked for, feedback of the measured
-force. Nothing uncertain is commanded: where the model would call its force not valid, the command
-is the safe current.
+force. Nothing uncertain drives the current up: where the model would call its force not valid, the
+current stays for a moment, then goes to the safe current (:mod:`mr_damper_ros.control.fallback`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
+from mr_damper_ros.control.fallback import Fallback, FallbackSettings
 from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
 from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
 from mr_damper_ros.kinematics.motion_sample import MotionSample
@@ -38,13 +39,7 @@ _FOUND, _LOWEST, _KEPT = range(3)
 class ForceControlSettings(SupplyLimits):
     """What is commanded, and when it is the safe current instead."""
 
-    safe_current: float = option(
-        0.0,
-        "Current [A] that is commanded where nothing can be relied on; within the range of "
-        "currents that the parameters were identified at, else control never begins.",
-        minimum=-10.0,
-        maximum=10.0,
-    )
+    fallback: FallbackSettings = group(FallbackSettings, flat=True)
     demand_timeout: float = option(
         0.2,
         "Age [s] of the desired force, by its stamp against that of the samples, beyond which the "
@@ -79,10 +74,11 @@ class Demand(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """What the supply is told: ``current`` [A], the safe one where there is a ``doubt``.
+    """What the supply is told: ``current`` [A], which does not follow the demand in ``doubt``.
 
     ``wanted`` [N] is the demand, NaN without one; ``expected`` [N] the force that the current
     brings, and ``attainable`` whether that is the wanted one; ``prediction`` is that of the block.
+    ``falls_back``: the current is the safe one, or on its way there.
     """
 
     current: float
@@ -91,6 +87,11 @@ class Command:
     expected: float
     attainable: bool
     prediction: Prediction
+    falls_back: bool
+
+
+_AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED)
+"""Doubts that have lasted, or that nobody expects to be over in a moment."""
 
 
 class ForceController:
@@ -107,7 +108,9 @@ class ForceController:
         self._unusable = NO_DOUBT
         # Current of the coil that was wanted last, and the last command.
         self._wanted: float | None = None
-        self._commanded = settings.safe_current
+        self._commanded = settings.fallback.safe_current
+        span = settings.highest_current - settings.lowest_current
+        self._fallback = Fallback(settings.fallback, span)
 
     @property
     def predictor(self) -> ForcePredictor:
@@ -154,20 +157,48 @@ class ForceController:
         self._take_set_in_use()
         doubt = self._doubt(prediction, block.end_ns)
         wanted = math.nan if self._demand is None else self._demand.force
-        if doubt:
-            self._feedback.pause()
-            self._wanted = None
-            self._commanded = self.settings.safe_current
-            return Command(self._commanded, doubt, wanted, math.nan, False, prediction)
+        at_once = doubt.kind in _AT_ONCE or bool(self._unusable)
+        if not self._fallback.follow(duration, doubted=bool(doubt), at_once=at_once):
+            return self._fall_back(prediction, doubt, wanted, duration)
         assert self._inverse is not None
         self._feedback.follow(block.force, duration)
         horizon = max(duration, self.settings.horizon)
         now = _Now.after(prediction, self._predictor.memory)
         aim = self._inverse.aim(now, wanted * self._feedback.factor, self._wanted, horizon)
-        self._wanted = aim.current
-        self._feedback.expect(wanted if aim.attainable else math.nan)
-        self._commanded = self._inverse.drive(now, aim.current, self._commanded, horizon, duration)
-        return Command(self._commanded, NO_DOUBT, wanted, aim.force, aim.attainable, prediction)
+        self._wanted = self._fallback.towards(aim.current, duration)
+        attainable = aim.attainable and self._wanted == aim.current
+        self._feedback.expect(wanted if attainable else math.nan)
+        command = self._inverse.drive(now, self._wanted, self._commanded, horizon, duration)
+        self._commanded = self._fallback.within_reach(command)
+        return Command(
+            self._commanded, NO_DOUBT, wanted, aim.force, attainable, prediction, falls_back=False
+        )
+
+    def _fall_back(
+        self, prediction: Prediction, doubt: Doubt, wanted: float, duration: float
+    ) -> Command:
+        """Command what goes without a force that can be relied on."""
+        self._feedback.pause()
+        safe = self.settings.fallback.safe_current
+        # A coil that lags was given more than it should have: that is not to be held.
+        held = self._commanded if self._wanted is None else self._wanted
+        held = min(held, self._commanded, key=lambda current: abs(current - safe))
+        self._wanted = self._fallback.away_from(held, duration)
+        self._commanded = self.settings.limited(self._wanted, self._commanded, duration)
+        doubt = doubt or Doubt(
+            DoubtKind.SETTLING,
+            "the force is valid again: control goes on if it is so for another "
+            f"{self._fallback.left:.2f} s",
+        )
+        return Command(
+            self._commanded,
+            doubt,
+            wanted,
+            math.nan,
+            attainable=False,
+            prediction=prediction,
+            falls_back=self._fallback.lasts,
+        )
 
     def follow(self, block: SampleBlock) -> None:
         """Follow a block for which it is too late to command anything."""
@@ -181,7 +212,8 @@ class ForceController:
     def give_up(self) -> float:
         """Forget what was commanded: returns the safe current [A]."""
         self._wanted = None
-        self._commanded = self.settings.safe_current
+        self._commanded = self.settings.fallback.safe_current
+        self._fallback.give_up()
         return self._commanded
 
     def _doubt(self, prediction: Prediction, end_ns: int) -> Doubt:
@@ -248,6 +280,7 @@ class _Inverse:
         self._time_constant = coil_time_constant(parameters)
         # Also on the way to another current: beyond those identified no force would be valid.
         within = replace(settings, lowest_current=low, highest_current=high)
+        self._limits = within
         self._drive = CoilDrive(within, self._time_constant)
         self._lowest = low
         self._deadband = settings.force_deadband
@@ -265,7 +298,10 @@ class _Inverse:
         # Where the motion is about to turn, a current that is right at one moment is far off at
         # another: the coil is not that quick.
         forces = [[response.force(current) for response in responses] for current in currents]
-        misses = [math.dist(force, [wanted] * len(_MOMENTS)) for force in forces]
+        # Against a force far beyond all that can be had, every current would miss alike.
+        every = [each for several in forces for each in several]
+        sought = min(max(wanted, min(every)), max(every))
+        misses = [math.dist(force, [sought] * len(_MOMENTS)) for force in forces]
         best = misses.index(min(misses))
         deadband = self._deadband * math.sqrt(len(_MOMENTS))
         if last is not None and misses[_KEPT] <= misses[best] + deadband:
@@ -283,4 +319,4 @@ class _Inverse:
         if self._time_constant > 0.0 and now.memory is not None:
             coil = float(now.memory[-1])
         command = self._drive.towards(wanted, coil, horizon)
-        return self._drive.limited(command, before, duration)
+        return self._limits.limited(command, before, duration)

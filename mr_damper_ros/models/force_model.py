@@ -192,7 +192,7 @@ class Model(ABC):
         """
         values = self.starts(_USUAL_RUN)[0]
         values[self.strength_indices] = 0.0
-        return np.clip(values, *self.bounds), "unknown", 0.0
+        return np.clip(values, *self.bounds), "start", 0.0
 
     # Force
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import reprlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,6 +33,10 @@ _LONGEST_NAME = 200
 GLOBAL_SOURCE, EARLY_SOURCE = "global", "force_scale"
 """Sources of a set for all operating points, and of one whose strength alone was fitted anew,
 early, because the force had changed."""
+
+
+START_SOURCES = ("literature", "start")
+"""Sources of a set to start a search from: neither samples nor a user stand behind it."""
 
 
 class SpokenError(ValueError):
@@ -133,11 +137,7 @@ class ParameterSet:
         for name, discrepancy in zip(names, self.discrepancies, strict=True):
             if discrepancy < 0.0:
                 raise ParameterError(f"the discrepancy of {name} is {discrepancy}: it is negative")
-        for name, low_high in (
-            ("peak_velocity_range", self.peak_velocity_range),
-            ("current_range", self.current_range),
-        ):
-            low, high = low_high
+        for name, (low, high) in self._ranges.items():
             if not low <= high:
                 raise ParameterError(f"{name} is [{low}, {high}]: give the lower bound first")
         if self.largest_force < 0.0 or math.isinf(self.largest_force):
@@ -164,6 +164,35 @@ class ParameterSet:
     def force(self, window: Window) -> Array:
         """Force (n,) [N] that the set predicts at the samples of a window."""
         return self.law.window_force(self.held(window), self.values)
+
+    @property
+    def has_evidence(self) -> bool:
+        """Whether samples, or a user, stand behind the set; a mere start has none."""
+        return self.source not in START_SOURCES
+
+    def as_given(self) -> ParameterSet:
+        """The set as a user vouches for it who states its ranges, but not how it was identified.
+
+        If no parameter is marked as observable, those count as known that a run within the ranges
+        determines. A range without an end states nothing.
+        """
+        if self.observable.any() or not self.has_evidence:
+            return self
+        wide = [0.0 < high - low < math.inf for low, high in self._ranges.values()]
+        if not any(wide):
+            return self
+        known = [
+            (parameter.peak_velocities == 1 or wide[0]) and (parameter.currents == 1 or wide[1])
+            for parameter in self.law.parameters
+        ]
+        return replace(self, observable=np.array(known))
+
+    @property
+    def _ranges(self) -> dict[str, tuple[float, float]]:
+        return {
+            "peak_velocity_range": self.peak_velocity_range,
+            "current_range": self.current_range,
+        }
 
     def of_model(self, model: str) -> ParameterSet:
         """The set itself; raises ParameterError where it is not of ``model``."""

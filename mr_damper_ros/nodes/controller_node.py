@@ -47,8 +47,8 @@ class ControllerParameters(ParameterTable):
 
     parameter_file: str = option(
         "",
-        "Parameter file (YAML) to control with until an identifier publishes on "
-        "damper/parameters; empty for none.",
+        "Parameter file (YAML) to control with until an identifier publishes a set that holds for "
+        "all its currents, or its force is wrong; empty for none.",
         read_only=True,
     )
     trusted_source: str = option(
@@ -81,9 +81,9 @@ class ControllerParameters(ParameterTable):
         low, high = self.control.lowest_current, self.control.highest_current
         if not low < high:
             return f"highest_current is {high:g} A: it must be above lowest_current, {low:g} A"
-        if not low <= self.control.safe_current <= high:
+        if not low <= self.control.fallback.safe_current <= high:
             return (
-                f"safe_current is {self.control.safe_current:g} A: it must lie within "
+                f"safe_current is {self.control.fallback.safe_current:g} A: it must lie within "
                 f"lowest_current and highest_current, {low:g} to {high:g} A"
             )
         return ""
@@ -147,7 +147,7 @@ class ControllerNode(Node):
             f"waiting for {self.resolve_topic_name(DEMAND_TOPIC)}, "
             f"{self.resolve_topic_name(SAMPLES_TOPIC)} and "
             f"{self.resolve_topic_name(CURRENT_TOPIC)}; until then the safe current, "
-            f"{self._options.control.safe_current:g} A, is commanded"
+            f"{self._options.control.fallback.safe_current:g} A, is commanded"
         )
 
     def _take_demand(self, message: DesiredForce) -> None:
@@ -212,7 +212,7 @@ class ControllerNode(Node):
     def _command_finding(self) -> Finding:
         commands, self._commands = self._commands, 0
         met, self._met = self._met, 0
-        safe = f"the safe current, {self._options.control.safe_current:g} A, is commanded"
+        safe = f"the safe current, {self._options.control.fallback.safe_current:g} A, is commanded"
         if self._last is None or self._inputs.silent:
             return Finding(STALE, f"no samples come: {safe}")
         last = self._last
@@ -227,7 +227,8 @@ class ControllerNode(Node):
             return Finding(WARN, f"{self._refused_demand}; the last one holds", values)
         if last.doubt:
             level = ERROR if last.doubt.kind.grave else WARN
-            return Finding(level, f"{last.doubt.sentence}: {safe}", values)
+            doing = safe if last.falls_back else f"the current stays at most {last.current:.3f} A"
+            return Finding(level, f"{last.doubt.sentence}: {doing}", values)
         share = met / commands if commands else math.nan
         values["attainable"] = f"{share:.3f}"
         return Finding(

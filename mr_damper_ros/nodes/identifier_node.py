@@ -111,7 +111,7 @@ class IdentifierNode(Node):
             f"{self.resolve_topic_name(CURRENT_TOPIC)}; "
             + (f"state is kept in {kept}" if kept else "no state is kept: state_dir is not set")
         )
-        law = options.tracking.model
+        law = self._identifier.tracker.parameters.model
         if MODELS[law].remembers and not machine_code.is_available():
             self.get_logger().info(
                 f"Numba is not installed: the law '{law}' is identified several times as fast with "
@@ -249,7 +249,16 @@ class IdentifierNode(Node):
 
 def _identifier(options: IdentifierParameters, own_name: str, worker: PooledWorker) -> Identifier:
     windows, tracking = options.windows, options.tracking
-    tracker = WindowTracker(tracking, _initial_set(options.initial_parameters, tracking.model))
+    initial = options.initial_parameters
+    try:
+        tracker = WindowTracker(
+            tracking,
+            start_set(tracking.law)
+            if initial == "literature"
+            else check_plausible(read_parameter_file(initial)),
+        )
+    except ValueError as error:
+        raise ConfigurationError(f"initial_parameters: {error}") from error
     try:
         directory = StateDirectory(options.state_dir)
     except StateError as error:
@@ -268,15 +277,6 @@ def _identifier(options: IdentifierParameters, own_name: str, worker: PooledWork
         options.work,
         TrackerState(tracker, directory, own_name),
     )
-
-
-def _initial_set(source: str, model: str) -> ParameterSet:
-    if source == "literature":
-        return start_set(model)
-    try:
-        return check_plausible(read_parameter_file(source).of_model(model))
-    except (StateError, ParameterError) as error:
-        raise ConfigurationError(f"initial_parameters: {error}") from error
 
 
 def main(pool: WorkerPool) -> int:

@@ -42,8 +42,8 @@ class ModelParameters(ParameterTable):
 
     parameter_file: str = option(
         "",
-        "Parameter file (YAML) to predict with until an identifier publishes on "
-        "damper/parameters; empty for none.",
+        "Parameter file (YAML) to predict with until an identifier publishes a set that holds for "
+        "all its currents, or its force is wrong; empty for none.",
         read_only=True,
     )
     predictor: PredictorSettings = group(PredictorSettings, flat=True, read_only=True)

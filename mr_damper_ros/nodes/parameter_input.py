@@ -58,10 +58,12 @@ class ParameterInput:
         self._trusted = trusted_source
         self._replaced = replaced
         self._refused = ""
-        self._from = ""
+        self._from = self._file = parameter_file
+        self._given = ""
         if parameter_file:
-            use(_read(parameter_file))
-            self._from = parameter_file
+            given = _read(parameter_file)
+            self._given = given.set_id
+            use(given)
         node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())
         node.create_subscription(
             FitReport,
@@ -88,10 +90,12 @@ class ParameterInput:
             return
         self._refused = ""
         self._from = source
+        before = self._predictor.parameters
         # Published parameters that come from no samples have the stamp 0.
         self._use(parameters, parameters.stamp_ns or None)
-        self._replaced()
-        self._node.get_logger().debug(f"using parameters {parameters.set_id}")
+        if self._predictor.parameters is not before:
+            self._replaced()
+            self._node.get_logger().debug(f"using parameters {parameters.set_id}")
 
     def _take_report(self, message: FitReport) -> None:
         self._predictor.follow_verdict(
@@ -130,7 +134,7 @@ class ParameterInput:
                 "id": parameters.set_id,
                 "model": parameters.model,
                 "source": parameters.source,
-                "from": self._from,
+                "from": self._file if parameters.set_id == self._given else self._from,
                 "peak velocity [m/s]": "{:.4g} to {:.4g}".format(*parameters.peak_velocity_range),
                 "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
             },

@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 
+from mr_damper_ros.control.fallback import FallbackSettings
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.linear_quadratic import StateEstimator, regulator_gain
 from mr_damper_ros.control.shear_building import BUILDINGS, STOREYS, ShearBuilding
@@ -207,7 +208,7 @@ def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[
     settings = ForceControlSettings(
         highest_current=HIGHEST_CURRENT,
         # Stiff where the motion is not known, as passive-on is.
-        safe_current=HIGHEST_CURRENT,
+        fallback=FallbackSettings(safe_current=HIGHEST_CURRENT),
         force_deadband=_DEADBAND,
         # The emulated damper is the set itself, at any speed.
         predictor=PredictorSettings(max_age=0.0, maximum_error=0.0, velocity_margin=100.0),

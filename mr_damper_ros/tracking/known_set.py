@@ -46,6 +46,15 @@ class KnownSet:
             and all(a == b or abs(a - b) <= SAME_CURRENT for a, b in currents)
         )
 
+    def covers(self, other: KnownSet) -> bool:
+        """Whether the set holds at all currents that another is known to hold at."""
+        low, high = other.parameters.current_range
+        return all(
+            within(current, self.parameters.current_range)
+            for current in (low, high)
+            if math.isfinite(current)
+        )
+
     def is_for(self, speed: float, current: float, margin: float) -> bool:
         """Whether the set was identified at a peak velocity [m/s] and a current [A]."""
         slow, fast = self.parameters.peak_velocity_range

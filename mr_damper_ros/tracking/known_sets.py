@@ -79,8 +79,9 @@ class KnownSets:
         self._margin = margin
         self._measured = measured
         self.gradual = gradual
-        # The one in use, then those before.
+        # The one in use, then those before; the one that a user gave is never forgotten.
         self._sets: list[KnownSet] = []
+        self._given: KnownSet | None = None
         self._newest_ns: int | None = None
         self._samples = NewestSamples()
         self._period = math.nan
@@ -124,22 +125,31 @@ class KnownSets:
     def _confirmed(each: KnownSet, set_id: str, stamp_ns: int, currents: Span | None) -> KnownSet:
         if each.parameters.set_id != set_id:
             return each
-        return replace(each, confirmed_ns=stamp_ns, currents=joined(each.currents, currents))
+        # One that does not age goes on so.
+        stamp = None if each.confirmed_ns is None else stamp_ns
+        return replace(each, confirmed_ns=stamp, currents=joined(each.currents, currents))
 
     def add(self, parameters: ParameterSet, stamp_ns: int | None, half_cycle: float) -> None:
         """Remember a set that has come and is in use now, unless another is for the current of now.
 
-        The stamp and ``half_cycle`` are those of :class:`KnownSet`. One of no age, or no younger
-        than those known, was chosen by somebody: they are forgotten. So are those of another law.
+        The stamp and ``half_cycle`` are those of :class:`KnownSet`. One of no age was given by a
+        user. What is known besides is forgotten when one is given, for one that is no younger, of
+        another law, or a mere start; but a set without evidence never displaces a given one, and
+        one for fewer currents only once the given one is wrong.
         """
+        given = self._given
+        if given is not None and not parameters.has_evidence:
+            if not self._is_given(self.present):
+                self._forget(given)
+            return
+        if stamp_ns is None:
+            parameters = parameters.as_given()
         model = parameters.model
         aged = stamp_ns is not None and self._newest_ns is not None and stamp_ns > self._newest_ns
-        another_law = any(each.parameters.model != model for each in self._sets)
-        if not aged or another_law:
-            self._sets.clear()
-            self._elsewhere = False
-            if another_law or stamp_ns is None or self._newest_ns is not None:
-                self._over_current = SetsOverCurrent()
+        if not aged or any(
+            each.parameters.model != model for each in self._sets if not self._is_given(each)
+        ):
+            self._forget(given if stamp_ns is not None else None)
         self._newest_ns = stamp_ns
         set_id, currents = self._said
         whole = is_whole(parameters, stamp_ns)
@@ -149,6 +159,12 @@ class KnownSets:
         elif set_id != parameters.set_id:
             currents = None
         found = KnownSet(parameters, stamp_ns, half_cycle, currents, whole)
+        if stamp_ns is None:
+            self._given = found if parameters.has_evidence else None
+        elif self._is_given(self.present) and not found.covers(self._sets[0]):
+            others = [each for each in self._sets[1:] if not found.replaces(each)]
+            self._sets = [self._sets[0], found, *others][:_MOST]
+            return
         self._found = found
         self._over_current.add(found)
         if self._sets and self._elsewhere and not self._takes_over(found):
@@ -156,6 +172,28 @@ class KnownSets:
             del self._sets[_MOST:]
         else:
             self._take(found)
+
+    def is_in_use(self, parameters: ParameterSet) -> bool:
+        """Whether a set is the given one that is in use already."""
+        known = self._given.parameters if self._is_given(self.present) and self._given else None
+        return (
+            known is not None
+            and (known.set_id, known.model) == (parameters.set_id, parameters.model)
+            and np.array_equal(known.values, parameters.values)
+        )
+
+    def _is_given(self, known: KnownSet | None) -> bool:
+        given = self._given
+        return given is not None and known is not None and known.parameters is given.parameters
+
+    def _forget(self, given: KnownSet | None) -> None:
+        """Forget all that is known but the set that a user gave, which is in use then."""
+        self._sets = [] if given is None else [given]
+        self._given, self._found = given, None
+        self._elsewhere = False
+        self._over_current = SetsOverCurrent()
+        if given is not None and given.whole:
+            self._over_current.add(given)
 
     def use(self, chosen: KnownSet) -> None:
         """Take note that this set is in use now, whatever the current of its windows."""
@@ -167,6 +205,8 @@ class KnownSets:
     def _take(self, chosen: KnownSet) -> None:
         others = [each for each in self._sets if not chosen.replaces(each)]
         self._sets = [chosen, *others][:_MOST]
+        if self._given is not None and not any(map(self._is_given, self._sets)):
+            self._sets[_MOST - 1 :] = [self._given]
         self._elsewhere = False
 
     def is_elsewhere(self, current: float) -> bool:

@@ -134,29 +134,36 @@ class ForcePredictor:
             self._foreseen.memory_after(self._foreseen.count + self._sequence.last.sample_count)
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
-        """Predict with this set from the next block on, unless another is for the current of now.
+        """Predict with this set from the next block on, unless another is better known here.
 
         ``confirmed_ns`` is the stamp of the last sample that it is known to fit; None for a set
         that does not age, such as one that a user gave: its force counts at once, that of others
-        after what is left of the force before has faded. What the model remembers of the motion
-        is found anew with this set; one of another model begins without.
+        after what is left of the force before has faded. See :meth:`KnownSets.add` for what
+        displaces a given set. What the model remembers of the motion is found anew with this set;
+        one of another model begins without.
         """
+        if self._known.is_in_use(parameters):
+            return
         self._go_on()
-        if confirmed_ns is not None:
-            self._fading.leave(self._stream, self.parameters)
-        else:
-            self._fading.step()
-        if self._stream is not None and self._stream.model.name != parameters.model:
-            self._stream = None
+        before, used = self._known.present, self.parameters
         half_cycle = math.nan if self._motion is None else self._motion.half_cycle
         self._known.add(parameters, confirmed_ns, half_cycle)
         self._verdicts.forget()
+        if before is not None and self._known.present is before:
+            return
+        if confirmed_ns is not None:
+            self._fading.leave(self._stream, used)
+        else:
+            self._fading.step()
         self._retrace()
 
     def _retrace(self) -> None:
         """What the model remembers is found anew with the set that is in use now."""
         if self._stream is not None and self.parameters is not None:
-            self._stream.retrace(self.parameters.values)
+            if self._stream.model.name != self.parameters.model:
+                self._stream = None
+            else:
+                self._stream.retrace(self.parameters.values)
         if self._watch is not None:
             self._watch.forget_error()
 

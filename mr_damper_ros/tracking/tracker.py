@@ -53,11 +53,11 @@ class WindowTracker:
     """The running parameter set and all that is needed to judge the next one."""
 
     def __init__(self, settings: TrackerSettings, initial: ParameterSet) -> None:
-        """Raises ParameterError where the initial set is not of the model in the settings."""
-        self._settings = settings
-        self._initial = initial.of_model(settings.model)
+        """See :meth:`TrackerSettings.following` for what it raises."""
+        self._settings = settings.following(initial)
+        self._initial = initial.as_given()
         self._model = initial.law
-        self.parameters = initial
+        self.parameters = self._initial
         self._remember(TrackerMemory())
 
     @property
@@ -149,7 +149,7 @@ class WindowTracker:
 
         Raises ParameterError where the set is of another model.
         """
-        self.parameters = parameters.of_model(self._settings.model)
+        self.parameters = parameters.of_model(self._settings.model).as_given()
         self._start_again()
 
     def follow(self, window: RawWindow) -> Report | None:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.window_fit import WINDOW_METHODS
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings
 from mr_damper_ros.tracking.scale_tracker import EachWindow
 from mr_damper_ros.tracking.screening import Screening
 from mr_damper_ros.tracking.trackers import TRACKERS
+
+OF_THE_SET = "auto"
+"""The law is that of the set to start from."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +26,12 @@ class TrackerSettings(CheckedSettings):
     cannot follow the model.
     """
 
-    model: str = option(DEFAULT_MODEL, "Force law that is identified.", choices=tuple(MODELS))
+    model: str = option(
+        OF_THE_SET,
+        f"Force law that is identified; {OF_THE_SET}: that of the parameters to start from, "
+        f"{DEFAULT_MODEL} where none are given.",
+        choices=(OF_THE_SET, *MODELS),
+    )
     smallest_change: float = option(
         0.02,
         "Relative change of the force between two windows that is worth an early fit.",
@@ -58,6 +66,22 @@ class TrackerSettings(CheckedSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        objection = TRACKERS[self.tracker].objection(MODELS[self.model])
-        if objection:
-            raise ValueError(objection)
+        if self.model != OF_THE_SET:
+            objection = TRACKERS[self.tracker].objection(MODELS[self.model])
+            if objection:
+                raise ValueError(objection)
+
+    @property
+    def law(self) -> str:
+        """Name of the force law where nothing is known of the damper."""
+        return DEFAULT_MODEL if self.model == OF_THE_SET else self.model
+
+    def following(self, initial: ParameterSet) -> TrackerSettings:
+        """The settings with the law of the set to start from.
+
+        Raises ParameterError where another law is asked for, ValueError where the tracker cannot
+        follow this one.
+        """
+        if self.model != OF_THE_SET:
+            initial.of_model(self.model)
+        return replace(self, model=initial.model)

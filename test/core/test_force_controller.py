@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from known import EXAMPLES, PLAUSIBLE, T0
 from random_motion import BandLimitedRandom
 
+from mr_damper_ros.control.fallback import Fallback, FallbackSettings
 from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
 from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -75,7 +77,7 @@ class ControlLoop:
         excitation: object | None = None,
     ) -> None:
         self.controller = controller
-        self._times, self._currents = [0.0], [controller.settings.safe_current]
+        self._times, self._currents = [0.0], [controller.settings.fallback.safe_current]
         self._rig = EmulatedRig(
             damper,
             excitation or BandLimitedRandom(0.004, 0.5, 3.0, seed=4),  # type: ignore[arg-type]
@@ -100,10 +102,13 @@ class ControlLoop:
         self._currents.append(current)
 
 
-def settings(feedback_gain: float = 0.0, **changes: float) -> ForceControlSettings:
+def settings(
+    feedback_gain: float = 0.0, safe_current: float = 0.0, **changes: float
+) -> ForceControlSettings:
     """Of a controller whose samples have no age by the clock."""
     return ForceControlSettings(
         feedback=FeedbackSettings(feedback_gain=feedback_gain),
+        fallback=FallbackSettings(safe_current=safe_current),
         predictor=PredictorSettings(max_age=0.0),
         **changes,
     )
@@ -277,6 +282,112 @@ def test_a_prediction_that_the_measured_force_belies_commands_nothing() -> None:
     command = after(controller, damper=TemperatureDependentDamper(strong, strong))
     assert command.doubt.kind is DoubtKind.WRONG
     assert command.current == 0.0
+
+
+def test_a_force_beyond_all_that_can_be_had_is_given_as_near_as_can_be() -> None:
+    for size in (1e5, 1e20, 1e300):
+        loop = ControlLoop(
+            controlled(WHOLE), ModelDamper(WHOLE, PERIOD), excitation=SineMotion(5e-3, 1.0)
+        )
+        currents = []
+        for block in loop.blocks(4.0):
+            loop.controller.want(block.end_ns, size)
+            currents.append(loop.controller.command(block).current)
+            loop.command(currents[-1])
+        # Extending the damper can pull, being compressed it cannot.
+        assert min(currents[300:]) == 0.0
+        assert max(currents[300:]) > 1.0
+
+
+# -- a doubt of a moment ---------------------------------------------------------------------------
+
+SPAN = 2.0
+STEP = 0.01
+
+
+def currents_of(fallback: Fallback, course: str, wanted: float = 1.0) -> list[float]:
+    """The currents [A] of blocks in control (.) and in doubt (?), each of a hundredth second."""
+    made = [0.0]
+    for each in course:
+        if fallback.follow(STEP, doubted=each == "?"):
+            made.append(fallback.towards(wanted, STEP))
+        else:
+            made.append(fallback.away_from(made[-1], STEP))
+    return made[1:]
+
+
+def begun(**changes: Any) -> Fallback:
+    """One that has been in control for long."""
+    fallback = Fallback(FallbackSettings(**changes), SPAN)
+    currents_of(fallback, 100 * ".")
+    return fallback
+
+
+def test_a_doubt_of_a_moment_holds_the_current() -> None:
+    fallback = begun()
+    assert currents_of(fallback, "?") == [0.0]
+    held = begun()
+    currents_of(held, 20 * ".")
+    assert held.follow(STEP, doubted=True) is False
+    assert held.away_from(1.0, STEP) == 1.0
+
+
+def test_a_doubt_of_a_moment_lets_the_current_slide() -> None:
+    currents = currents_of(begun(in_doubt="slide", doubt_time=0.4), "." + 30 * "?")
+    np.testing.assert_allclose(currents[:11], 1.0 - SPAN * STEP / 0.4 * np.arange(11), atol=1e-9)
+    assert currents[-1] == 0.0
+
+
+def test_a_doubt_that_lasts_takes_the_current_to_the_safe_one_without_a_jump() -> None:
+    currents = currents_of(begun(doubt_time=0.1, fade_time=0.2), "." + 40 * "?")
+    assert currents[5] == 1.0
+    assert currents[-1] == 0.0
+    assert max(np.abs(np.diff(currents))) <= SPAN * STEP / 0.2 + 1e-9
+
+
+def test_control_comes_back_without_a_jump_once_the_doubt_is_long_over() -> None:
+    course = "." + 40 * "?" + 40 * "."
+    currents = currents_of(begun(doubt_time=0.1, fade_time=0.2), course)
+    back = currents[41:]
+    assert back[8] == 0.0
+    assert back[-1] == 1.0
+    assert max(np.abs(np.diff(back))) <= SPAN * STEP / 0.2 + 1e-9
+
+
+def test_doubts_that_come_and_go_do_not_take_the_current_to_the_safe_one() -> None:
+    assert min(currents_of(begun(), 60 * ".?.")) == 1.0
+
+
+def test_no_doubt_drives_the_current_up() -> None:
+    rng = np.random.default_rng(0)
+    fallback = begun(doubt_time=0.05)
+    current = 0.0
+    for doubted, wanted in zip(rng.random(2000) < 0.5, rng.uniform(0, 2, 2000), strict=True):
+        before = current
+        if fallback.follow(STEP, doubted=bool(doubted)):
+            current = fallback.towards(wanted, STEP)
+        else:
+            current = fallback.away_from(before, STEP)
+            assert current <= before
+
+
+def test_a_current_that_hurries_the_coil_is_not_held() -> None:
+    """While the coil's current rises the command is above what it should have."""
+    late = lagging_coil("sigmoid_lag", 0.05)
+    loop = ControlLoop(
+        controlled(late), ModelDamper(late, PERIOD), excitation=SineMotion(5e-3, 1.0)
+    )
+    for block in loop.blocks(4.0):
+        loop.controller.want(block.end_ns, 600.0 if block.end_ns - T0 > 3.2e9 else 0.0)
+        last = loop.controller.command(block)
+        loop.command(last.current)
+        if last.current > 1.0:
+            break
+    stale = replace(block, start_ns=block.start_ns + 10**7, sequence=block.sequence + 10)
+    loop.controller.want(0, 600.0)
+    in_doubt = loop.controller.command(stale)
+    assert in_doubt.doubt
+    assert in_doubt.current < last.current
 
 
 def test_a_force_that_drives_is_said_not_to_be_had() -> None:

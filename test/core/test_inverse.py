@@ -226,7 +226,7 @@ def test_the_drive_brings_the_coil_to_its_current_within_the_horizon():
 
 
 def test_the_drive_asks_for_no_more_than_the_supply_can():
-    drive = CoilDrive(SupplyLimits(highest_current=2.0, slew_rate=50.0), 0.01)
+    drive = SupplyLimits(highest_current=2.0, slew_rate=50.0)
     assert drive.limited(1.9, 0.0, 0.001) == pytest.approx(0.05)
     assert drive.limited(9.0, 1.99, 0.001) == 2.0
     assert drive.limited(-9.0, 0.02, 0.001) == 0.0

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.sine import Sine
+from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.extension import without_extension
@@ -37,3 +41,72 @@ def test_a_set_that_takes_over_has_settled_at_any_rate(rate: int) -> None:
     expected = all_along.follow(late, following, CURRENT)
     force = sets.settled_stream(sets.present).follow(late, following, CURRENT)
     assert np.max(np.abs(force - expected)) < CLOSE * np.ptp(expected)
+
+
+# -- a set that a user gave ------------------------------------------------------------------------
+
+
+GIVEN = ParameterSet(
+    THESIS_28_CELSIUS, set_id="given", peak_velocity_range=(0.0, 1.0), current_range=(0.0, 2.0)
+)
+
+
+def identified(set_id: str, current_range: tuple[float, float], **changes: Any) -> ParameterSet:
+    return replace(
+        GIVEN, set_id=set_id, source="nelder_mead", current_range=current_range, **changes
+    )
+
+
+def sets_of(*added: tuple[ParameterSet, int | None]) -> KnownSets:
+    """The known sets after these came, each with its stamp."""
+    sets = KnownSets(0.25, gradual=True)
+    for parameters, stamp_ns in added:
+        sets.add(parameters, stamp_ns, 0.25)
+    return sets
+
+
+def in_use(sets: KnownSets) -> str:
+    assert sets.present is not None
+    return sets.present.parameters.set_id
+
+
+@pytest.mark.parametrize("model", ["sigmoid", "bingham"])
+def test_a_mere_start_does_not_displace_a_given_set(model: str) -> None:
+    assert in_use(sets_of((GIVEN, None), (start_set(model), None))) == "given"
+
+
+def test_a_mere_start_is_used_where_nothing_was_given() -> None:
+    assert in_use(sets_of((start_set("sigmoid"), None))) == "literature"
+
+
+def test_after_a_reset_to_a_mere_start_the_given_set_is_in_use_again() -> None:
+    window = identified("window", (0.0, 2.0))
+    assert in_use(sets_of((GIVEN, None), (window, 1), (start_set("sigmoid"), None))) == "given"
+
+
+def test_a_set_for_fewer_currents_does_not_displace_a_given_one() -> None:
+    window = identified("window", (0.0, 0.0))
+    assert in_use(sets_of((GIVEN, None), (window, 1), (replace(window, set_id="b"), 2))) == "given"
+
+
+def test_a_set_for_all_the_currents_displaces_a_given_one() -> None:
+    assert in_use(sets_of((GIVEN, None), (identified("window", (0.0, 2.0)), 1))) == "window"
+
+
+def test_a_given_set_that_states_no_range_is_displaced_by_any() -> None:
+    stated = replace(GIVEN, current_range=(-np.inf, np.inf))
+    assert in_use(sets_of((stated, None), (identified("window", (0.5, 0.5)), 1))) == "window"
+
+
+def test_a_given_set_does_not_age_though_windows_confirm_it() -> None:
+    sets = sets_of((GIVEN, None))
+    sets.confirm("given", 5, (0.0, 0.0))
+    assert sets.present is not None
+    assert sets.present.confirmed_ns is None
+
+
+def test_a_given_set_is_not_forgotten_over_many_others() -> None:
+    added = [(identified(f"window-{n}", (0.0, 2.0 + n)), n + 1) for n in range(20)]
+    sets = sets_of((GIVEN, None), *added)
+    sets.add(start_set("sigmoid"), None, 0.25)
+    assert in_use(sets) == "given"

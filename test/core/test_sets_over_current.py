@@ -263,7 +263,7 @@ def test_after_a_sudden_change_the_sets_of_before_are_forgotten() -> None:
 def test_the_sets_of_another_law_are_forgotten() -> None:
     """What is remembered of the motion is of no use to them."""
     said = [Said(5.0, window_of(TANH, LOW, "low"))]
-    came = course(said, TANH, whole=whole_of(SIGMOID), from_file=True)
+    came = course(said, TANH, whole=whole_of(SIGMOID))
     assert came.set_at(STEP - 0.1) == came.set_at(END - 0.1) == "low"
 
 

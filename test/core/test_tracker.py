@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, sine_force
@@ -455,6 +456,20 @@ def test_a_window_keeps_the_range_over_which_the_dependence_is_known() -> None:
     assert fed(tracked, window(0))[0].accepted
     assert tracked.parameters.peak_velocity_range == (0.01, 0.1)
     assert tracked.parameters.current_range == (0.2, 1.5)
+
+
+def test_a_window_at_one_current_does_not_narrow_the_range_that_a_user_states() -> None:
+    ranges = {"peak_velocity_range": (0.0, 1.0), "current_range": (0.0, 2.0)}
+    stated = ParameterSet(known.PLAUSIBLE, **ranges)
+    tracked = WindowTracker(TrackerSettings(), stated)
+    (report,) = fed(tracked, window(0, strength=0.8))
+    assert report.accepted
+    assert tracked.parameters.current_range == (0.0, 2.0)
+    assert tracked.parameters.peak_velocity_range == (0.0, 1.0)
+
+
+def test_the_law_is_that_of_the_set_to_start_from() -> None:
+    assert WindowTracker(TrackerSettings(), start_set("bingham")).parameters.model == "bingham"
 
 
 def test_a_known_dependence_on_the_speed_says_nothing_of_other_currents() -> None:

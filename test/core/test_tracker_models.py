@@ -261,7 +261,7 @@ def test_a_set_of_another_model_is_refused() -> None:
     for take in (
         tracked.replace,
         lambda parameters: tracked.resume(parameters, tracked.memory),
-        lambda parameters: WindowTracker(TrackerSettings(), parameters),
+        lambda parameters: WindowTracker(TrackerSettings(model="sigmoid"), parameters),
     ):
         with pytest.raises(ParameterError, match="those of model 'bingham': give a set of model"):
             take(other)
@@ -273,7 +273,7 @@ def test_the_filter_does_not_follow_every_model() -> None:
 
 
 def test_an_unknown_model_is_refused() -> None:
-    with pytest.raises(ValueError, match="model must be one of bingham"):
+    with pytest.raises(ValueError, match="model must be one of auto, bingham"):
         TrackerSettings(model="magic")
 
 

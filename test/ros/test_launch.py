@@ -60,6 +60,15 @@ def test_the_supply_is_commanded_where_that_is_asked_for(description: list[Any])
     assert nodes["bridge"].parameters[1]["wait_for_subscribers"] == 3
 
 
+def test_what_is_known_of_the_damper_goes_to_all_that_use_it(description: list[Any]) -> None:
+    file = str(ROOT / "config" / "invented_damper.yaml")
+    nodes = by_name(description, control="true", parameters=file)
+    assert "parameter_file" not in nodes["bridge"].parameters[1]
+    assert nodes["identifier"].parameters[1]["initial_parameters"].value == file
+    assert nodes["model"].parameters[1]["parameter_file"].value == file
+    assert nodes["controller"].parameters[1]["parameter_file"].value == file
+
+
 def test_a_bag_is_played_with_its_time(description: list[Any]) -> None:
     nodes = by_name(description, bag=str(BAG))
     assert list(nodes) == ["replay", "identifier", "model"]
@@ -89,6 +98,7 @@ def test_it_sets_only_parameters_that_exist(description: list[Any]) -> None:
         ({"rate": "-1"}, "rate must be a number"),
         ({"rate": "nan"}, "rate must be a number"),
         ({"bag": "/nowhere/at/all"}, "there is no bag /nowhere/at/all"),
+        ({"parameters": "/nowhere.yaml"}, "parameters: there is no file"),
         ({"model_config": "/nowhere.yaml"}, "model_config: there is no file"),
     ],
 )

@@ -1,0 +1,106 @@
+"""What becomes of the current while the force is in doubt: no jump, and never up.
+
+A doubt of a moment leaves the current where it is, or lets it slide towards the safe current. One
+that lasts takes it to the safe current. The time in doubt is counted up, and down again while the
+force is valid: it lasts from ``doubt_time`` on, and is over once nothing is left of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mr_damper_ros.settings.option_table import CheckedSettings, option
+
+HOLD, SLIDE = "hold", "slide"
+
+
+@dataclass(frozen=True)
+class FallbackSettings(CheckedSettings):
+    """How the command falls back to the safe current, and comes back."""
+
+    safe_current: float = option(
+        0.0,
+        "Current [A] that is commanded where nothing can be relied on; within the range of "
+        "currents that the parameters were identified at, else control never begins.",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    in_doubt: str = option(
+        HOLD,
+        f"What a doubt of a moment does: {HOLD} leaves the current as it is, which suits a force "
+        f"that is valid again soon; {SLIDE} moves it towards the safe current from the first "
+        "sample in doubt on, so that it is there when the doubt has lasted.",
+        choices=(HOLD, SLIDE),
+    )
+    doubt_time: float = option(
+        0.3,
+        "Time [s] in doubt, less that without, after which the command goes to the safe current; "
+        "also the time without doubt after which it comes back.",
+        minimum=0.0,
+        maximum=60.0,
+    )
+    fade_time: float = option(
+        0.1,
+        "Time [s] in which the command passes through the range of currents on its way to the safe "
+        "current, and at least on its way back.",
+        minimum=0.001,
+        maximum=60.0,
+    )
+
+
+class Fallback:
+    """Follows the doubts of a controller whose currents lie ``span`` [A] apart."""
+
+    def __init__(self, settings: FallbackSettings, span: float) -> None:
+        self._settings = settings
+        self._span = span
+        self.give_up()
+
+    @property
+    def lasts(self) -> bool:
+        """Whether the doubt lasts: the command is the safe current, or on its way there."""
+        return self._lasts
+
+    @property
+    def left(self) -> float:
+        """Time [s] without doubt until the doubt is over."""
+        return self._time if self._lasts else 0.0
+
+    def give_up(self) -> None:
+        """The safe current is commanded: control has to begin anew."""
+        self._time, self._lasts, self._reach = self._settings.doubt_time, True, 0.0
+
+    def follow(self, duration: float, *, doubted: bool, at_once: bool = False) -> bool:
+        """Follow so many seconds with or without doubt: whether control goes on.
+
+        ``at_once``: the doubt has lasted before it was raised.
+        """
+        limit = self._settings.doubt_time
+        self._time += duration if doubted else -duration
+        self._time = limit if at_once else min(max(self._time, 0.0), limit)
+        if doubted and self._time >= limit - 1e-9:
+            self._lasts = True
+        elif self._time <= 1e-9:
+            self._lasts = False
+        return not (doubted or self._lasts)
+
+    def away_from(self, current: float, duration: float) -> float:
+        """The current [A] while control does not go on, from that before."""
+        safe, settings = self._settings.safe_current, self._settings
+        time = settings.fade_time
+        if not self._lasts:
+            time = settings.doubt_time if settings.in_doubt == SLIDE else 0.0
+        step = self._span * duration / time if time > 0.0 else 0.0
+        self._reach = max(abs(current - safe) - step, 0.0)
+        return self.within_reach(current)
+
+    def towards(self, current: float, duration: float) -> float:
+        """A wanted current [A], as far as the way back from the safe one has come."""
+        step = self._span * duration / self._settings.fade_time
+        self._reach = min(self._reach + step, self._span)
+        return self.within_reach(current)
+
+    def within_reach(self, current: float) -> float:
+        """The nearest current [A] to one that is within reach of the safe one."""
+        safe = self._settings.safe_current
+        return min(max(current, safe - self._reach), safe + self._reach)
