@@ -217,8 +217,8 @@ class ForceController:
         return self._commanded
 
     def _doubt(self, prediction: Prediction, end_ns: int) -> Doubt:
-        if prediction.doubt:
-            return prediction.doubt
+        if prediction.newest_doubt:
+            return prediction.newest_doubt
         if self._unusable:
             return self._unusable
         if self._demand is None:

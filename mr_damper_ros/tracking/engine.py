@@ -73,7 +73,7 @@ class Engine:
         self, settings: EngineSettings | None = None, start: ParameterSet | None = None
     ) -> None:
         self.settings = given = settings or EngineSettings()
-        begin = start or start_set(given.tracking.model)
+        begin = start or start_set(given.tracking.law)
         tracker = WindowTracker(given.tracking, begin)
         self._worker = InlineWorker(self._seconds_until_outcome)
         self.identifier = Identifier(
