@@ -8,15 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figure import Figure
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.interface.replay import replay
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import earthquake, recordings
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
+from mr_damper_ros.tracking.engine import EngineSettings
 
 LAWS = ("sigmoid", "sigmoid_lag")
 
@@ -54,34 +51,18 @@ def windows_until_good(record: Recording, model: str) -> tuple[float, float]:
 
     The latter over the largest that was measured in the record.
     """
-    predictor, start = ForcePredictor(PredictorSettings()), start_set(model)
-    predictor.set_parameters(start)
-    tracker = WindowTracker(TrackerSettings(model=model), start)
-    given = WindowSettings()
-    assembler = WindowAssembler(given.window, given.hop, given.looks)
-    force = np.empty(record.force.size)
-    valid = np.empty(record.force.size, dtype=bool)
-    ends: list[int] = []
-    size = max(round(_BLOCK / record.period), 1)
-    for first in range(0, force.size, size):
-        part = slice(first, min(first + size, force.size))
-        stamp = record.start_ns + round(first * record.period * 1e9)
-        block = SampleBlock(
-            stamp, first, record.period, record.displacement[part], record.force[part]
-        )
-        current = float(record.current[first])
-        predictor.add_current(stamp, current)
-        prediction = predictor.predict(block)
-        force[part], valid[part] = prediction.force, prediction.valid_samples
-        ready = assembler.add_current(stamp, current) + assembler.add_block(block)
-        for raw in [*ready, *assembler.add_current(block.end_ns, current)]:
-            report = tracker.follow(raw)
-            if report is not None and report.verdict is not Verdict.FAULT_OF_DATA:
-                ends += [] if raw.look else [part.stop]
-                if report.global_due:
-                    tracker.identify()
-        if tracker.parameters is not predictor.parameters:
-            predictor.set_parameters(tracker.parameters)
+    said = replay(
+        record,
+        settings=EngineSettings().for_law(model),
+        block_size=max(round(_BLOCK / record.period), 1),
+    )
+    force, valid = said.predicted, said.valid
+    ends = [
+        round((report.stamp_ns - record.start_ns) / NANOSECONDS / record.period) + 1
+        for report in said.reports
+        if report.verdict not in (Verdict.FAULT_OF_DATA, Verdict.ACCEPTED_EARLY)
+        and report.window_start_ns < report.stamp_ns
+    ]
     largest = np.abs(force[valid]).max(initial=0.0) / np.abs(record.force).max()
     following = round(_NEXT / record.period)
     for count, end in enumerate(ends, start=1):

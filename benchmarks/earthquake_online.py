@@ -8,7 +8,6 @@ from benchmarks.figure import Figure
 from benchmarks.state_law import STATE_LAW
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.study import earthquake, recordings
-from mr_damper_ros.study.earthquake import Following
 
 LAWS = {"fit": "sigmoid_lag", "springs_fit": STATE_LAW, "sixteen_fit": "sigmoid"}
 """The laws by the end of their keys."""
@@ -20,7 +19,7 @@ def figures() -> list[Figure]:
     return [
         Figure(
             f"earthquake_online_{end}",
-            None if place is None else earthquake.fits(place, law, Following()),
+            None if place is None else earthquake.fits(place, law, identify=True),
             "Fit 1 - NRMSE [%] of the records at 0.2, 0.6 and 1.0 A, their smoothing undone, with "
             "the identifier running from the sinusoid set on, every block predicted before it is "
             f"used, after the first 5 s of motion: {MODELS[law].title}.",

@@ -20,7 +20,8 @@ def figures() -> list[Figure]:
     place = recordings.folder()
     note = recordings.NONE if place is None else ""
     fits = {
-        law: None if place is None else earthquake.fits(place, law, None) for law in LAWS.values()
+        law: None if place is None else earthquake.fits(place, law, identify=False)
+        for law in LAWS.values()
     }
     means = [float(np.mean(found)) for found in fits.values() if found is not None]
     return [

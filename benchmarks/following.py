@@ -9,27 +9,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.emulator import Damper, EmulatedRig, RigSettings, ThermalModel
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.rig.faults.fault import Fault
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.recorded_stream import stream_of
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_assembler import WindowSettings
 
-WINDOW, HOP, LOOKS = 2.0, 1.0, 3
-"""Defaults of the identifier node: [s], [s], looks between two windows."""
+WINDOW, HOP = WindowSettings.window, WindowSettings.hop
+"""Defaults of the identifier node [s]."""
 
 AMPLITUDE, FREQUENCY, CURRENT = 5e-3, 1.0, 1.5
 """The test of the thesis' section 4.5: [m], [Hz], [A]."""
-
-_BLOCK = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,22 +65,17 @@ def recording(
 def follow(
     run: Recording, settings: TrackerSettings, window: float = WINDOW, hop: float = HOP
 ) -> list[Step]:
-    """Reports on all windows of a recording, streamed in blocks of 0.1 s from a cold start."""
-    assembler = WindowAssembler(window, hop, LOOKS)
-    tracker = WindowTracker(settings, ParameterSet(LITERATURE, set_id="literature"))
-    steps = []
-    for first in range(0, run.force.size, _BLOCK):
-        last = min(first + _BLOCK, run.force.size)
-        stamp = run.start_ns + round(first * run.period * 1e9)
-        block = SampleBlock(
-            stamp, first, run.period, run.displacement[first:last], run.force[first:last]
-        )
-        ready = assembler.add_block(block)
-        ready += assembler.add_current(stamp, float(run.current[first]))
-        for raw in ready:
-            report = tracker.follow(raw)
-            if report is not None:
-                steps.append(Step(report, tracker.parameters.values))
+    """Reports on all windows of a recording, from a cold start."""
+    engine = Engine(
+        EngineSettings(windows=WindowSettings(window=window, hop=hop), tracking=settings)
+    )
+    for _ in engine.follow(stream_of(run)):
+        pass
+    steps, parameters = [], LITERATURE
+    for published in engine.take_publications():
+        if published.parameters is not None:
+            parameters = published.parameters.values
+        steps.append(Step(published.report, parameters))
     return steps
 
 

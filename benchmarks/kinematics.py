@@ -9,6 +9,7 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from benchmarks.figure import Figure
+from mr_damper_ros.interface.replay import replay
 from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
@@ -19,11 +20,10 @@ from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.study import recordings
 from mr_damper_ros.study.earthquake import records
 from mr_damper_ros.thesis import published_runs
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import PredictorSettings
 
 PERIOD = 1e-3
 NOISE = published_runs.DISPLACEMENT_NOISE
@@ -148,17 +148,8 @@ def stream_nrmse_ratio(runs: int | None = None) -> float:
     ][:runs]:
         run = published_runs.synthesise(condition)
         values = published_conditions.parameters(condition)
-        predictor = ForcePredictor(PredictorSettings())
-        predictor.set_parameters(ParameterSet(values))
-        made, valid = np.empty(run.force.size), np.zeros(run.force.size, dtype=bool)
-        for first in range(0, run.force.size, _BLOCK):
-            part = slice(first, min(first + _BLOCK, run.force.size))
-            stamp = run.start_ns + round(first * run.period * 1e9)
-            predictor.add_current(stamp, condition.current)
-            prediction = predictor.predict(
-                SampleBlock(stamp, first, run.period, run.displacement[part], run.force[part])
-            )
-            made[part], valid[part] = prediction.force, prediction.valid_samples
+        said = replay(run, ParameterSet(values), identify=False)
+        made, valid = said.predicted, said.valid
         time: Array = np.arange(run.force.size, dtype=float) * run.period
         sine = SineMotion(condition.amplitude, condition.frequency, phase=published_runs.PHASE)
         exact = sine_force(values, *sine.at(time), condition.current)

@@ -37,7 +37,7 @@ def largest_step(force: Array, period: float) -> float:
 
 def jump(record: Recording, parameters: ParameterSet) -> float:
     """Largest step of the predicted force over that of the measured one."""
-    predicted = earthquake.predicted(record, parameters, None)
+    predicted = earthquake.predicted(record, parameters, identify=False)
     return largest_step(predicted, record.period) / largest_step(record.force, record.period)
 
 

@@ -15,10 +15,8 @@ from mr_damper_ros.models.coil import COIL
 from mr_damper_ros.models.initial_set import start_set
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper, RigSettings
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
+from mr_damper_ros.signals.recorded_stream import stream_of
+from mr_damper_ros.tracking.engine import Engine, EngineSettings
 
 STATE_LAW = "series_springs"
 
@@ -107,29 +105,13 @@ def worker_shares(law: str, start: float, duration: float) -> tuple[float, float
     """
     rig = EmulatedRig(ModelDamper(_TRUTH, 1e-3), random_motion(4e-3, 0.3, 3.0, duration, 1), 1.0)
     record = rig.record(duration)
-    tracker = WindowTracker(TrackerSettings(model=law), start_set(law))
-    assembler = WindowAssembler(2.0, 1.0, 3)
-    ready: list[RawWindow] = list(assembler.add_current(0, 1.0))
-    for first in range(0, record.force.size, _BLOCK):
-        part = slice(first, first + _BLOCK)
-        stamp = round(first * record.period * NANOSECONDS)
-        block = SampleBlock(
-            stamp, first, record.period, record.displacement[part], record.force[part]
-        )
-        ready += assembler.add_block(block)
-        ready += assembler.add_current(block.end_ns, 1.0)
-
-    def work(first: float, last: float) -> float:
-        def follow() -> None:
-            for window in ready:
-                if first <= window.start_ns / NANOSECONDS < last:
-                    report = tracker.follow(window)
-                    if report is not None and report.global_due:
-                        tracker.identify()
-
-        return cpu_seconds(follow) / (last - first)
-
-    return work(0.0, start), work(start, duration)
+    engine = Engine(EngineSettings().for_law(law))
+    at_start = 0.0
+    for block, _ in engine.follow(stream_of(record, _BLOCK)):
+        if block.sequence * block.period < start:
+            at_start = engine.worker.processor_time
+    later = engine.worker.processor_time - at_start
+    return at_start / start, later / (duration - start)
 
 
 def figures(half: float = _HALF, start: float = 40.0, duration: float = 100.0) -> list[Figure]:

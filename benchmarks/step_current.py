@@ -26,7 +26,6 @@ from mr_damper_ros.rig.emulator import CurrentSchedule
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import earthquake, recordings
-from mr_damper_ros.study.earthquake import Following
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 
 LEARNT = (0.2, 0.8, 1.4, 0.5, 1.1, 0.2, 1.4, 0.8)
@@ -166,10 +165,12 @@ def recorded(utfsm: Path, model: str) -> StepError:
     records = earthquake.unsmoothed_records(utfsm)
     start = earthquake.sinusoid_set(utfsm, model)
     together = stepped(records)
-    constant = stepped(
-        [replace(r, force=earthquake.predicted(r, start, Following())) for r in records]
-    )
-    error = earthquake.predicted(together, start, Following()) - together.force
+
+    def predicted(record: Recording) -> Array:
+        return earthquake.predicted(record, start, identify=True)
+
+    constant = stepped([replace(record, force=predicted(record)) for record in records])
+    error = predicted(together) - together.force
     reference = constant.force - together.force
     time = np.asarray(np.arange(error.size) * together.period, dtype=np.float64)
     moves = np.abs(together.displacement - together.displacement[0]) > 1e-4

@@ -19,6 +19,7 @@ from benchmarks.other_dampers import DAMPERS, random_motion
 from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.interface.replay import replay
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.initial_set import start_set
@@ -26,11 +27,10 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper, ThermalModel
 from mr_damper_ros.rig.excitation import Excitation, SineMotion
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study.recordings import window_of
 from mr_damper_ros.tracking.current_parts import parts_by_current
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.screening import Screening
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 
@@ -127,15 +127,7 @@ def off_line(case: SwitchedStream, result: TrialResult) -> ParameterSet:
     parts: list[Window] = []
     for first in range(0, result.time.size - count + 1, count):
         part = slice(first, first + count)
-        run = Recording(
-            name=case.motion,
-            start_ns=0,
-            period=result.period,
-            displacement=result.displacement[part],
-            force=result.measured[part],
-            current=result.current[part],
-        )
-        parts += parts_by_current(MODELS[case.model], window_of(run), tolerance)
+        parts += parts_by_current(MODELS[case.model], window_of(recorded(result, part)), tolerance)
     start = start_set(case.model).values
     fit = identify_global(MODELS[case.model], parts, start, EvolutionSettings())
     return fit.parameter_set
@@ -143,24 +135,19 @@ def off_line(case: SwitchedStream, result: TrialResult) -> ParameterSet:
 
 def predicted(result: TrialResult, parameters: ParameterSet) -> Array:
     """Force [N] of a set that stays, predicted block by block; shape (n,)."""
-    predictor = ForcePredictor(PredictorSettings())
-    predictor.set_parameters(parameters)
-    force = np.empty(result.time.size)
-    changes = np.diff(result.current, prepend=math.nan) != 0.0
-    for first in range(0, force.size, _BLOCK):
-        part = slice(first, first + _BLOCK)
-        stamps = np.round(result.time[part] * NANOSECONDS).astype(int)
-        for place in np.flatnonzero(changes[part]):
-            predictor.add_current(int(stamps[place]), float(result.current[part][place]))
-        block = SampleBlock(
-            int(stamps[0]),
-            first,
-            result.period,
-            result.displacement[part],
-            result.measured[part],
-        )
-        force[part] = predictor.predict(block).force
-    return force
+    return replay(recorded(result), parameters, identify=False, block_size=_BLOCK).predicted
+
+
+def recorded(result: TrialResult, part: slice = slice(None)) -> Recording:
+    """What was measured in a trial, or in a part of it."""
+    return Recording(
+        name="trial",
+        start_ns=0,
+        period=result.period,
+        displacement=result.displacement[part],
+        force=result.measured[part],
+        current=result.current[part],
+    )
 
 
 def error(result: TrialResult, force: Array) -> float:

@@ -189,14 +189,16 @@ def replay(
     source: Recording | str | os.PathLike[str],
     parameters: ParameterSet | str | os.PathLike[str] | None = None,
     *,
+    identify: bool = True,
     settings: EngineSettings | None = None,
     block_size: int = BLOCK_SIZE,
 ) -> Replay:
     """Replay a recording, or the messages of a bag, through the engine of the nodes.
 
     ``parameters``: the set, or its file, to begin with, as the launch argument of that name;
-    without one the identification begins from nothing. ``settings``: those of the nodes; the law is
-    that of ``parameters`` where they are given. ``block_size``: samples at a time of a recording;
+    without one the identification begins from nothing. ``identify``: false for what the model node
+    says by itself, with ``parameters`` alone. ``settings``: those of the nodes; the law is that of
+    ``parameters`` where they are given. ``block_size``: samples at a time of a recording;
     a bag is replayed in its own blocks.
 
     Raises BagError, StateError and ParameterError where the bag or the parameters cannot be used,
@@ -220,7 +222,7 @@ def replay(
     given = settings or EngineSettings()
     if start is not None:
         given = given.for_law(start.model)
-    engine = Engine(given, start)
+    engine = Engine(given, start, identify=identify)
     if isinstance(source, Recording):
         return _replayed(source.name, stream_of(source, block_size), engine)
     return _replayed(os.fspath(source), bag_stream(Path(source)), engine)

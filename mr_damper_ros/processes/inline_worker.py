@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -13,11 +14,13 @@ class InlineWorker:
     """Runs a task when it is submitted; its outcome is handed out some time of the data later.
 
     ``now`` [s] is the time of the data: the user sets it. ``latency`` returns the seconds until
-    the outcome of a task, of which it is given the first argument.
+    the outcome of a task, of which it is given the first argument. ``processor_time`` [s] is what
+    the tasks have taken so far.
     """
 
     def __init__(self, latency: Callable[[Any], float]) -> None:
         self.now = -math.inf
+        self.processor_time = 0.0
         self._latency = latency
         self._number = 0
         self._outcome: Outcome | None = None
@@ -39,10 +42,12 @@ class InlineWorker:
             raise RuntimeError("the worker is busy: wait for its task to end")
         self._number += 1
         control = Control(self._number, lambda message: None, set())
+        began = time.process_time()
         try:
             self._outcome = Done(self._number, function(*args, control))
         except Exception as error:
             self._outcome = Failed(self._number, f"{type(error).__name__}: {error}")
+        self.processor_time += time.process_time() - began
         self._due = self.now + self._latency(args[0])
         return self._number
 

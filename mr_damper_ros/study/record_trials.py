@@ -17,7 +17,6 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.study import earthquake, recordings
-from mr_damper_ros.study.earthquake import Following
 
 _RAW_COLUMNS = "time:0.005*s,-,force:980.665*N,displacement:10*mm"
 _RAW_CURRENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -138,8 +137,7 @@ def judge_earthquake(task: EarthquakeTrial) -> EarthquakeResult:
             force=record.force[part],
             current=record.current[part],
         )
-    following = Following() if task.follows else None
-    force = earthquake.predicted(record, task.parameter_set, following)
+    force = earthquake.predicted(record, task.parameter_set, identify=task.follows)
     shown = slice(None, None, _SHOWN_EVERY)
     return EarthquakeResult(
         earthquake.fit_percent(record, force),

@@ -64,18 +64,23 @@ class Engine:
     """Identifies a damper and predicts its force from one stream.
 
     ``start``: the set to begin with; None for that of the law in the settings, which is valid
-    nowhere. Jobs run in this process; their outcomes take effect after the delays in the settings.
+    nowhere. ``identify``: whether windows are fitted; else the prediction runs alone. Jobs run in
+    this process; their outcomes take effect after the delays in the settings.
 
     Raises ParameterError where the set is of another law than the settings.
     """
 
     def __init__(
-        self, settings: EngineSettings | None = None, start: ParameterSet | None = None
+        self,
+        settings: EngineSettings | None = None,
+        start: ParameterSet | None = None,
+        *,
+        identify: bool = True,
     ) -> None:
         self.settings = given = settings or EngineSettings()
         begin = start or start_set(given.tracking.law)
         tracker = WindowTracker(given.tracking, begin)
-        self._worker = InlineWorker(self._seconds_until_outcome)
+        self.worker = InlineWorker(self._seconds_until_outcome)
         self.identifier = Identifier(
             WindowAssembler(
                 given.windows.window,
@@ -85,12 +90,13 @@ class Engine:
                 given.grid,
             ),
             tracker,
-            self._worker,
+            self.worker,
             given.work,
             TrackerState(tracker, StateDirectory(""), "engine"),
         )
         self.predictor = ForcePredictor(given.predictor, given.grid)
         self.predictor.set_parameters(begin)
+        self._identifies = identify
         self._published: list[Publication] = []
 
     @property
@@ -105,7 +111,8 @@ class Engine:
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a value of the supply current [A]; raises CurrentError where it is not finite."""
         self.predictor.add_current(stamp_ns, current)
-        self.identifier.add_current(stamp_ns, current)
+        if self._identifies:
+            self.identifier.add_current(stamp_ns, current)
 
     def add_temperature(self, celsius: float) -> None:
         """Set the temperature [°C] for the windows that become complete from now on."""
@@ -117,11 +124,12 @@ class Engine:
         ``now_ns``: the time on the clock of the stamps at which the block is there, see
         :meth:`ForcePredictor.predict`.
         """
-        self._worker.now = block.end_ns / NANOSECONDS
+        self.worker.now = block.end_ns / NANOSECONDS
         self._take_outcomes()
         prediction = self.predictor.predict(block, now_ns)
         self.predictor.catch_up()
-        self.identifier.add_block(block)
+        if self._identifies:
+            self.identifier.add_block(block)
         return prediction
 
     def follow(
@@ -143,8 +151,8 @@ class Engine:
 
     def finish(self) -> None:
         """Complete the jobs that wait, as the nodes do where no more samples come."""
-        while self._worker.busy:
-            self._worker.now = math.inf
+        while self.worker.busy:
+            self.worker.now = math.inf
             self._take_outcomes()
 
     def take_publications(self) -> list[Publication]:

@@ -160,8 +160,7 @@ def test_with_a_parameter_file_it_works_alone(
 
 def test_it_predicts_what_a_replay_predicts(rig: Rig, recording: Recording) -> None:
     predicted = rig.run(recording)
-    nothing_identified = mr.EngineSettings(fit_delay=3600.0)
-    replayed = mr.replay(recording, TRUE_SET, settings=nothing_identified, block_size=BLOCK)
+    replayed = mr.replay(recording, TRUE_SET, identify=False, block_size=BLOCK)
     force = np.concatenate([from_field(f.force) for f in predicted])
     doubts = np.concatenate([f.sample_doubts for f in predicted])
     np.testing.assert_array_equal(force, replayed.predicted)
