@@ -197,9 +197,8 @@ def replay(
 
     ``parameters``: the set, or its file, to begin with, as the launch argument of that name;
     without one the identification begins from nothing. ``identify``: false for what the model node
-    says by itself, with ``parameters`` alone. ``settings``: those of the nodes; the law is that of
-    ``parameters`` where they are given. ``block_size``: samples at a time of a recording;
-    a bag is replayed in its own blocks.
+    says by itself, with ``parameters`` alone. ``settings``: those of the nodes. ``block_size``:
+    samples at a time of a recording; a bag is replayed in its own blocks.
 
     Raises BagError, StateError and ParameterError where the bag or the parameters cannot be used,
     ValueError for a block size below 1.
@@ -219,10 +218,7 @@ def replay(
     start = parameters
     if start is not None and not isinstance(start, ParameterSet):
         start = read_parameter_file(Path(start))
-    given = settings or EngineSettings()
-    if start is not None:
-        given = given.for_law(start.model)
-    engine = Engine(given, start, identify=identify)
+    engine = Engine(settings, start, identify=identify)
     if isinstance(source, Recording):
         return _replayed(source.name, stream_of(source, block_size), engine)
     return _replayed(os.fspath(source), bag_stream(Path(source)), engine)

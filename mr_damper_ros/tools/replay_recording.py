@@ -14,6 +14,7 @@ from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.tools.console import run_tool
 from mr_damper_ros.tracking.engine import EngineSettings
+from mr_damper_ros.tracking.tracker_settings import OF_THE_SET
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,15 +29,15 @@ def _parser() -> argparse.ArgumentParser:
         "on each window, the predicted force and when it is valid.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or .mcap file")
-    start = parser.add_mutually_exclusive_group()
-    start.add_argument(
+    parser.add_argument(
         "--parameters", type=Path, metavar="FILE", help="set to begin with (default: none)"
     )
-    start.add_argument(
+    parser.add_argument(
         "--model",
-        choices=tuple(MODELS),
-        default=DEFAULT_MODEL,
-        help=f"force law to identify (default {DEFAULT_MODEL})",
+        choices=(OF_THE_SET, *MODELS),
+        default=OF_THE_SET,
+        help=f"force law to identify (default {OF_THE_SET}: that of --parameters, "
+        f"{DEFAULT_MODEL} without)",
     )
     parser.add_argument("--output", type=Path, metavar="FILE", help="write the newest set as YAML")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the result as JSON")
