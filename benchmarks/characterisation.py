@@ -1,0 +1,213 @@
+"""What comes out of some forty streams today, kept to tell what a change of the program changes.
+
+    python -m benchmarks.characterisation          run them and tell what differs from what is kept
+    python -m benchmarks.characterisation --keep   run them and keep what comes out
+    python -m benchmarks.characterisation sine     only those with this in their name
+
+Verdicts, sets, forces and validity of emulated dampers (own and foreign laws, switched currents,
+faults), of the shipped bags and, where MR_DAMPER_DATA is set, of real records.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import foreign_dampers, switched_current
+from benchmarks.reversal_jump import raw_records
+from benchmarks.stream_trial import TrialResult
+from mr_damper_ros.interface.replay import Replay, replay
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.study import earthquake, recordings
+from mr_damper_ros.tracking.engine import EngineSettings
+from mr_damper_ros.tracking.reports import Report
+
+KEPT = Path(__file__).with_suffix(".json")
+
+PROCESSES = 2
+
+_EVERY = 0.5
+"""Seconds between two forces that are kept, each the mean of |F| in between."""
+
+_SWITCHED = 20.0
+_LONGEST = 25.0
+"""Seconds of a switched current, and of a real record."""
+
+_DIGITS = 6
+
+_SAME = 1e-4
+"""Numbers that differ by less than this part do so for rounding."""
+
+Said = dict[str, Any]
+"""What comes of a stream: ``reports``, ``sets``, ``force`` and ``valid`` every half second."""
+
+
+def _bag(path: Path) -> Said:
+    return _of_replay(replay(path))
+
+
+def _combination(number: int) -> Said:
+    trial, duration = foreign_dampers.trial_of(foreign_dampers.COMBINATIONS[number])
+    return _of_trial(trial.run(duration))
+
+
+def _switched(number: int) -> Said:
+    return _of_trial(switched_current.streamed(switched_current.CASES[number], _SWITCHED))
+
+
+def _record(read: Callable[[Path], Sequence[Recording]], number: int, law: str) -> Said:
+    place = recordings.folder()
+    assert place is not None
+    record = read(place)[number]
+    part = slice(0, round(_LONGEST / record.period))
+    return _of_replay(
+        replay(
+            Recording(
+                record.name,
+                record.start_ns,
+                record.period,
+                record.displacement[part],
+                record.force[part],
+                record.current[part],
+            ),
+            settings=EngineSettings().for_law(law),
+        )
+    )
+
+
+def streams() -> dict[str, Callable[[], Said]]:
+    """The streams by name."""
+    bags = sorted((Path(__file__).parents[1] / "bags").iterdir())
+    found: dict[str, Callable[[], Said]] = {
+        f"bag {path.name}": partial(_bag, path) for path in bags if path.is_dir()
+    }
+    for each in foreign_dampers.COMBINATIONS[::5]:
+        found[f"foreign {each.name}"] = partial(_combination, each.number)
+    for number, case in enumerate(switched_current.CASES):
+        name = f"switched {case.damper.set_id} by {case.model}, {case.motion}, {case.current}"
+        found[name] = partial(_switched, number)
+    if recordings.folder() is not None:
+        for law in ("sigmoid_lag", "series_springs"):
+            for number in (0, 2, 4, 7):
+                found[f"raw record {number} by {law}"] = partial(_record, raw_records, number, law)
+            found[f"earthquake by {law}"] = partial(_record, earthquake.unsmoothed_records, 1, law)
+    return found
+
+
+def _of_trial(result: TrialResult) -> Said:
+    return _said(
+        result.reports,
+        [each.parameters for each in result.sets],
+        result.time,
+        result.predicted,
+        result.valid,
+    )
+
+
+def _of_replay(result: Replay) -> Said:
+    return _said(result.reports, result.sets, result.time, result.predicted, result.valid)
+
+
+def _said(
+    reports: Sequence[Report],
+    sets: Sequence[ParameterSet],
+    time: Array,
+    predicted: Array,
+    valid: np.ndarray,
+) -> Said:
+    parts = np.searchsorted(time, np.arange(time[0], time[-1], _EVERY))
+    counts = np.diff([*parts, time.size])
+    force = np.add.reduceat(np.nan_to_num(np.abs(predicted)), parts) / counts
+    share = np.add.reduceat(valid.astype(float), parts) / counts
+    return {
+        "reports": [
+            [each.verdict.name, each.set_id, *map(_rounded, (each.nrmse_before, each.nrmse_after))]
+            for each in reports
+        ],
+        "sets": {each.set_id: [_rounded(value) for value in each.values] for each in sets},
+        "force": [_rounded(value) for value in force],
+        "valid": [round(value, 3) for value in share.tolist()],
+    }
+
+
+def _rounded(value: float) -> float | None:
+    return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
+
+
+def differences(before: Said, now: Said) -> Iterator[str]:
+    """What differs, a sentence each; the first verdict or set that differs stands for the rest."""
+    for number, (old, new) in enumerate(zip(before["reports"], now["reports"], strict=False)):
+        if not _same(old, new):
+            yield f"report {number}: {_told(old)}, now {_told(new)}"
+            break
+    if len(before["reports"]) != len(now["reports"]):
+        yield f"{len(before['reports'])} reports, now {len(now['reports'])}"
+    for name in before["sets"]:
+        if not _same(before["sets"][name], now["sets"].get(name, [])):
+            yield f"set {name} differs"
+            break
+    count = min(len(before["force"]), len(now["force"]))
+    old, new = (np.array(each["force"][:count]) for each in (before, now))
+    change = float(np.sqrt(np.mean((new - old) ** 2) / max(float(np.mean(old**2)), 1e-12)))
+    if change > _SAME:
+        yield f"the predicted force differs by {change:.2%}"
+    old, new = (np.array(each["valid"][:count]) for each in (before, now))
+    if np.any(np.abs(new - old) > _SAME):
+        yield f"valid {np.mean(old):.1%}, now {np.mean(new):.1%}"
+
+
+def _same(old: Sequence[Any], new: Sequence[Any]) -> bool:
+    return len(old) == len(new) and all(
+        a == b
+        if isinstance(a, str) or a is None or b is None
+        else abs(a - b) <= _SAME * max(abs(a), abs(b))
+        for a, b in zip(old, new, strict=True)
+    )
+
+
+def _told(report: Sequence[Any]) -> str:
+    return " ".join(str(value) for value in report)
+
+
+def _run(name: str) -> tuple[str, Said]:
+    return name, streams()[name]()
+
+
+def main() -> int:
+    """Run the program; the exit code is 1 where something differs."""
+    parser = argparse.ArgumentParser(prog="characterisation", description=__doc__)
+    parser.add_argument("--keep", action="store_true", help="keep what comes out")
+    parser.add_argument("part", nargs="?", default="", help="part of the names of streams")
+    options = parser.parse_args()
+    chosen = [name for name in streams() if options.part in name]
+    kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+    changed = 0
+    with ProcessPoolExecutor(PROCESSES, mp_context=get_context("spawn")) as pool:
+        for name, said in pool.map(_run, chosen):
+            if options.keep:
+                kept[name] = said
+                continue
+            told = list(differences(kept[name], said)) if name in kept else ["not kept before"]
+            changed += bool(told)
+            print(f"{name}: {'; '.join(told) or 'the same'}", flush=True)
+    if options.keep:
+        lines = [f"{json.dumps(name)}: {json.dumps(kept[name])}" for name in sorted(kept)]
+        write_text(KEPT, "{\n" + ",\n".join(lines) + "\n}\n")
+    print(f"{changed} of {len(chosen)} differ", file=sys.stderr)
+    return int(changed > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
