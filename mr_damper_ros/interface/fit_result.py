@@ -126,12 +126,17 @@ class Identification:
 
     @property
     def explains(self) -> bool:
-        """Whether the set leaves no more than 30 % of the force's standard deviation.
+        """Whether the set leaves no more than 30 % of the force's standard deviation, in each run.
 
         With the level of each run, where the runs have any.
         """
-        left = [run.level.nrmse for run in self.runs if run.level is not None]
-        return (max(left) if left else self.nrmse) <= MOST_LEFT
+        return not self._unexplained
+
+    @property
+    def _unexplained(self) -> list[tuple[float, str]]:
+        """NRMSE and name of the runs of which the set leaves too much, the worst first."""
+        left = [((run.level or run.error).nrmse, run.name) for run in self.runs]
+        return sorted((entry for entry in left if entry[0] > MOST_LEFT), reverse=True)
 
     @property
     def success(self) -> bool:
@@ -144,9 +149,12 @@ class Identification:
         ended = self.searches.best.message
         if self.explains:
             return ended
+        (worst, name), *others = self._unexplained
+        where = f"{name} and {len(others)} more" if others else name
         return (
-            f"{ended}, but THE SET EXPLAINS TOO LITTLE OF THE FORCE: NRMSE {self.nrmse:.1%}, "
-            f"where {MOST_LEFT:.0%} is the most; are columns, units and signs right?"
+            f"{ended}, but THE SET EXPLAINS TOO LITTLE OF THE FORCE of {where}: NRMSE {worst:.1%}, "
+            f"where {MOST_LEFT:.0%} is the most; are columns, units, signs and currents right, and "
+            "are all runs of one damper?"
         )
 
     def determination(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 import time
 
 import numpy as np
@@ -12,19 +13,28 @@ from mr_damper_ros.live.live_record import SILENT_AFTER, LiveRecord
 _SIGNS = ("+", "!", "x", "?")
 """Of the levels good, warning, error and stale."""
 
+_INDENT = 25
+"""Columns before the text of a line."""
+
+_ENTRY = 28
+"""Columns of a parameter, three more between two of them."""
+
 _ERROR_OVER = 500
 """Samples that the present error is taken over."""
 
 
 def summary(record: LiveRecord, width: int = 80) -> str:
     """The newest signals, window, set and diagnostics; no line is longer than ``width``."""
-    parts = (_signals(record), _window(record), _parameters(record), _concerns(record))
-    return "\n".join(line[:width] for lines in parts for line in (*lines, "")).rstrip("\n")
+    parts = (_signals(record), _window(record), _parameters(record, width), _concerns(record))
+    wrapper = textwrap.TextWrapper(max(width, 2 * _INDENT), subsequent_indent=" " * _INDENT)
+    return "\n".join(wrapper.fill(line) for lines in parts for line in (*lines, "")).rstrip("\n")
 
 
 def _signals(record: LiveRecord) -> list[str]:
     rows = record.rows("signals", -1, -1)
     if rows is None or len(rows.values) == 0:
+        if any(concern.name.startswith("model:") for concern, _ in record.concerns):
+            return ["no signals yet: the node model runs, and no samples come"]
         return ["no signals yet: is the node model running, in this namespace?"]
     named = dict(zip(rows.columns, rows.values[-_ERROR_OVER:].T, strict=True))
     now = {name: float(column[-1]) for name, column in named.items()}
@@ -70,7 +80,7 @@ def _window(record: LiveRecord) -> list[str]:
     ]
 
 
-def _parameters(record: LiveRecord) -> list[str]:
+def _parameters(record: LiveRecord, width: int) -> list[str]:
     seen = record.parameters
     if seen is None:
         return ["no parameters yet: is the node identifier running, in this namespace?"]
@@ -80,8 +90,10 @@ def _parameters(record: LiveRecord) -> list[str]:
             seen.names, seen.values, seen.standard_errors, seen.observable, strict=True
         )
     ]
+    columns = max((width + 3) // (_ENTRY + 3), 1)
     lines = [
-        "   ".join(f"{entry:28}" for entry in entries[k : k + 3]) for k in range(0, len(entries), 3)
+        "   ".join(f"{entry:{_ENTRY}}" for entry in entries[k : k + columns]).rstrip()
+        for k in range(0, len(entries), columns)
     ]
     silence = _since(_silence_of(record, "identifier", "model"))
     head = "last set" if silence else "set in use"

@@ -47,8 +47,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Fit one parameter set of a force law to all bags given, of any amplitudes, "
         "frequencies and currents.",
         epilog=f"Exit code: 0; {EXPLAINS_TOO_LITTLE} where the set leaves an NRMSE above "
-        f"{100 * MOST_LEFT:.0f} %, with all results written; {FAILED} where a bag or an option "
-        f"cannot be used; {INTERRUPTED} after Ctrl-C pressed twice.",
+        f"{100 * MOST_LEFT:.0f} % in a run, with all results written; {FAILED} where a bag or an "
+        f"option cannot be used; {INTERRUPTED} after Ctrl-C pressed twice.",
     )
     add_run_options(parser)
     parser.add_argument(

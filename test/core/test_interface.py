@@ -193,6 +193,16 @@ def test_what_explains_little_is_no_success() -> None:
     assert "EXPLAINS TOO LITTLE" in found.message
 
 
+def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
+    import dataclasses
+
+    odd = dataclasses.replace(RUN, name="the odd one", force=0.6 * RUN.force)
+    found = mr.identify([*[RUN] * 9, odd], method="least_squares")
+    assert found.nrmse < 0.3
+    assert not found.success
+    assert "EXPLAINS TOO LITTLE OF THE FORCE of the odd one:" in found.message
+
+
 def test_the_program_says_so_too_with_an_exit_code_of_its_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

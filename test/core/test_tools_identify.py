@@ -243,7 +243,7 @@ def test_an_interrupted_search_returns_the_best_so_far(tmp_path: Path) -> None:
         "progress.ProgressLine.__call__ = interrupted\n"
         "sys.exit(identify.main(sys.argv[1:]))\n"
     )
-    bags = [str(BAGS / name) for name in ("5.0mm_1Hz_0.0A", "5.0mm_1Hz_0.5A", "5.0mm_1Hz_1.5A")]
+    bags = [str(BAGS / name) for name in ("5.0mm_1Hz_0.5A", "7.5mm_1Hz_1.0A", "5.0mm_1Hz_1.5A")]
     ended = subprocess.run(
         [sys.executable, "-c", program, *bags, "--json", str(result)],
         capture_output=True,
