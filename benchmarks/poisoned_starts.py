@@ -167,7 +167,7 @@ def _publishable(parameters: ParameterSet) -> None:
 def _go_on(tracker: WindowTracker) -> str:
     report = tracker.follow(_window(9))
     assert report is not None
-    serialize_message(report_message(report, 0.0, "damper"))
+    serialize_message(report_message(report, 0.0, "damper", "/identifier"))
     _publishable(tracker.parameters)
     return f"a good window: {report.reason}" if report.verdict is Verdict.FAILED else ""
 

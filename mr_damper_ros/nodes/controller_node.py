@@ -53,8 +53,9 @@ class ControllerParameters(ParameterTable):
     )
     trusted_source: str = option(
         "",
-        "Name of the one node whose parameters are used, such as /identifier; empty: any, but "
-        "several that publish damper/parameters are an error in the diagnostics.",
+        "Name of the one node whose parameters and reports are used, such as /identifier, by the "
+        "graph of nodes; empty: any, but several that publish damper/parameters are an error. "
+        "Names can be forged: only SROS2 authenticates.",
         read_only=True,
     )
     samples_timeout: float = option(

@@ -190,7 +190,12 @@ class IdentifierNode(Node):
                     fluid_temperature_message(report, self._frame_id)
                 )
             self._report_publisher.publish(
-                report_message(report, publication.duration, self._frame_id)
+                report_message(
+                    report,
+                    publication.duration,
+                    self._frame_id,
+                    self.get_fully_qualified_name(),
+                )
             )
             if np.isfinite(report.coefficients).any():
                 self._numbers_publisher.publish(coefficients_message(report, self._frame_id))

@@ -19,6 +19,10 @@ from mr_damper_ros.tracking.predictor import ForcePredictor
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
 
 PARAMETERS_TOPIC = "damper/parameters"
+REPORT_TOPIC = "damper/fit_report"
+
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+"""Stands in the graph for a node whose name has not been heard of yet."""
 
 _REPORTS = 10
 """Reports that may wait: only the newest ones matter."""
@@ -55,7 +59,8 @@ class ParameterInput:
         self._node = node
         self._use = use
         self._predictor = predictor
-        self._trusted = trusted_source
+        self._trust = _Trust(node, trusted_source)
+        self._unattributed: DamperParameters | None = None
         self._replaced = replaced
         self._refused = ""
         self._from = self._file = parameter_file
@@ -67,7 +72,7 @@ class ParameterInput:
         node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())
         node.create_subscription(
             FitReport,
-            "damper/fit_report",
+            REPORT_TOPIC,
             self._take_report,
             quality.stream(_REPORTS),
             qos_overriding_options=quality.overridable(),
@@ -75,10 +80,12 @@ class ParameterInput:
 
     def _take(self, message: DamperParameters) -> None:
         source = message.node or "a node that does not say its name"
-        if self._trusted and message.node != self._trusted:
-            self._refused = (
-                f"they come from {source[:_SHOWN]}, and trusted_source is {self._trusted}"
-            )
+        self._unattributed = None
+        objection = self._trust.objection(PARAMETERS_TOPIC, message.node)
+        if objection:
+            self._refused = objection
+            if self._trust.undiscovered(PARAMETERS_TOPIC):
+                self._unattributed = message
             return
         try:
             parameters = check_plausible(parameter_set(message))
@@ -98,6 +105,8 @@ class ParameterInput:
             self._node.get_logger().debug(f"using parameters {parameters.set_id}")
 
     def _take_report(self, message: FitReport) -> None:
+        if self._trust.objection(REPORT_TOPIC, message.node):
+            return
         self._predictor.follow_verdict(
             message.verdict, message.nrmse_before, confirms=message.confirms
         )
@@ -108,17 +117,14 @@ class ParameterInput:
 
     def finding(self, doing: str) -> Finding:
         """Which set is in use; ``doing`` says for what, such as "predicting"."""
+        if self._unattributed is not None:
+            self._take(self._unattributed)
         parameters = self._predictor.parameters
-        topic = self._node.resolve_topic_name(PARAMETERS_TOPIC)
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        if len(publishers) > 1 and not self._trusted:
-            names = " and ".join(
-                sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in publishers)
-            )
+        publishers = _publishing_nodes(self._node, PARAMETERS_TOPIC)
+        several = f"{PARAMETERS_TOPIC} is published by {' and '.join(publishers)}"
+        if len(publishers) > 1 and not self._trust.source:
             return Finding(
-                ERROR,
-                f"{PARAMETERS_TOPIC} is published by {names}: end all but one, or name the one to "
-                "use in trusted_source",
+                ERROR, f"{several}: end all but one, or name the one to use in trusted_source"
             )
         if self._refused:
             return Finding(WARN, f"the newest parameters are not used: {self._refused}")
@@ -127,9 +133,16 @@ class ParameterInput:
                 WARN,
                 "no parameters yet: start the identifier in this namespace, or give parameter_file",
             )
+        sentence, level = f"{doing} with {parameters.set_id}", OK
+        if len(set(publishers)) > 1:
+            level = WARN
+            sentence += (
+                f"; {several}, and only what they write into their messages tells them apart: end "
+                "all but one, or let SROS2 keep the others out"
+            )
         return Finding(
-            OK,
-            f"{doing} with {parameters.set_id}",
+            level,
+            sentence,
             {
                 "id": parameters.set_id,
                 "model": parameters.model,
@@ -139,6 +152,45 @@ class ParameterInput:
                 "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
             },
         )
+
+
+class _Trust:
+    """Whether a message comes from the one node that is trusted, empty for any.
+
+    The graph tells which nodes publish a topic. rclpy of Jazzy does not tell which of them a message
+    comes from (later ones have ``publisher_gid``): where several publish, the name in the message
+    counts as well, which any node can write. The names in the graph are not authenticated without
+    SROS2 either.
+    """
+
+    def __init__(self, node: Node, source: str) -> None:
+        self._node = node
+        self.source = source
+
+    def objection(self, topic: str, claimed: str) -> str:
+        """Why a message is not to be used that claims to come from a node; empty where it is."""
+        if not self.source:
+            return ""
+        names = set(_publishing_nodes(self._node, topic))
+        if len(names) > 1 and self.source in names:
+            names = {claimed[:_SHOWN] or "a node that does not say its name"}
+        if names == {self.source}:
+            return ""
+        found = " or ".join(sorted(names)) or "a node that is gone"
+        return f"they come from {found}, and trusted_source is {self.source}"
+
+    def undiscovered(self, topic: str) -> bool:
+        """Whether the graph does not know yet who publishes: messages may be sooner."""
+        names = _publishing_nodes(self._node, topic)
+        return not names or any(_UNKNOWN in name for name in names)
+
+
+def _publishing_nodes(node: Node, topic: str) -> list[str]:
+    """Fully qualified name of the node of each publisher of a topic."""
+    return sorted(
+        f"{found.node_namespace.rstrip('/')}/{found.node_name}"
+        for found in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    )
 
 
 def _read(path: str) -> ParameterSet:

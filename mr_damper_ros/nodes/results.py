@@ -69,7 +69,7 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
     )
 
 
-def report_message(report: Report, duration: float, frame_id: str) -> FitReport:
+def report_message(report: Report, duration: float, frame_id: str, node: str) -> FitReport:
     """The message of a report; ``duration`` [s] is the time that the fit took."""
     return FitReport(
         header=header(report.stamp_ns, frame_id),
@@ -86,6 +86,7 @@ def report_message(report: Report, duration: float, frame_id: str) -> FitReport:
         confirms=report.confirms,
         reason=report.reason or "it predicts better than the set before",
         parameter_set=report.set_id,
+        node=node,
         force_scale=report.scale.value,
         force_scale_standard_error=report.scale.standard_error,
         force_scale_discrepancy=report.scale.discrepancy,

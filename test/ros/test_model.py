@@ -29,6 +29,7 @@ from mr_damper_ros.models.published_conditions import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
 from mr_damper_ros.nodes.model_node import ModelParameters
+from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.nodes.results import parameter_set, parameters_message
 from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.recording import Recording
@@ -318,17 +319,49 @@ def test_two_publishers_of_parameters_are_an_error(start: Any, listener: Listene
     listener.wait_for_finding("model: parameters", "no parameters yet")
 
 
-def test_only_the_trusted_source_is_used(start: Any, listener: Listener) -> None:
-    publisher, _ = [
-        listener.node.create_publisher(DamperParameters, "damper/parameters", quality.latched())
-        for _ in range(2)
-    ]
-    start("model", trusted_source="/right")
-    message = parameters_message(TRUE_SET, "damper", "nobody")
-    for node, part in (("/wrong", "they come from /wrong"), ("/right", "predicting with true")):
-        message.node = node
-        publisher.publish(message)
-        listener.wait_for_finding("model: parameters", part)
+def publisher_of(node: Observer, kind: type, topic: str) -> Any:
+    return node.node.create_publisher(kind, topic, quality.latched())
+
+
+def test_parameters_of_another_node_than_the_trusted_one_are_refused_whatever_they_claim(
+    start: Any, listener: Listener
+) -> None:
+    message = parameters_message(TRUE_SET, "damper", "/right")
+    with Observer("wrong") as wrong:
+        publisher_of(wrong, DamperParameters, "damper/parameters").publish(message)
+        start("model", trusted_source="/right")
+        listener.wait_for_finding("model: parameters", "they come from /wrong")
+        with Observer("right") as right:
+            publisher_of(right, DamperParameters, "damper/parameters").publish(message)
+            status = listener.wait_for_finding("model: parameters", "predicting with true")
+    assert status.level == DiagnosticStatus.WARN
+    assert "let SROS2 keep the others out" in status.message
+
+
+def test_reports_of_another_node_than_the_trusted_one_confirm_nothing(
+    start: Any, listener: Listener, recording: Recording
+) -> None:
+    rig = Rig(start, listener, parameters_timeout=60.0, trusted_source="/right")
+    hours_ago = replace(TRUE_SET, stamp_ns=recording.start_ns - 10**13)
+    report = FitReport(confirms=True, parameter_set="true", node="/right")
+    report.header.stamp = to_stamp(recording.start_ns)
+    with Observer("right") as right:
+        latched = publisher_of(right, DamperParameters, "damper/parameters")
+        latched.publish(parameters_message(hours_ago, "damper", "/right"))
+        listener.wait_for_finding("model: parameters", "predicting with true")
+        for place, (name, valid) in enumerate((("wrong", False), ("right", True))):
+            with Observer(name) as node:
+                reports = node.node.create_publisher(
+                    FitReport, "damper/fit_report", quality.stream()
+                )
+                listener.until(reports.get_subscription_count, "the model's subscription")
+                listener.until(
+                    lambda: listener.node.count_publishers("damper/fit_report"), "the publisher"
+                )
+                reports.publish(report)
+                assert reports.wait_for_all_acked(Duration(seconds=30))
+                later = replace(recording, start_ns=recording.start_ns + (1 + place) * 10**10)
+                assert rig.run(later)[-1].valid == valid
 
 
 def test_a_model_that_has_fallen_behind_goes_straight_to_the_newest(
