@@ -128,11 +128,21 @@ class PointErrors:
     not. Where the errors at many points are independent it is larger than any of the standard
     errors: somewhere chance is against one. Where one direction of the parameters dominates, all
     points err together, and it is the median of one error, down to 0.67 of the largest.
+    ``bound`` is the worst error that is exceeded in one of twenty cases; NaN = unknown. Both hold
+    as far as the damper obeys the law.
     """
 
     points: Sequence[tuple[float, float]]
     errors: Array
     worst: float
+    bound: float = math.nan
+
+    @property
+    def sentence(self) -> str:
+        """How well the force is known, and with what confidence."""
+        if math.isnan(self.bound):
+            return f"{self.worst:.2%} at worst, at even odds"
+        return f"{self.worst:.2%} at worst, at even odds, and {self.bound:.2%} with 95 % confidence"
 
     @property
     def worst_point(self) -> tuple[float, float]:
@@ -158,8 +168,8 @@ def point_errors(goal: ForceGoal, gradient: Array, information: Array) -> PointE
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     root = vectors / np.sqrt(np.maximum(values, _ROUNDING * values[-1]))
     missed = np.abs((draws @ root.T * scale) @ flat.T)
-    worst = float(np.median(np.max(missed, axis=1)))
-    return PointErrors(goal.points, cycle_errors(gradient, information[None])[0], worst)
+    worst, bound = np.quantile(np.max(missed, axis=1), [0.5, 0.95]).tolist()
+    return PointErrors(goal.points, cycle_errors(gradient, information[None])[0], worst, bound)
 
 
 def cycle_errors(gradient: Array, information: Array) -> Array:

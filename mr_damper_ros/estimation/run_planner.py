@@ -188,7 +188,7 @@ class RunPlanner:
         """What to do next; ``observable`` (p,) tells which parameters the windows determine."""
         now = self.knowledge(windows, parameters)
         if now.worst <= self.goal.error:
-            return Plan(PlanState.MET, now, reason="the goal is met")
+            return Plan(PlanState.MET, now, reason=f"the goal is met: {now.sentence}")
         return self.plan_on(windows, parameters, observable, now)
 
     def plan_on(
@@ -246,7 +246,8 @@ class RunPlanner:
         """The errors, the worst no smaller than by identifying again: the goal is met for sure."""
         prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
         again = repeated_error(self.model, windows, noise, prior, parameters, self._goal_cycles)
-        return replace(now, worst=max(now.worst, again))
+        larger = max(again / now.worst, 1.0)
+        return replace(now, worst=larger * now.worst, bound=larger * now.bound)
 
     def _errors(self, parameters: Array, information: Array) -> PointErrors:
         gradient = relative_gradient(self._goal_cycles, parameters)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Protocol
 
-from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome
+from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome, RunWork
 from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignStep
-from mr_damper_ros.interface.campaign_work import find_step, report_campaign
+from mr_damper_ros.interface.campaign_work import find_step, judge_run, report_campaign
 from mr_damper_ros.processes.worker import Done, Failed, Outcome
 from mr_damper_ros.rig.run_driver import (
     REST,
@@ -25,6 +25,9 @@ from mr_damper_ros.rig.run_driver import (
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings, UniformGrid
+
+_COLDEST, _HOTTEST = -60.0, 250.0
+"""[°C]: a reading beyond comes from a thermometer without its sensor."""
 
 
 class Working(Protocol):
@@ -106,6 +109,8 @@ class CampaignConductor:
         self._course: CampaignCourse | None = None
         self._folder: CampaignFolder | None = None
         self._driver: RunDriver | None = None
+        self._made: RunWork | None = None
+        self._celsius: tuple[int, float] | None = None
         self._paused = False
         self._reporting = False
         self._rested_ns: int | None = None
@@ -124,7 +129,7 @@ class CampaignConductor:
         assert self._course is None
         self._course, self._folder = course, folder
         self._paused = self._reporting = False
-        self._driver, self._rested_ns = None, None
+        self._driver, self._rested_ns, self._made = None, None, None
         if course.runs:
             self._notices.append(f"going on after run {len(course.runs)}, which was kept")
 
@@ -155,6 +160,14 @@ class CampaignConductor:
         if self._driver is not None:
             self._driver.add_current(stamp_ns, current)
 
+    def add_temperature(self, stamp_ns: int, celsius: float) -> None:
+        """Take in a reading of the damper's temperature [°C], unless none can be as that."""
+        if not _COLDEST <= celsius <= _HOTTEST:
+            return
+        self._celsius = (stamp_ns, celsius)
+        if self._driver is not None:
+            self._driver.add_temperature(stamp_ns, celsius)
+
     def add_block(self, block: SampleBlock) -> None:
         """Take in samples."""
         for placed in self.sequence.follow(block):
@@ -175,33 +188,28 @@ class CampaignConductor:
 
     def _new_driver(self) -> RunDriver | None:
         course, settings = self._course, self._settings
-        if course is None or self._paused or course.next_run is None:
+        if course is None or self._paused or self._made is not None or course.next_run is None:
             return None
         if self._rested_ns is None:
             self._rested_ns = self._newest_ns + round(settings.rest_time * NANOSECONDS)
         if self._newest_ns < self._rested_ns:
             return None
-        return RunDriver(
+        driver = RunDriver(
             course.next_run,
             course.task.limits,
             settings.drive,
             by_hand=settings.manual,
         )
+        if self._celsius is not None:
+            driver.add_temperature(*self._celsius)
+        return driver
 
     def _take(self, driver: RunDriver) -> None:
         assert self._course is not None
         assert driver.recording is not None
         self._driver, self._rested_ns = None, None
-        number = self._course.number
-        try:
-            refusal = self._course.take(driver.recording)
-        except OSError as error:
-            self._course.fail(f"run {number} could not be kept: {error.strerror or error}")
-            return
-        if refusal:
-            self._notices.append(f"run {number} is refused: {refusal}")
-        else:
-            self._notices.append(f"run {number} is kept: {driver.run.sentence}")
+        # A bag is written in the worker: commands must not wait for a disk.
+        self._made = self._course.run_work(driver.recording)
 
     # --- what goes out --------------------------------------------------------------------------
 
@@ -229,6 +237,8 @@ class CampaignConductor:
         )
 
     def _stage(self, course: CampaignCourse) -> tuple[CampaignStage, str]:
+        if self._made is not None:
+            return CampaignStage.IDENTIFYING, "the run is judged and kept"
         if self._worker.busy or course.work is not None or course.outcome is not None:
             return CampaignStage.IDENTIFYING, "the set is identified from all runs"
         if self._paused:
@@ -257,6 +267,9 @@ class CampaignConductor:
             self._hear(course, outcome)
         if self._worker.busy:
             return None
+        if self._made is not None:
+            self._worker.submit(judge_run, self._made)
+            return None
         if course.outcome is None:
             self._work(course)
             return None
@@ -275,7 +288,10 @@ class CampaignConductor:
             self._worker.submit(find_step, work)
 
     def _hear(self, course: CampaignCourse, outcome: Outcome) -> None:
-        if isinstance(outcome, Failed):
+        made, self._made = self._made, None
+        if made is not None:
+            self._take_judgement(course, made, outcome)
+        elif isinstance(outcome, Failed):
             if self._reporting:
                 self._notices.append(f"the report could not be written: {outcome.reason}")
             elif course.outcome is None:
@@ -286,5 +302,13 @@ class CampaignConductor:
             except OSError as error:
                 course.fail(f"what was found could not be kept: {error.strerror or error}")
                 return
-            plan = course.steps[-1].plan
-            self._notices.append(f"the force is known to {plan.now.worst:.2%} at worst")
+            self._notices.append(f"the force is known to {course.steps[-1].plan.now.sentence}")
+
+    def _take_judgement(self, course: CampaignCourse, made: RunWork, outcome: Outcome) -> None:
+        if isinstance(outcome, Failed):
+            course.fail(f"run {made.number} could not be kept: {outcome.reason}")
+        elif isinstance(outcome, Done):
+            refusal = str(outcome.result)
+            said = f"is refused: {refusal}" if refusal else f"is kept: {made.run.sentence}"
+            self._notices.append(f"run {made.number} {said}")
+            course.judged(made, refusal)

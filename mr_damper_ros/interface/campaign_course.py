@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from mr_damper_ros.interface.campaign_folder import (
     CampaignFolder,
     CampaignStep,
     CampaignTask,
+    keep_run,
     read_campaign_runs,
     read_steps,
 )
@@ -73,6 +75,26 @@ class StepWork:
         windows = [window for run, recording in self.runs for window in run.windows(recording)]
         found, plan = planned(planner, windows, self.before, self.evolution)
         return CampaignStep(self.runs[-1][0], found, plan)
+
+
+@dataclass(frozen=True, eq=False)
+class RunWork:
+    """A run that was made is to be judged and kept; it can go to another process.
+
+    ``folder`` None: it is not kept.
+    """
+
+    number: int
+    run: PlannedRun
+    recording: Recording
+    folder: Path | None
+
+    def carry_out(self) -> str:
+        """Why the run is refused, empty where it is not; it is kept either way. Raises OSError."""
+        refusal = fault_of_run(self.run, self.recording)
+        if self.folder is not None:
+            keep_run(self.folder, self.number, self.run, self.recording, refusal)
+        return refusal
 
 
 class CampaignCourse:
@@ -146,27 +168,34 @@ class CampaignCourse:
         runs = tuple(self.runs[: len(self.steps) + 1])
         return StepWork(self.task, runs, before, self._evolution)
 
-    def take(self, recording: Recording) -> str:
+    def take(self, recording: Recording, made: PlannedRun | None = None) -> str:
         """Take in a recording of the next run; why it is refused, empty where it is not.
 
-        A run that is refused twice ends the campaign; nothing is lost. Raises OSError.
+        ``made``: the run that it is, where it is another. A run that is refused twice ends the
+        campaign; nothing is lost. Raises OSError.
         """
-        run = self.next_run
+        work = self.run_work(recording, made)
+        refusal = work.carry_out()
+        self.judged(work, refusal)
+        return refusal
+
+    def run_work(self, recording: Recording, made: PlannedRun | None = None) -> RunWork:
+        """The work on a recording of the next run, or of another one that was made."""
+        run = made or self.next_run
         if run is None:
             raise RuntimeError("no run is wanted now")
-        refusal = fault_of_run(run, recording)
+        folder = None if self._folder is None else self._folder.path
+        return RunWork(len(self.runs) + 1, run, recording, folder)
+
+    def judged(self, work: RunWork, refusal: str) -> None:
+        """Take in what came of the work on a run."""
         if not refusal:
             self.refusals = []
-            if self._folder is not None:
-                self._folder.keep_run(len(self.runs) + 1, run, recording)
-            self.runs.append((run, recording))
-            return ""
+            self.runs.append((work.run, work.recording))
+            return
         self.refusals.append(refusal)
-        if self._folder is not None:
-            self._folder.keep_refused(len(self.runs) + 1, run, recording, refusal)
         if len(self.refusals) >= _TRIES:
             self.fail(f"run {self.number} was refused {_TRIES} times: {refusal}")
-        return refusal
 
     def conclude(self, step: CampaignStep) -> None:
         """Take in what was found by the work. Raises OSError."""

@@ -95,41 +95,30 @@ class CampaignFolder:
                     "ask for the same as before"
                 )
 
-    def keep_run(self, number: int, run: PlannedRun, recording: Recording) -> None:
-        """Write a run that can be used as a bag."""
-        self._write(f"run_{number:03d}", f"run {number} of a campaign", run, recording)
-
-    def keep_refused(self, number: int, run: PlannedRun, recording: Recording, reason: str) -> None:
-        """Write a run that was refused as a bag, beside the others, once."""
-        name = f"refused_{number:03d}_{recording.start_ns}"
-        if not (self.path / "runs" / name).exists():
-            self._write(name, f"run {number} of a campaign, refused: {reason}", run, recording)
-
-    def _write(self, name: str, what: str, run: PlannedRun, recording: Recording) -> None:
-        source = recording.details.get("provenance", "")
-        details = {
-            **recording.details,
-            "provenance": f"{what}: {run.sentence}" + (f"; {source}" if source else ""),
-            _RUN: json.dumps(asdict(run)),
-        }
-        named = Recording(
-            name,
-            recording.start_ns,
-            recording.period,
-            recording.displacement,
-            recording.force,
-            recording.current,
-            recording.temperature,
-            details,
-        )
-        write_bag(self.path / "runs" / name, named)
-
     def keep_step(self, number: int, step: CampaignStep) -> None:
         """Write what was found after a run, whole or not at all."""
         write_text(
             _step_path(self.path, number), json.dumps(_document(step), allow_nan=False) + "\n"
         )
         step.parameter_set.save(self.path / "set.yaml")
+
+
+def keep_run(
+    folder: Path, number: int, run: PlannedRun, recording: Recording, refusal: str
+) -> None:
+    """Write a run as a bag, once; one that is refused beside the others, with the reason."""
+    name = f"refused_{number:03d}_{recording.start_ns}" if refusal else f"run_{number:03d}"
+    path = folder / "runs" / name
+    if path.exists():
+        return
+    what = f"run {number} of a campaign" + (f", refused: {refusal}" if refusal else "")
+    source = recording.details.get("provenance", "")
+    details = {
+        **recording.details,
+        "provenance": f"{what}: {run.sentence}" + (f"; {source}" if source else ""),
+        _RUN: json.dumps(asdict(run)),
+    }
+    write_bag(path, replace(recording, name=name, details=details))
 
 
 def read_task(folder: Path) -> CampaignTask:
@@ -206,6 +195,7 @@ def _document(step: CampaignStep) -> dict[str, Any]:
             "state": plan.state.value,
             "errors": _written(plan.now.errors.tolist()),
             "worst": _written(plan.now.worst),
+            "bound": _written(plan.now.bound),
             "run": None if plan.run is None else asdict(plan.run),
             "expected": _written(plan.expected),
             "runs_left": plan.runs_left,
@@ -222,7 +212,7 @@ def _step(document: dict[str, Any], goal: ForceGoal) -> CampaignStep:
         raise ValueError("its errors are those of another goal")
     plan = Plan(
         PlanState(found["state"]),
-        PointErrors(points, errors, _read(found["worst"])),
+        PointErrors(points, errors, _read(found["worst"]), _read(found.get("bound"))),
         None if found["run"] is None else PlannedRun.from_document(found["run"]),
         _read(found["expected"]),
         found["runs_left"],

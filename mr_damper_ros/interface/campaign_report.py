@@ -122,7 +122,7 @@ def _headlines(campaign: _Campaign) -> list[str]:
     speed, current = plan.now.worst_point
     return [
         f"{len(campaign.runs)} runs{refused}, {time:.3g} s of steady motion; {campaign.reason}",
-        f"{plan.now.worst:.2%} at worst, where {campaign.task.goal.error:.2%} is wanted",
+        f"{plan.now.sentence}, where {campaign.task.goal.error:.2%} is wanted",
         f"least at {speed:.3g} m/s and {current:.3g} A",
         f"the set leaves {total.nrmse:.2%} of the measured force (NRMSE)",
         f"{seen} of {count} parameters were determined by themselves",

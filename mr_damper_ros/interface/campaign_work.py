@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mr_damper_ros.interface.campaign_course import StepWork
+from mr_damper_ros.interface.campaign_course import RunWork, StepWork
 from mr_damper_ros.interface.campaign_folder import CampaignStep
 from mr_damper_ros.processes.worker import Control
+
+
+def judge_run(work: RunWork, control: Control) -> str:
+    """Judge and keep a run; returns why it is refused, empty where it is not."""
+    return work.carry_out()
 
 
 def find_step(work: StepWork, control: Control) -> CampaignStep:

@@ -10,6 +10,7 @@ import numpy as np
 from mr_damper_ros.estimation.planned_run import PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.rig.run_driver import STEADY, DriveSettings, sine_of_cycle
 from mr_damper_ros.signals.recording import Recording
 
@@ -38,18 +39,31 @@ def cut_run(run: PlannedRun, recording: Recording) -> Recording:
     return _from_step(run, recording) if len(run.currents) > 1 else _steadiest(run, recording)
 
 
+def run_as_made(recording: Recording) -> PlannedRun:
+    """The run that a recording is, which nobody has planned: a steady sine at one current.
+
+    Raises RunNotFoundError where it is none.
+    """
+    sine = Window.from_samples(
+        recording.displacement, recording.force, recording.current, recording.period
+    ).motion.sine
+    current = float(np.median(recording.current))
+    if sine is None or np.ptp(recording.current) > 2.0 * _SETTINGS.current_tolerance:
+        raise RunNotFoundError(f"{recording.name} is no steady sine at one current")
+    cycles = math.floor(recording.duration * sine.frequency)
+    return PlannedRun(sine.amplitude, sine.frequency, (current,), cycles / sine.frequency)
+
+
 def _steadiest(run: PlannedRun, recording: Recording) -> Recording:
     period = recording.period
     count, cycle = round(run.duration / period), round(1.0 / (run.frequency * period))
     best, least = None, STEADY
-    seen = 0.0
     for begin in range(0, recording.sample_count - count + 1, max(cycle // _PLACES, 1)):
         first, last = (
             sine_of_cycle(recording.displacement[place : place + cycle])
             for place in (begin, begin + count - cycle)
         )
         current = float(np.median(recording.current[begin : begin + count]))
-        seen = max(seen, min(first.size, last.size))
         off = max(abs(one.size - run.amplitude) for one in (first, last)) / run.amplitude
         change = abs(first.size - last.size) / run.amplitude
         as_wanted = (
@@ -60,9 +74,10 @@ def _steadiest(run: PlannedRun, recording: Recording) -> Recording:
             best, least = begin, change
     if best is None:
         raise RunNotFoundError(
-            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of steady "
-            f"motion of {1e3 * run.amplitude:.3g} mm at {run.currents[0]:g} A, and the largest "
-            f"there lasts for less, or has {1e3 * seen:.3g} mm, or another current"
+            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of "
+            f"{run.motion.sentence} at {run.currents[0]:g} A; its motion reaches "
+            f"{500.0 * np.ptp(recording.displacement):.3g} mm within {recording.duration:.3g} s at "
+            f"{np.median(recording.current):.3g} A"
         )
     return _part(recording, best, count)
 

@@ -16,17 +16,20 @@ class CampaignGoals:
     """Serves ``~/run_campaign``, one goal at a time.
 
     ``begin`` starts the campaign of a goal and returns why not, empty where it has begun; ``stop``
-    is called where the goal is cancelled. ``busy`` tells that there is a campaign already.
+    is called where the goal is cancelled. ``refusal`` says why a goal cannot be meant, ``busy``
+    whether there is a campaign already.
     """
 
     def __init__(
         self,
         node: Node,
         begin: Callable[[RunCampaign.Goal], str],
+        refusal: Callable[[RunCampaign.Goal], str],
         busy: Callable[[], bool],
         stop: Callable[[], None],
     ) -> None:
         self._begin_campaign = begin
+        self._cannot_be_meant = refusal
         self._busy = busy
         self._stop = stop
         self._logger = node.get_logger()
@@ -61,10 +64,10 @@ class CampaignGoals:
             goal, self._goal = self._goal, None
             self._server.finish(goal, result)
 
-    def _refusal(self) -> str:
+    def _refusal(self, request: RunCampaign.Goal) -> str:
         if self._busy():
             return "a campaign is under way; stop it first, or wait for its end"
-        return ""
+        return self._cannot_be_meant(request)
 
     def _begin(self, goal: ServerGoalHandle) -> None:
         why_not = self._begin_campaign(goal.request)

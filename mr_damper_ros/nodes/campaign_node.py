@@ -14,8 +14,10 @@ from mr_damper_msgs.action import RunCampaign
 from mr_damper_msgs.msg import CurrentCommand, DamperParameters, ExcitationCommand
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
+from mr_damper_ros.estimation.candidate_runs import first_run
 from mr_damper_ros.interface.campaign_conductor import (
     CampaignConductor,
     CampaignEnd,
@@ -29,7 +31,7 @@ from mr_damper_ros.nodes.campaign_parameters import CampaignParameters, GoalOpti
 from mr_damper_ros.nodes.current_commands import COMMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import Inputs
-from mr_damper_ros.nodes.messages import header
+from mr_damper_ros.nodes.messages import header, to_nanoseconds
 from mr_damper_ros.nodes.motion_commands import EXCITATION_TOPIC, command_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import parameters_message
@@ -67,9 +69,22 @@ class CampaignNode(Node):
                 (CurrentCommand, COMMAND_TOPIC),
             )
         )
+        self.create_subscription(
+            Temperature,
+            "temperature",
+            lambda message: self._conductor.add_temperature(
+                to_nanoseconds(message.header.stamp), message.temperature
+            ),
+            quality.stream(),
+            qos_overriding_options=quality.overridable(),
+        )
         self._inputs = Inputs(self, quality.stream, self._take_block, self._conductor.add_current)
         self._goals = CampaignGoals(
-            self, self._begin_goal, lambda: self._conductor.running, self._conductor.stop
+            self,
+            lambda request: self._begin(self._wanted(request)),
+            self._objection,
+            lambda: self._conductor.running,
+            self._conductor.stop,
         )
         conductor = self._conductor
         for name, act, said in (
@@ -105,7 +120,17 @@ class CampaignNode(Node):
 
     # --- goals ----------------------------------------------------------------------------------
 
-    def _begin_goal(self, request: RunCampaign.Goal) -> str:
+    def _objection(self, request: RunCampaign.Goal) -> str:
+        """Why a goal cannot be meant, or is beyond the machine, in words; empty where it can."""
+        options = self._options
+        try:
+            limits = options.machine.limits(manual=options.conduct.manual)
+            first_run(self._wanted(request).goal(), limits)
+        except ValueError as error:
+            return str(error)
+        return ""
+
+    def _wanted(self, request: RunCampaign.Goal) -> GoalOptions:
         wanted = self._options.goal
         if request.error != 0.0:
             wanted = replace(wanted, error=request.error)
@@ -115,7 +140,7 @@ class CampaignNode(Node):
                 wanted = replace(
                     wanted, **{low: getattr(request, low), high: getattr(request, high)}
                 )
-        return self._begin(wanted)
+        return wanted
 
     def _begin(self, wanted: GoalOptions) -> str:
         """Begin a campaign, or go on with it; why not, in words, empty where it has begun."""

@@ -15,8 +15,8 @@ from mr_damper_ros.nodes import quality
 class GoalServer:
     """Serves an action of a node.
 
-    ``begin`` is given a goal that is accepted; ``refusal`` says why there can be none now, empty
-    where there can; ``cancel`` is told of a goal that its client wants no longer; ``succeeded``
+    ``begin`` is given a goal that is accepted; ``refusal`` says why a request cannot be one now,
+    empty where it can; ``cancel`` is told of a goal that its client wants no longer; ``succeeded``
     judges a result.
 
     A goal is "accepted" until :meth:`finish` and "executing" only while its result is handed over:
@@ -31,7 +31,7 @@ class GoalServer:
         name: str,
         *,
         begin: Callable[[ServerGoalHandle], None],
-        refusal: Callable[[], str],
+        refusal: Callable[[Any], str],
         cancel: Callable[[ServerGoalHandle], None],
         succeeded: Callable[[Any], bool],
     ) -> None:
@@ -58,8 +58,8 @@ class GoalServer:
         self._results[bytes(goal.goal_id.uuid)] = result
         goal.execute()
 
-    def _judge(self, _: Any) -> GoalResponse:
-        refusal = self._refusal()
+    def _judge(self, request: Any) -> GoalResponse:
+        refusal = self._refusal(request)
         if not refusal:
             return GoalResponse.ACCEPT
         self._logger.warning(f"a goal is refused: {refusal}", throttle_duration_sec=1.0)

@@ -157,8 +157,8 @@ class ParameterInput:
 class _Trust:
     """Whether a message comes from the one node that is trusted, empty for any.
 
-    The graph tells which nodes publish a topic. rclpy of Jazzy does not tell which of them a message
-    comes from (later ones have ``publisher_gid``): where several publish, the name in the message
+    The graph tells which nodes publish a topic. rclpy of Jazzy does not tell which of them sent a
+    message (later ones have ``publisher_gid``): where several publish, the name in the message
     counts as well, which any node can write. The names in the graph are not authenticated without
     SROS2 either.
     """

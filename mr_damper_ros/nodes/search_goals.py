@@ -61,7 +61,7 @@ class SearchGoals:
         if event.search in self._goals:
             self._server.finish(self._goals.pop(event.search), self._result(event))
 
-    def _refusal(self) -> str:
+    def _refusal(self, _: IdentifyGlobal.Goal) -> str:
         if len(self._goals) < _MOST_GOALS:
             return ""
         return f"{_MOST_GOALS} wait already; cancel some, or send it later"

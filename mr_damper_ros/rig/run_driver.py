@@ -112,6 +112,7 @@ class RunDriver:
         length = 10.0 * self._motion.length
         self._patience = math.inf if by_hand else settings.settle_timeout + length
         self._current = ZeroOrderHold(60.0 + 2.0 * run.duration)
+        self._celsius = ZeroOrderHold(60.0 + 2.0 * run.duration)
         self._blocks: list[SampleBlock] = []
         self._passed = 0.0
         self._since_ns: int | None = None
@@ -130,12 +131,17 @@ class RunDriver:
         """Take in a reading of the current [A]; raises CurrentError for one that cannot be used."""
         self._current.add(stamp_ns, current)
 
+    def add_temperature(self, stamp_ns: int, celsius: float) -> None:
+        """Take in a reading of the damper's temperature [°C]."""
+        self._celsius.add(stamp_ns, celsius)
+
     def add_block(self, placed: Placed) -> None:
         """Take in samples that were put on the grid of all samples."""
         if placed.continuity.restarts:
             self._begin_anew("samples were lost")
         if placed.continuity.kind == "jump_back":
             self._current.follow_jump()
+            self._celsius.follow_jump()
         if placed.continuity.kind != "repeat":
             self._follow(placed.block)
 
@@ -257,6 +263,9 @@ class RunDriver:
             displacement,
             force,
             self._current.at(first.start_ns, first.period, count),
+            self._celsius.at(first.start_ns, first.period, count)
+            if self._celsius.known_from(last.end_ns)
+            else None,
         )
         self.stage, self.state = DriveStage.DONE, "the run is made"
 

@@ -6,10 +6,14 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome
+from mr_damper_ros.interface.campaign_course import (
+    CampaignCourse,
+    CampaignOutcome,
+    fault_of_run,
+)
 from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignTask, read_task
 from mr_damper_ros.interface.campaign_report import write_campaign_report
-from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
+from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run, run_as_made
 from mr_damper_ros.interface.signal_file import write_signal
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.recording_list import find_recordings
@@ -26,8 +30,9 @@ from mr_damper_ros.tools.console import FAILED, run_tool
 _EPILOG = f"""\
 The first call names the goal and the limits of the machine, and says which run to make; each
 further call takes the bags of the runs made since, whatever else they hold, and says what comes
-next. Below the folder: campaign.html (the report), set.yaml (the last set), signals/ (the runs as
-CSV, for machines that play files), runs/ and steps/.
+next. A bag that does not hold the wanted run, but is a steady sine at one current, counts as well,
+also in the first call. Below the folder: campaign.html (the report), set.yaml (the last set),
+signals/ (the runs as CSV, for machines that play files), runs/ and steps/.
 
 examples:
   plan_campaign damper_7 --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000 --manual
@@ -75,7 +80,7 @@ def _plan_campaign(options: argparse.Namespace) -> int:
         plan = course.steps[-1].plan
         speed, current = plan.now.worst_point
         print(
-            f"the force is known to {plan.now.worst:.2%} at worst, where {task.goal.error:.2%} is "
+            f"the force is known to {plan.now.sentence}, where {task.goal.error:.2%} is "
             f"wanted; least at {speed:.3g} m/s and {current:.3g} A"
         )
         print(f"report: {write_campaign_report(options.folder, course.reason)}")
@@ -126,10 +131,17 @@ def _go_on(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
 def _take(course: CampaignCourse, recording: Recording) -> None:
     run = course.next_run
     assert run is not None
+    refusal = ""
     try:
         refusal = course.take(cut_run(run, recording))
-    except RunNotFoundError as error:
-        refusal = str(error)
+    except RunNotFoundError as missing:
+        try:
+            made = run_as_made(recording)
+        except RunNotFoundError as unsteady:
+            refusal = f"{missing}, and {unsteady}"
+        else:
+            print(f"{missing}; it is taken as a run of its own: {made.sentence}")
+            refusal = fault_of_run(made, recording) or course.take(recording, made)
     if refusal:
         print(f"run {course.number} is not taken: {refusal}")
 

@@ -68,7 +68,7 @@ def _plan_run(options: argparse.Namespace) -> int:
 def _tell(plan: Plan, goal: ForceGoal) -> None:
     speed, current = plan.now.worst_point
     print(
-        f"the force is known to {plan.now.worst:.2%} at worst, where {goal.error:.2%} is wanted; "
+        f"the force is known to {plan.now.sentence}, where {goal.error:.2%} is wanted; "
         f"least at {speed:.3g} m/s and {current:.3g} A"
     )
     if plan.reason:

@@ -65,7 +65,7 @@ class Inline:
         self.done.append(function.__name__)
         if function.__name__ == "report_campaign":
             self._outcomes.append(Done(1, None))
-        elif self.fail:
+        elif self.fail and function.__name__ == "find_step":
             self._outcomes.append(Failed(1, self.fail))
         else:
             self._outcomes.append(Done(1, function(*arguments, None)))
@@ -175,7 +175,7 @@ def test_a_campaign_is_made_on_a_machine(planned: list[PlannedRun], tmp_path: Pa
     end = ended(machine)
     assert end.outcome is CampaignOutcome.MET
     assert [run for run, _ in read_campaign_runs(tmp_path)] == RUNS
-    assert worker.done == ["find_step", "find_step", "report_campaign"]
+    assert worker.done == ["judge_run", "find_step"] * 2 + ["report_campaign"]
     assert conductor.command is None
 
 
@@ -223,13 +223,30 @@ def test_the_samples_are_those_of_the_run(planned: list[PlannedRun], tmp_path: P
 def test_between_the_runs_the_machine_rests(planned: list[PlannedRun], tmp_path: Path) -> None:
     conductor, _ = begun(tmp_path)
     machine = EmulatedMachine(conductor)
-    machine.until(lambda: len(list(tmp_path.glob("runs/run_*"))) == 1)
     machine.until(lambda: conductor.status().stage is CampaignStage.IDENTIFYING)  # type: ignore[union-attr]
     for _ in range(100):
         machine.block()
         assert conductor.command == REST
     assert np.abs(machine.seen[0, -10:]).max() < 1e-9
     assert np.all(machine.seen[2, -10:] == 0.0)
+
+
+def test_a_run_is_written_by_the_worker_alone(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, worker = begun(tmp_path)
+    machine = EmulatedMachine(conductor)
+    machine.until(lambda: conductor.status().stage is CampaignStage.IDENTIFYING)  # type: ignore[union-attr]
+    assert worker.done == []
+    assert not list(tmp_path.glob("runs/*"))
+
+
+def test_the_temperature_is_kept_with_the_runs(planned: list[PlannedRun], tmp_path: Path) -> None:
+    conductor, _ = begun(tmp_path)
+    conductor.add_temperature(0, 31.5)
+    conductor.add_temperature(1, 9.9e37)  # a thermometer without its sensor
+    ended(EmulatedMachine(conductor))
+    for _, recording in read_campaign_runs(tmp_path):
+        assert recording.temperature is not None
+        assert set(recording.temperature) == {31.5}
 
 
 @st.composite
@@ -360,7 +377,7 @@ def test_it_is_stopped_and_goes_on_later(planned: list[PlannedRun], tmp_path: Pa
     again, worker = begun(tmp_path)
     assert "going on after run 1" in again.take_notices()[0]
     assert ended(EmulatedMachine(again)).outcome is CampaignOutcome.MET
-    assert worker.done == ["find_step", "report_campaign"]
+    assert worker.done == ["judge_run", "find_step", "report_campaign"]
 
 
 def test_an_identification_that_fails_is_told_and_its_run_kept(

@@ -12,10 +12,13 @@ from campaign_of_three import GOAL, LIMITS, RUNS, perform, plan_quickly, played
 
 import mr_damper_ros as mr
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.estimation.planned_run import PlannedRun
 from mr_damper_ros.interface.campaign_folder import read_campaign_runs
 from mr_damper_ros.interface.campaign_report import write_campaign_report
+from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
 from mr_damper_ros.tools import plan_campaign
 
+BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 ASKED = [
     *("--velocity", "0.02", "0.2", "--current", "0", "1.5", "--error", "0.06"),
     *("--amplitude", "0.01", "--force", "5000", "--duration", "2", "--rate", "500"),
@@ -98,6 +101,24 @@ def test_a_bag_of_another_run_is_told_and_left(
     said = told(capsys, tmp_path / "campaign", tmp_path / "bag", *ASKED)
     assert "run 1 is not taken" in said
     assert f"run 1: {RUNS[0].sentence}" in said
+
+
+def test_recordings_that_nobody_has_planned_count_as_runs_of_their_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan_quickly(monkeypatch, ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5)))
+    monkeypatch.setattr(plan_campaign, "write_campaign_report", lambda *_: "")
+    said = told(capsys, tmp_path / "campaign", BAG, *ASKED)
+    assert "taken as a run of its own: 5 mm at 1 Hz" in said
+    (run, _), *_ = read_campaign_runs(tmp_path / "campaign")
+    assert (run.amplitude, run.frequency) == pytest.approx((0.005, 1.0), rel=1e-3)
+    assert run.currents == (1.5,)
+
+
+def test_the_amplitude_of_another_motion_is_told_right() -> None:
+    wanted = PlannedRun(0.01, 0.31, (0.0,), 4.0)
+    with pytest.raises(RunNotFoundError, match=r"its motion reaches 5 mm within 7 s at 1\.5 A"):
+        cut_run(wanted, mr.read_bag(BAG)[0])
 
 
 def test_a_new_campaign_needs_a_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

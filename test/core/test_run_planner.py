@@ -84,9 +84,16 @@ def campaign(machine: Machine) -> ForceCampaign:
     return run_campaign(GOAL, LIMITS, machine)
 
 
+def test_what_is_claimed_comes_with_its_confidence(campaign: ForceCampaign) -> None:
+    now = campaign.steps[-1].plan.now
+    assert now.bound > now.worst
+    sure = f"{now.worst:.2%} at worst, at even odds, and {now.bound:.2%} with 95 % confidence"
+    assert sure in campaign.reason
+
+
 def test_a_campaign_reaches_its_goal(campaign: ForceCampaign) -> None:
     assert campaign.reached
-    assert campaign.reason == "the goal is met"
+    assert campaign.reason.startswith("the goal is met: ")
     assert campaign.steps[-1].plan.now.worst <= GOAL.error
     assert len(campaign.steps) <= 6
 

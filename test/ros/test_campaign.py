@@ -123,7 +123,9 @@ def test_killed_it_goes_on_where_it_was(start: Any, listener: Listener, tmp_path
         lambda: (tmp_path / "campaign.html").exists(), "the end of the campaign", patience=120.0
     )
     assert (first / "metadata.yaml").stat().st_mtime_ns == written
-    assert len(read_campaign_runs(tmp_path)) == len(read_steps(tmp_path)) == 1
+    (run,), steps = read_campaign_runs(tmp_path), read_steps(tmp_path)
+    assert len(steps) == 1
+    assert run[1].temperature is not None
 
 
 def test_it_pauses_resumes_and_stops(start: Any, listener: Listener, tmp_path: Path) -> None:
@@ -160,6 +162,28 @@ def test_without_a_folder_a_goal_is_told_so(start: Any, listener: Listener) -> N
     result = answer.result().result
     assert result.outcome == RunCampaign.Result.FAILED
     assert "set the parameter folder" in result.message
+    client.destroy()
+
+
+@pytest.mark.parametrize(
+    ("goal", "part"),
+    [
+        ({"error": float("nan")}, "the error to be reached is nan"),
+        ({"error": -1.0}, "the error to be reached is -1"),
+        ({"lowest_current": -5.0}, "none may be negative"),
+        ({"highest_peak_velocity": float("nan")}, "the peak velocities of the goal are"),
+    ],
+)
+def test_a_goal_that_cannot_be_meant_is_refused(
+    start: Any, listener: Listener, tmp_path: Path, goal: dict[str, float], part: str
+) -> None:
+    node = campaign(start, tmp_path)
+    client = ActionClient(listener.node, RunCampaign, "campaign/run_campaign")
+    listener.until(client.server_is_ready, "the action")
+    sent = client.send_goal_async(RunCampaign.Goal(**goal))
+    listener.until(sent.done, "an answer to the goal")
+    assert not sent.result().accepted
+    listener.until(lambda: part in node.log, "the reason in the log")
     client.destroy()
 
 
