@@ -8,8 +8,6 @@ SHELL := bash
 export PYTHON
 
 TESTED := pytest -n 2 --dist worksteal
-# Threads of BLAS wait for each other where there are more processes than processors.
-SINGLE := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
@@ -50,23 +48,21 @@ doc: ## Build the documentation into build/doc/index.html; warnings are errors
 
 bench: setup ## Measure the figures of the identification; writes build/bench.json
 	@. ./env.bash
-	export $(SINGLE)
 	exec python -m benchmarks.bench $(ARGS)
 
 soak: setup ## Kill, interrupt, stream for hours, feed what is hostile: 90 minutes; writes build/soak.json
 	@. ./env.bash
-	export $(SINGLE)
 	exec python -m benchmarks.soak $(ARGS)
 
 test: setup ## Run all tests: core, packaging, and nodes over real DDS
 	@. ./env.bash
-	export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(SINGLE)
+	export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 	unset PYTHONDONTWRITEBYTECODE # hundreds of processes would each compile what they import
 	exec python -m $(TESTED) $(ARGS)
 
 test-noble: ## Run the core tests with the package versions of Ubuntu 24.04, without ROS
 	@scripts/setup.bash noble
-	exec env -u PYTHONPATH -u PYTHONDONTWRITEBYTECODE $(SINGLE) .venv-noble/bin/python -m $(TESTED) test/core $(ARGS)
+	exec env -u PYTHONPATH -u PYTHONDONTWRITEBYTECODE .venv-noble/bin/python -m $(TESTED) test/core $(ARGS)
 
 lint: setup ## Check style, types and the package.xml files
 	@. ./env.bash

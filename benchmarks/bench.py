@@ -40,6 +40,7 @@ from benchmarks import (
     state_law,
     step_current,
     switched_current,
+    thread_load,
     topic_pairing,
     utfsm_extended,
     utfsm_left_out,
@@ -50,6 +51,7 @@ from benchmarks import (
 )
 from benchmarks.fault_scenarios import SCENARIOS
 from benchmarks.figure import Figure, table, write
+from mr_damper_ros.processes.blas_threads import keep_one_thread
 
 OUTPUT = Path("build/bench.json")
 
@@ -102,6 +104,7 @@ FULL: dict[str, Measure] = {
     "load_cell_spikes": load_cell_spikes.figures,
     "block_sizes": block_sizes.figures,
     "many_recordings": many_recordings.figures,
+    "thread_load": thread_load.figures,
     "inverse": inverse.figures,
     "exports": exports.figures,
     "planned_runs": planned_runs.figures,
@@ -139,6 +142,7 @@ QUICK: dict[str, Measure] = {
     "step_current": lambda: step_current.figures(step_current.CASES[:1]),
     "state_law": lambda: state_law.figures(5.0, 8.0, 16.0),
     "many_recordings": lambda: many_recordings.figures(60, 20),
+    "thread_load": lambda: thread_load.figures(records=2, generations=20),
     "planned_runs": lambda: planned_runs.figures(2),
     "car_on_roads": lambda: car_on_roads.figures(3.0),
     "building_cases": lambda: building_cases.figures(4.0),
@@ -158,6 +162,7 @@ QUICK: dict[str, Measure] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns the exit code."""
+    keep_one_thread()
     options = _parser().parse_args(arguments)
     chosen = {**FULL, **QUICK} if options.quick else FULL
     figures: list[Figure] = []

@@ -22,12 +22,14 @@ from benchmarks import (
     poisoned_starts,
 )
 from benchmarks.figure import Figure, table, write
+from mr_damper_ros.processes.blas_threads import keep_one_thread
 
 OUTPUT = Path("build/soak.json")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns the exit code."""
+    keep_one_thread()
     options = _parser().parse_args(arguments)
     parts: dict[str, Callable[[], list[Figure]]] = {
         "fuzz": lambda: fuzz.figures(options.cases, options.seed),

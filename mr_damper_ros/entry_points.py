@@ -40,7 +40,10 @@ _MISSING = {
     "mr_damper_msgs": "The package mr_damper_msgs is missing: build it too (in a workspace: ln -s "
     "mr_damper_ros/msg_defs src/mr_damper_msgs, then colcon build) and source install/setup.bash.",
     "rclpy": "ROS 2 is missing: source the setup.bash of ROS 2 Jazzy, or env.bash of this clone.",
-    "rosbags": "The Python package rosbags is missing: rosdep install installs it.",
+    **{
+        name: f"The Python package {name} is missing: rosdep install installs it."
+        for name in ("rosbags", "threadpoolctl")
+    },
 }
 """What to do where a module cannot be imported."""
 

@@ -176,7 +176,7 @@ if ! usable .venv "$stamp"; then
 from importlib.util import find_spec
 needs = dict(rosbags="rosbags", pytest="pytest", hypothesis="hypothesis", lxml="lxml", mypy="mypy",
              ruff="ruff", numpy="numpy", scipy="scipy", yaml="PyYAML", matplotlib="matplotlib", cma="cma",
-             xdist="pytest-xdist")
+             threadpoolctl="threadpoolctl", xdist="pytest-xdist")
 needs["yaml-stubs"] = "types-PyYAML"
 print(*(package for module, package in needs.items() if find_spec(module) is None))
 PYTHON

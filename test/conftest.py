@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import signal
 
+from mr_damper_ros.processes.blas_threads import keep_one_thread
+
+# Several processes compute at once.
+keep_one_thread()
+
 # A shell starts what runs in its background with Ctrl-C ignored, and so would be all programs that
 # the tests start: those that are to end by it would not.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -149,6 +149,7 @@ KEYS = {
     "numpy": "python3-numpy",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
+    "threadpoolctl": "python3-threadpoolctl",
     "yaml": "python3-yaml",
 }
 """Keys of rosdep for what is no ROS package; those are called like the modules they hold."""

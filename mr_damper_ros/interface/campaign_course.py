@@ -25,6 +25,7 @@ from mr_damper_ros.interface.run_advice import planned
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.models.parameter_set import known_model
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.signals.recording import Recording
 
 _TRIES = 2
@@ -52,6 +53,7 @@ class CampaignOutcome(IntEnum):
     FAILED = 3
 
 
+@one_thread()
 def planner_of(task: CampaignTask) -> RunPlanner:
     """What plans the runs of a campaign."""
     return RunPlanner(known_model(task.model), task.goal, task.limits)
@@ -69,6 +71,7 @@ class StepWork:
     before: np.ndarray | None
     evolution: EvolutionSettings
 
+    @one_thread()
     def carry_out(self, planner: RunPlanner | None = None) -> CampaignStep:
         """Identify from all runs, and plan the next; ``planner`` is that of the same task."""
         planner = planner or planner_of(self.task)

@@ -29,6 +29,7 @@ from mr_damper_ros.interface.report_page import (
     write_report,
 )
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 from mr_damper_ros.signals.recording import Recording
@@ -66,6 +67,7 @@ class _Campaign:
         return speeds, currents, self.last.plan.now.errors.reshape(speeds.size, currents.size)
 
 
+@one_thread()
 def write_campaign_report(folder: Path, reason: str = "") -> Path:
     """Write ``campaign.html``, its figures and its tables below the folder; returns the page.
 

@@ -26,6 +26,7 @@ from mr_damper_ros.interface.findings import Findings
 from mr_damper_ros.interface.measured_runs import MeasuredRun, all_windows
 from mr_damper_ros.interface.temperature_map import temperature_maps
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums
@@ -157,6 +158,7 @@ class Identification:
             "are all runs of one damper?"
         )
 
+    @one_thread()
     def determination(
         self, *, top_velocity: float | None = None, top_current: float | None = None
     ) -> Findings:
@@ -174,6 +176,7 @@ class Identification:
         )
         return findings.determined(self.searches.best, windows, rig)
 
+    @one_thread()
     def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Findings:
         """Profile likelihood of the named parameters, with 95 % intervals.
 
@@ -186,6 +189,7 @@ class Identification:
             found = profiles_of(fit, windows, names, processes, report)
         return findings.profiles(fit, found)
 
+    @one_thread()
     def temperature_maps(self) -> Findings:
         """How the force falls with temperature, from runs in which it was measured."""
         measured = [run.measured for run in self.runs]

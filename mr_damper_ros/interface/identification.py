@@ -36,6 +36,7 @@ from mr_damper_ros.interface.measured_runs import (
 from mr_damper_ros.interface.run_doubts import remarks_on
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.arrays import Array
@@ -44,6 +45,7 @@ from mr_damper_ros.tracking.state_directory import read_parameter_file
 _EVOLUTION = EvolutionSettings()
 
 
+@one_thread()
 def identify(
     *runs: RunSource,
     displacement: ArrayLike | None = None,

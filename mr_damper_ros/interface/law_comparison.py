@@ -10,9 +10,11 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, R
 from mr_damper_ros.estimation.law_choice import LawChoice, cross_validate
 from mr_damper_ros.interface.measured_runs import RunSource, measured_runs
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.process_pool import ProcessPool
 
 
+@one_thread()
 def choose_law(
     *runs: RunSource,
     displacement: ArrayLike | None = None,

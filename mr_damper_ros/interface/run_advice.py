@@ -13,9 +13,11 @@ from mr_damper_ros.estimation.run_planner import Plan, RunPlanner
 from mr_damper_ros.interface.measured_runs import RunSource, all_windows, measured_runs
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.signals.arrays import Array
 
 
+@one_thread()
 def advise_run(
     runs: Iterable[RunSource],
     goal: ForceGoal,

@@ -14,6 +14,7 @@ from mr_damper_ros.interface.estimates import html_table
 from mr_damper_ros.interface.measured_runs import MeasuredRun, RunSource, measured_runs
 from mr_damper_ros.interface.run_doubts import remarks_on
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.signals.error_sums import ErrorSums
 from mr_damper_ros.tracking.predictor import PredictorSettings
 from mr_damper_ros.tracking.state_directory import read_parameter_file
@@ -107,6 +108,7 @@ class Validation:
         return html_table(("run", "RMSE [N]", "NRMSE", "R2", ""), rows)
 
 
+@one_thread()
 def validate(
     parameters: ParameterSet | str | os.PathLike[str],
     *runs: RunSource,

@@ -44,7 +44,6 @@ def run_confined(serve: Callable[..., None], path: Path, *arguments: str) -> tup
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             pass_fds=[result],
-            env={**os.environ, **child_process.SINGLE_THREADED},
             start_new_session=True,
             check=False,
         ).returncode

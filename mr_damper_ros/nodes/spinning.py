@@ -28,6 +28,7 @@ from rclpy.utilities import remove_ros_args
 
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.nodes.quality import OVERRIDES
+from mr_damper_ros.processes.blas_threads import keep_one_thread
 from mr_damper_ros.processes.hosting import WORKERS_HELP, Place, hosting
 from mr_damper_ros.settings.option_table import ParameterTable, describe
 
@@ -66,6 +67,7 @@ def run(
     seconds it is to be called again where no callback comes before. A
     configuration that the node cannot start with is one sentence on stderr and exit code 2.
     """
+    keep_one_thread(with_scipy=False)  # only workers compute with it
     arguments = list(sys.argv if arguments is None else arguments)
     try:
         others = remove_ros_args(arguments)[1:]

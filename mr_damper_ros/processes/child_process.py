@@ -19,9 +19,7 @@ from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any
 
-SINGLE_THREADED = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment in which BLAS computes with one thread: the arrays here are small, more threads
-would get in each other's way, and sums would depend on their number."""
+from mr_damper_ros.processes.blas_threads import keep_one_thread
 
 _PR_SET_PDEATHSIG = 1
 
@@ -35,12 +33,18 @@ _START = (
 def command(function: Callable[..., object], *arguments: str) -> list[str]:
     """Command line of a child that calls ``function(*arguments)``, a function of a module.
 
-    Start it with the environment that it is to have, in a session of its own.
+    Start it in a session of its own.
     """
     call = [str(os.getpid()), function.__module__, function.__qualname__, *arguments]
     paths = map(os.path.abspath, sys.path)
     # Isolated: the import paths are those handed over, whatever the environment says.
     return [sys.executable, "-I", "-c", _START, str(len(call)), *call, *paths]
+
+
+def compute_for(parent: int) -> None:
+    """As :func:`live_with`, for a child that computes, with one thread of BLAS."""
+    live_with(parent)
+    keep_one_thread()
 
 
 def live_with(parent: int) -> None:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.processes.workforce import Workforce
 
@@ -174,7 +175,8 @@ class _Call:
     final: Callable[[Document], bool]
 
     def __call__(self, task: KeptTask) -> Document:
-        document = self.function(task.argument)
+        with one_thread():  # of a process that may be another's
+            document = self.function(task.argument)
         if self.results is not None and self.final(document):
             self.results.keep(task, document)
         return document

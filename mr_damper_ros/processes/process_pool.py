@@ -1,9 +1,8 @@
 """Independent tasks in several processes, with the same results for any number of them.
 
 A task is a picklable function of one picklable argument and of nothing else. Results come in the
-order of the tasks. Each process has one BLAS thread: more would get in each other's way, and sums
-depend on their number. The first process, which does all tasks where there is but one, must have
-been started with one too (``OMP_NUM_THREADS=1``) for results that agree to the last digit.
+order of the tasks. Each process computes with one thread of BLAS, on whose number sums depend: the
+results agree to the last digit.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from mr_damper_ros.processes import child_process
+from mr_damper_ros.processes.blas_threads import one_thread
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -112,7 +112,6 @@ class ProcessPool:
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
-            os.environ.update({**child_process.SINGLE_THREADED, **os.environ})
             context = multiprocessing.get_context("spawn")
             self._stop = context.Event()
             self._told: SimpleQueue[tuple[int, Any]] = context.SimpleQueue()
@@ -146,7 +145,8 @@ def _one_after_another(
     for index, task in enumerate(tasks):
         if stopped:
             break
-        result = function(task, partial(hear, index))
+        with one_thread():
+            result = function(task, partial(hear, index))
         results[index] = result
         if done is not None:
             done(index, result)
@@ -160,7 +160,7 @@ _channel: tuple[Any, SimpleQueue[tuple[int, Any]]] | None = None
 def _begin(parent: int, stop: Any, told: SimpleQueue[tuple[int, Any]]) -> None:
     global _channel
     _channel = stop, told
-    child_process.live_with(parent)
+    child_process.compute_for(parent)
 
 
 def _call(function: Callable[[Task, Tell], Result], task: Task, index: int) -> Result:

@@ -30,6 +30,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
 from mr_damper_ros.processes import child_process
+from mr_damper_ros.processes.blas_threads import keep_one_thread
 
 _GRACE = 1.0
 """Seconds that a task has for stopping by itself after it was asked to."""
@@ -130,7 +131,6 @@ class _Process:
                 child_process.command(serve, str(theirs.fileno()), module),
                 stdin=subprocess.DEVNULL,
                 pass_fds=[theirs.fileno()],
-                env={**os.environ, **child_process.SINGLE_THREADED},
                 # Ctrl-C goes to the whole group of the terminal; the worker must not see it.
                 start_new_session=True,
             )
@@ -340,6 +340,7 @@ class Worker:
 def serve(descriptor: str, module: str) -> None:
     """Be the worker on this socket, until it closes, for the tasks of a module."""
     import_module(module)
+    keep_one_thread(with_scipy=False)  # the module has loaded what its tasks need
     connection = Connection(int(descriptor))
     tasks: queue.SimpleQueue[tuple[int, memoryview]] = queue.SimpleQueue()
     stopped: set[int] = set()

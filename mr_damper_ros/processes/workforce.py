@@ -61,11 +61,10 @@ class LocalProcesses:
         """An executor whose processes die with this one."""
         self.end()
         self._context = child_process.FreshContext()
-        os.environ.update({**child_process.SINGLE_THREADED, **os.environ})
         self._pool = ProcessPoolExecutor(
             self._count,
             self._context,
-            initializer=child_process.live_with,
+            initializer=child_process.compute_for,
             initargs=(os.getpid(),),
         )
         return self._pool

@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.sections import SECTIONS, build
 from mr_damper_ros.tools.console import run_tool
@@ -59,6 +60,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+@one_thread()
 def _reproduce(options: argparse.Namespace) -> int:
     place = os.environ.get("MR_DAMPER_DATA")
     recordings = Path(place) / "utfsm" / "processed" if place else None

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from mr_damper_ros.processes.blas_threads import one_thread
+
 
 def study_parser(
     prog: str, description: str, parts: Sequence[str], quick: str, folder: str
@@ -43,6 +45,7 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
 def write_page(build: Callable[[Callable[[str], None]], Path]) -> int:
     """Build a page, told line by line how far it is, and say where it is; the exit code."""
     began = time.monotonic()
-    page = build(lambda text: print(text, file=sys.stderr))
+    with one_thread():
+        page = build(lambda text: print(text, file=sys.stderr))
     print(f"{page} written in {time.monotonic() - began:.0f} s")
     return 0

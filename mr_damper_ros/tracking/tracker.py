@@ -15,6 +15,7 @@ import numpy as np
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
     Gatekeeper,
@@ -152,12 +153,14 @@ class WindowTracker:
         self.parameters = parameters.of_model(self._settings.model).as_given()
         self._start_again()
 
+    @one_thread()
     def follow(self, window: RawWindow) -> Report | None:
         """Fit a window, or take a look, in this process; None of a look that changes nothing."""
         task = self.window_task(window)
         result = run_fit(task)
         return self.complete_look(task, result) if window.look else self.complete(task, result)
 
+    @one_thread()
     def identify(self, evolution: EvolutionSettings | None = None) -> Report:
         """Identify globally, from the reservoir, in this process; see :meth:`global_task`."""
         task = self.global_task(evolution)

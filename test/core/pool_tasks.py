@@ -8,6 +8,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+import scipy.linalg  # noqa: F401  # its BLAS is another than NumPy's
+from threadpoolctl import threadpool_info
 
 from mr_damper_ros.processes.process_pool import Tell
 
@@ -35,8 +37,9 @@ def failing(number: int, tell: Tell) -> int:
     return number
 
 
-def threads(number: int, tell: Tell) -> str:
-    return os.environ["OMP_NUM_THREADS"]
+def threads(*anything: object) -> int:
+    """The most threads that one of the libraries of this process computes with."""
+    return max(library["num_threads"] for library in threadpool_info())
 
 
 def told(*arguments: str) -> None:

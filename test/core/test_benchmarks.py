@@ -32,6 +32,7 @@ from benchmarks import (
     rig_troubles,
     step_current,
     switched_current,
+    thread_load,
     topic_pairing,
     utfsm_left_out,
     utfsm_sixteen,
@@ -77,7 +78,7 @@ KEYS = [
     *("switched_drift_scale_error_p95_percent", "cold_start_windows", "cold_start_largest_force"),
     *("step_current_nrmse_ratio", "step_current_paired_ratio", "step_current_nrmse"),
     *("reversal_jump", "reversal_jump_smoothed"),
-    *("many_overhead_percent", "many_dask_overhead_percent"),
+    *("many_overhead_percent", "many_dask_overhead_percent", "threads_cpu_ratio"),
     *("starts_agreeing", "profile_contains_estimate"),
     *("planned_runs", "planned_runs_saved", "planned_runs_inside", "planned_runs_claim"),
     *("export_c_error", "export_c_warnings", "export_c_us_per_step", "export_fmu_problems"),
@@ -242,6 +243,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "topic_pairing": lambda: topic_pairing.figures(4.0),
         "jitter": lambda: jitter.figures(4.0, (10,), (200.0,)),
         "many_recordings": lambda: many_recordings.figures(4, 4),
+        "thread_load": lambda: thread_load.figures(1, 1),
         "planned_runs": lambda: planned_runs.figures_of(
             [planned_runs.PlannedTrial("some", 4.0, 0.01, 0.01, inside=True, random=12.0)]
         ),

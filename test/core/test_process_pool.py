@@ -54,11 +54,6 @@ def test_an_error_ends_the_other_tasks(count: int) -> None:
         several.map(pool_tasks.patient, [60.0, -1.0, 60.0, 60.0])
 
 
-def test_each_process_has_one_thread() -> None:
-    with ProcessPool(2) as two:
-        assert two.map(pool_tasks.threads, [1, 2]) == ["1", "1"]
-
-
 @pytest.mark.parametrize("count", COUNTS)
 def test_a_stop_ends_those_that_run_and_begins_no_other(count: int) -> None:
     with ProcessPool(count) as several:

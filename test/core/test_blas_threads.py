@@ -1,0 +1,103 @@
+"""One thread of BLAS while something is computed, and for all the life of a worker."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pool_tasks
+import pytest
+from threadpoolctl import ThreadpoolController
+
+import mr_damper_ros as mr
+from mr_damper_ros.processes.blas_threads import one_thread
+from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.processes.worker import Done, Worker
+from mr_damper_ros.processes.workforce import LocalProcesses
+
+BAGS = Path(__file__).parents[2] / "bags"
+
+PATIENCE = 60.0
+"""Seconds after which what is waited for will not come."""
+
+
+@pytest.fixture(autouse=True)
+def several() -> Iterator[None]:
+    """A process with two threads, such as that of a user."""
+    with ThreadpoolController().limit(limits=2):
+        yield
+
+
+def test_a_block_has_one_thread_and_the_rest_all() -> None:
+    with one_thread():
+        assert pool_tasks.threads() == 1
+    assert pool_tasks.threads() == 2
+
+
+def test_after_an_error_the_process_has_its_threads_again() -> None:
+    @one_thread()
+    def failing() -> None:
+        raise ValueError("so it is")
+
+    with pytest.raises(ValueError, match="so it is"):
+        failing()
+    assert pool_tasks.threads() == 2
+
+
+def test_of_several_that_compute_the_last_gives_the_threads_back() -> None:
+    begun, may_end = threading.Event(), threading.Event()
+
+    @one_thread()
+    def other() -> None:
+        begun.set()
+        may_end.wait(PATIENCE)
+
+    thread = threading.Thread(target=other)
+    with one_thread():
+        thread.start()
+        assert begun.wait(PATIENCE)
+    assert pool_tasks.threads() == 1
+    may_end.set()
+    thread.join()
+    assert pool_tasks.threads() == 2
+
+
+def test_identify_computes_with_one_thread_and_leaves_the_process_as_it_was() -> None:
+    before, seen = dict(os.environ), set()
+
+    def report(progress: object) -> bool:
+        seen.add(pool_tasks.threads())
+        return True
+
+    runs = BAGS / "5.0mm_1Hz_0.5A", BAGS / "5.0mm_1Hz_1.5A"
+    mr.identify(*runs, generations=3, report=report)
+    assert seen == {1}
+    assert pool_tasks.threads() == 2
+    assert dict(os.environ) == before
+
+
+def test_a_task_that_is_done_here_has_one_thread() -> None:
+    with ProcessPool(1) as pool:
+        assert pool.map(pool_tasks.threads, [1]) == [1]
+
+
+def test_processes_of_pools_have_one_thread_and_the_environment_is_the_callers() -> None:
+    before = dict(os.environ)
+    with ProcessPool(2) as pool:
+        assert pool.map(pool_tasks.threads, [1, 2]) == [1, 1]
+    own = LocalProcesses(1)
+    assert own.start().submit(pool_tasks.threads).result(PATIENCE) == 1
+    own.end()
+    assert dict(os.environ) == before
+
+
+def test_a_worker_has_one_thread() -> None:
+    worker = Worker("pool_tasks")
+    worker.submit(pool_tasks.threads)
+    outcomes = []
+    while not outcomes:
+        outcomes = worker.poll()
+    worker.close()
+    assert outcomes == [Done(1, 1)]
