@@ -47,6 +47,7 @@ from benchmarks import (
     utfsm_models,
     utfsm_sixteen,
     whole_damper,
+    whole_loop,
     window_refit,
 )
 from benchmarks.fault_scenarios import SCENARIOS
@@ -109,6 +110,7 @@ FULL: dict[str, Measure] = {
     "exports": exports.figures,
     "planned_runs": planned_runs.figures,
     "force_tracking": force_tracking.figures,
+    "whole_loop": whole_loop.figures,
     "car_on_roads": car_on_roads.figures,
     "building_cases": building_cases.figures,
     "streaming_load": _of_nodes("streaming_load"),
@@ -144,6 +146,7 @@ QUICK: dict[str, Measure] = {
     "many_recordings": lambda: many_recordings.figures(60, 20),
     "thread_load": lambda: thread_load.figures(records=2, generations=20),
     "planned_runs": lambda: planned_runs.figures(2),
+    "whole_loop": lambda: whole_loop.figures(("C",), (0,), (0, 1), ("sine", "85 %")),
     "car_on_roads": lambda: car_on_roads.figures(3.0),
     "building_cases": lambda: building_cases.figures(4.0),
     "streaming_load": _of_nodes("streaming_load", duration=30.0, latency_duration=30.0),

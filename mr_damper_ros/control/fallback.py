@@ -2,7 +2,9 @@
 
 A doubt of a moment leaves the current where it is, or lets it slide towards the safe current. One
 that lasts takes it to the safe current. The time in doubt is counted up, and down again while the
-force is valid: it lasts from ``doubt_time`` on, and is over once nothing is left of it.
+force is valid: it lasts from ``doubt_time`` on. Control comes back after as long without doubt, and
+after twice as long each time that it has not lasted: a force that is right at the safe current
+alone would else call it back again and again.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ class FallbackSettings(CheckedSettings):
     doubt_time: float = option(
         0.3,
         "Time [s] in doubt, less that without, after which the command goes to the safe current; "
-        "also the time without doubt after which it comes back.",
+        "also the time without doubt after which it comes back, twice as long each time that it "
+        "does not last.",
         minimum=0.0,
         maximum=60.0,
     )
@@ -48,12 +51,23 @@ class FallbackSettings(CheckedSettings):
     )
 
 
+_ROUNDING = 1e-9
+"""Seconds."""
+
+_LASTING = 10.0
+"""Control has lasted after so many times ``doubt_time``."""
+
+_LONGEST = 32.0
+"""It is waited for as often as that at most."""
+
+
 class Fallback:
     """Follows the doubts of a controller whose currents lie ``span`` [A] apart."""
 
     def __init__(self, settings: FallbackSettings, span: float) -> None:
         self._settings = settings
         self._span = span
+        self._wait = settings.doubt_time
         self.give_up()
 
     @property
@@ -63,26 +77,35 @@ class Fallback:
 
     @property
     def left(self) -> float:
-        """Time [s] without doubt until the doubt is over."""
-        return self._time if self._lasts else 0.0
+        """Time [s] without doubt until control comes back."""
+        return self._wait - self._calm if self._lasts else 0.0
 
     def give_up(self) -> None:
         """The safe current is commanded: control has to begin anew."""
-        self._time, self._lasts, self._reach = self._settings.doubt_time, True, 0.0
+        self._lasts, self._reach = True, 0.0
+        # Seconds: in doubt, less those without; without, less those in doubt; since it began.
+        self._doubted = self._calm = self._controlled = 0.0
 
     def follow(self, duration: float, *, doubted: bool, at_once: bool = False) -> bool:
         """Follow so many seconds with or without doubt: whether control goes on.
 
         ``at_once``: the doubt has lasted before it was raised.
         """
+        step = duration if doubted else -duration
+        if self._lasts:
+            self._calm = max(self._calm - step, 0.0)
+            if not doubted and self._calm >= self._wait - _ROUNDING:
+                self._lasts = False
+                self._doubted = self._controlled = 0.0
+            return not self._lasts
         limit = self._settings.doubt_time
-        self._time += duration if doubted else -duration
-        self._time = limit if at_once else min(max(self._time, 0.0), limit)
-        if doubted and self._time >= limit - 1e-9:
-            self._lasts = True
-        elif self._time <= 1e-9:
-            self._lasts = False
-        return not (doubted or self._lasts)
+        self._controlled += duration
+        self._doubted = max(self._doubted + step, 0.0)
+        if doubted and (at_once or self._doubted >= limit - _ROUNDING):
+            lasted = at_once or self._controlled > _LASTING * limit
+            self._wait = limit if lasted else min(2.0 * self._wait, _LONGEST * limit)
+            self._lasts, self._calm = True, 0.0
+        return not doubted
 
     def away_from(self, current: float, duration: float) -> float:
         """The current [A] while control does not go on, from that before."""

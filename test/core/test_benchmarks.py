@@ -210,6 +210,8 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "state_law": list,
         # They drive and shake for minutes: test_plants.py, test_control_report.py.
         "car_on_roads": list,
+        # It drives, too: test_whole_loop.py.
+        "whole_loop": list,
         "building_cases": list,
         # It takes what a damper needs to be known: test_force_controller.py.
         "force_tracking": list,

@@ -1,0 +1,559 @@
+"""Identifier, model and controller together, as users start them: default settings throughout.
+
+    python -m benchmarks.whole_loop                 all figures
+    python -m benchmarks.whole_loop car A 0         one drive, with a line on it
+    python -m benchmarks.whole_loop switched 3      one run under a switched current
+    python -m benchmarks.whole_loop reversals sine  one case, with and without maximum_error
+
+The loop is that of doc/control.md: a quarter car on a road, the node `suspension` that wants a
+force, the controller, the identifier and the model, all with the parameter file of the damper
+(`parameters:=`). It is driven off line, through the objects of the nodes and by the data's stamps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+
+from benchmarks.figure import Figure, table
+from benchmarks.foreign_laws import LAWS, ForeignDamper
+from benchmarks.other_dampers import DAMPERS as OTHER_DAMPERS
+from benchmarks.other_dampers import random_motion
+from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
+from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
+from mr_damper_ros.control.suspension_control import SuspensionSettings, controller_of
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.rig.commanded_rig import ForceChoice, turned
+from mr_damper_ros.rig.emulator import (
+    CurrentSchedule,
+    Damper,
+    EmulatedRig,
+    ModelDamper,
+    RigSettings,
+    ThermalModel,
+)
+from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.rig.invented_damper import HIGHEST_CURRENT, HOT_FORCE, invented_damper
+from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.sources.quarter_car_source import moment_of
+from mr_damper_ros.rig.supply_knob import SupplyKnob
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.tracking.engine import Engine
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.validity import DoubtKind
+
+PROCESSES = 2
+BLOCK = 10
+PERIOD = 1e-3
+
+SETTLED = 5.0
+"""Seconds after which it counts: motion and peak velocity are known, and control has begun."""
+
+LAG = 0.01
+"""Time constant [s] of the coil, as in the bridge and in config/invented_damper.yaml."""
+
+# -- a quarter car ---------------------------------------------------------------------------------
+
+ROADS = ("A", "B", "C", "D")
+SEEDS = range(5)
+SPEED = 20.0
+DRIVEN = 30.0
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What came of a drive.
+
+    Shares [1] of samples whose predicted force was ``valid`` and of windows ``confirmed``;
+    ``nrmse`` of the valid force, and that of the ``exact`` set in the same samples; ``reversals``
+    of the current and ``drops`` to the safe one a second; ``safe``: share of the time at it;
+    ``refused_for``: share of samples by kind of doubt.
+    """
+
+    road: str
+    seed: int
+    valid: float
+    nrmse: float
+    exact: float
+    confirmed: float
+    reversals: float
+    drops: float
+    safe: float
+    refused_for: dict[str, float]
+
+    @property
+    def told(self) -> str:
+        """A line on it."""
+        return (
+            f"road {self.road}, seed {self.seed}: valid {self.valid:.1%}, NRMSE {self.nrmse:.2%} "
+            f"(exact set {self.exact:.2%}), confirmed {self.confirmed:.0%}, {self.reversals:.1f} "
+            f"reversals/s, {self.drops:.2f} drops/s, {self.safe:.0%} of the time falling back; "
+            + " ".join(f"{kind} {share:.1%}" for kind, share in self.refused_for.items())
+        )
+
+
+def driven(
+    road: str, seed: int, duration: float = DRIVEN, *, given: bool = True, hot_start: float = 28.0
+) -> Driven:
+    """Drive on a road; ``given``: the identifier has the parameter file, too, not only the others.
+
+    ``hot_start`` [°C]: the damper's temperature at the start; the file is that of 28 °C.
+    """
+    known = invented_damper(LAG)
+    knob = SupplyKnob(0.0)
+    car = QuarterCar()
+    rig = PlantRig(
+        BuiltInDamper(invented_damper(0.0), HOT_FORCE),
+        car.plant,
+        IsoRoad(road, SPEED, seed),
+        knob.schedule,
+        settings=RigSettings(displacement_noise=1e-6, seed=seed),
+        thermal=ThermalModel(initial=hot_start, capacity=430.0),
+        coil_time_constant=LAG,
+        substeps=2,
+    )
+    wanted = controller_of(SuspensionSettings())
+    choice = chosen(lambda _: wanted(moment_of(rig)), known, Engine(start=known if given else None))
+    exact = _alone(known)
+    rows, commands = [], []
+    for measured, _ in turned(rig, knob, choice, BLOCK, duration):
+        assert choice.predicted is not None
+        assert choice.last is not None
+        assert rig.motion is not None
+        rows.append(
+            np.stack(
+                [
+                    choice.predicted.force,
+                    choice.predicted.doubts,
+                    exact(measured),
+                    rig.motion.force,
+                ]
+            )
+        )
+        commands.append((choice.last.current, choice.last.falls_back))
+    late = round(SETTLED / PERIOD)
+    predicted, doubts, right, true = np.concatenate(rows, axis=1)[:, late:]
+    valid = chosen_samples = doubts == 0.0
+    spread = float(np.std(true[chosen_samples]))
+    errors = [
+        float(np.sqrt(np.mean((each - true)[chosen_samples] ** 2))) / spread
+        for each in (predicted, right)
+    ]
+    windows = [report for report in choice.reports if report.frequency == report.frequency]
+    windows = windows or choice.reports
+    currents, falls = np.array(commands)[round(SETTLED / PERIOD / BLOCK) :].T
+    return Driven(
+        road,
+        seed,
+        float(np.mean(valid)),
+        errors[0],
+        errors[1],
+        float(np.mean([report.confirms for report in windows])) if windows else np.nan,
+        reversals(currents),
+        drops(falls),
+        float(np.mean(falls)),
+        {
+            kind.name: float(np.mean(doubts == kind))
+            for kind in DoubtKind
+            if kind and np.any(doubts == kind)
+        },
+    )
+
+
+def chosen(
+    wanted: Callable[[RigBlock], float],
+    known: ParameterSet,
+    engine: Engine | None,
+    *,
+    watched: bool = True,
+) -> ForceChoice:
+    """The controller with its defaults, as it is started with a parameter file.
+
+    ``watched``: whether the measured force counts (``maximum_error``).
+    """
+    settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
+    if not watched:
+        settings = replace(settings, predictor=PredictorSettings(maximum_error=0.0))
+    controller = ForceController(settings)
+    controller.set_parameters(known)
+    return ForceChoice(controller, wanted, engine)
+
+
+def _alone(known: ParameterSet) -> Callable[[RigBlock], Array]:
+    """The force that a set gives, whatever is measured."""
+    predictor = ForcePredictor(PredictorSettings(maximum_error=0.0))
+    predictor.set_parameters(known)
+
+    def predict(made: RigBlock) -> Array:
+        predictor.add_current(made.start_ns, float(made.current[0]))
+        block = SampleBlock(
+            made.start_ns, made.sequence, made.period, made.displacement, made.force
+        )
+        force = predictor.predict(block).force
+        predictor.catch_up()
+        return force
+
+    return predict
+
+
+_MOVES = 0.02
+"""Changes of the current [A] that count."""
+
+
+def reversals(currents: Array) -> float:
+    """How often a second the command (n,) [A], block by block, turns round."""
+    moves = np.diff(currents)
+    moves = moves[np.abs(moves) > _MOVES]
+    return float(np.count_nonzero(np.diff(np.sign(moves)))) / (currents.size * BLOCK * PERIOD)
+
+
+def drops(falls: Array) -> float:
+    """How often a second the command begins to fall back to the safe current."""
+    return float(np.count_nonzero(np.diff(falls) > 0.0)) / (falls.size * BLOCK * PERIOD)
+
+
+# -- an emulated rig under a switched current ------------------------------------------------------
+
+SWITCHED = 60.0
+SWITCHED_SEEDS = range(20)
+
+_PERIODS = (0.2, 1.0)
+"""Seconds for which each current holds."""
+
+THESIS = ParameterSet(THESIS_28_CELSIUS, set_id="thesis", peak_velocity_range=(0.0, 1.0))
+
+
+DAMPERS: dict[str, Callable[[], Damper]] = {
+    "sigmoid": lambda: ModelDamper(THESIS, PERIOD),
+    "sigmoid_lag": lambda: ModelDamper(invented_damper(LAG), PERIOD),
+    "herschel_bulkley": lambda: ForeignDamper(LAWS["herschel_bulkley"](1.0), PERIOD),
+    "gas_bouc_wen": lambda: ForeignDamper(LAWS["gas_bouc_wen"](1.0), PERIOD),
+}
+"""Those under a switched current; the identifier's law is its default, sigmoid."""
+
+MOTIONS: dict[str, Callable[[int], Excitation]] = {
+    "sine 1 Hz": lambda _: SineMotion(0.005, 1.0),
+    "random 0.5-3 Hz": lambda seed: random_motion(0.004, 0.5, 3.0, SWITCHED, seed=seed),
+}
+
+
+@dataclass(frozen=True)
+class Switched:
+    """What came of a run under a switched current.
+
+    ``confirmed``: share [1] of the windows; ``stuck``: none of the last third was confirmed;
+    ``nrmse`` of the valid force in the last third, of which a share [1] was ``valid``.
+    """
+
+    name: str
+    confirmed: float
+    stuck: bool
+    nrmse: float
+    valid: float
+
+    @property
+    def told(self) -> str:
+        """A line on it."""
+        return (
+            f"{self.name}: confirmed {self.confirmed:.0%}{', STUCK' if self.stuck else ''}; in the "
+            f"last third valid {self.valid:.0%}, NRMSE {self.nrmse:.1%}"
+        )
+
+
+def switched(seed: int, duration: float = SWITCHED) -> Switched:
+    """Identify from nothing while somebody switches the current; the seed deals out the rest."""
+    damper = list(DAMPERS)[seed % len(DAMPERS)]
+    motion = list(MOTIONS)[seed // len(DAMPERS) % len(MOTIONS)]
+    rng = np.random.default_rng(seed)
+    times = np.concatenate([[0.0], np.cumsum(rng.uniform(*_PERIODS, round(2.0 * duration)))])
+    levels = rng.uniform(0.0, 1.5, times.size)
+    rig = EmulatedRig(
+        DAMPERS[damper](),
+        MOTIONS[motion](seed),
+        CurrentSchedule(times.tolist(), levels.tolist()),
+        settings=RigSettings(displacement_noise=1e-6, seed=seed),
+    )
+    engine, known, reports, rows = Engine(), -1.0, [], []
+    for _ in range(round(duration / PERIOD / BLOCK)):
+        made = rig.next_block(BLOCK)
+        for place, current in enumerate(made.current.tolist()):
+            if current != known:
+                engine.add_current(made.stamp_ns(place), current)
+                known = current
+        block = SampleBlock(made.start_ns, made.sequence, PERIOD, made.displacement, made.force)
+        prediction = engine.predict(block)
+        reports += [each.report for each in engine.take_publications()]
+        rows.append([prediction.force, prediction.valid_samples, made.force])
+    engine.finish()
+    reports += [each.report for each in engine.take_publications()]
+    windows = [each for each in reports if each.sample_count and not _is_search(each.method)]
+    predicted, valid, measured = np.concatenate(rows, axis=1)
+    late = np.arange(valid.size) * PERIOD > 2.0 / 3.0 * duration
+    right = (valid > 0.0) & late
+    end_ns = rig.settings.start_ns + 2.0 / 3.0 * duration * 1e9
+    last = [report.confirms for report in windows if report.stamp_ns > end_ns]
+    error = (predicted - measured)[right]
+    return Switched(
+        f"seed {seed}: {damper}, {motion}",
+        float(np.mean([report.confirms for report in windows])),
+        not any(last),
+        float(np.sqrt(np.mean(error**2)) / np.std(measured[late])) if right.any() else np.nan,
+        float(np.mean(valid[late])),
+    )
+
+
+def _is_search(method: str) -> bool:
+    return method not in ("nelder_mead", "least_squares", "force_scale", "unscented", "")
+
+
+# -- what the measured force does to the current ---------------------------------------------------
+
+FOLLOWED = 24.0
+DEMAND = 9000.0
+"""Damping [N s/m] that is wanted."""
+
+COLD = replace(invented_damper(LAG), set_id="cold", peak_velocity_range=(0.0, 0.5))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A damper, its motion, and what is known of it; ``right``: it is the set that is known."""
+
+    damper: Callable[[], Damper]
+    motion: Callable[[], Excitation]
+    known: ParameterSet
+    learns: bool = False
+    right: bool = False
+    celsius: float = 28.0
+
+
+def _random() -> Excitation:
+    return random_motion(0.004, 0.5, 3.0, FOLLOWED, seed=0)
+
+
+def _sine() -> Excitation:
+    return SineMotion(0.005, 1.0)
+
+
+def _weak(part: float) -> ParameterSet:
+    values = COLD.values.copy()
+    values[COLD.law.strength_indices] *= part
+    return replace(COLD, values=values)
+
+
+def _heated() -> Damper:
+    return ModelDamper(COLD, PERIOD, HOT_FORCE)
+
+
+BOUC_WEN = replace(
+    OTHER_DAMPERS["bouc_wen"], peak_velocity_range=(0.0, 0.5), current_range=(0.0, HIGHEST_CURRENT)
+)
+
+CASES: dict[str, Case] = {
+    "right, random": Case(lambda: ModelDamper(COLD, PERIOD), _random, COLD, right=True),
+    "right, random, learns": Case(
+        lambda: ModelDamper(COLD, PERIOD), _random, COLD, learns=True, right=True
+    ),
+    "sine": Case(lambda: ModelDamper(COLD, PERIOD), _sine, COLD, right=True),
+    "sine, learns": Case(lambda: ModelDamper(COLD, PERIOD), _sine, COLD, learns=True, right=True),
+    "71 °C, learns": Case(_heated, _random, COLD, learns=True, celsius=71.0),
+    "85 %": Case(lambda: ModelDamper(_weak(0.85), PERIOD), _random, COLD),
+    "80 %": Case(lambda: ModelDamper(_weak(0.80), PERIOD), _random, COLD),
+    "80 %, sine": Case(lambda: ModelDamper(_weak(0.80), PERIOD), _sine, COLD),
+    "bouc_wen, learns": Case(
+        lambda: ModelDamper(BOUC_WEN, PERIOD), _random, BOUC_WEN, learns=True, right=True
+    ),
+    "80 %, learns": Case(lambda: ModelDamper(_weak(0.80), PERIOD), _random, COLD, learns=True),
+}
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Reversals of the current and drops to the safe one, each a second; NRMSE of the force."""
+
+    reversals: float
+    drops: float
+    nrmse: float
+
+
+def followed(case: Case, duration: float = FOLLOWED, *, watched: bool = True) -> Followed:
+    """Want a viscous damper; ``watched``: with the default maximum_error, else with 0."""
+    knob = SupplyKnob(0.0)
+    rig = EmulatedRig(
+        case.damper(),
+        case.motion(),
+        knob.schedule,
+        settings=RigSettings(displacement_noise=1e-6),
+        # So much heat capacity that it stays as it is.
+        thermal=ThermalModel(ambient=case.celsius, initial=case.celsius, capacity=1e9),
+        coil_time_constant=0.0,
+    )
+    rig.live = True
+
+    def wanted(made: RigBlock) -> float:
+        return DEMAND * float(made.displacement[-1] - made.displacement[0]) / (PERIOD * (BLOCK - 1))
+
+    engine = Engine(start=case.known) if case.learns else None
+    choice = chosen(wanted, case.known, engine, watched=watched)
+    commands, missed, forces = [], [], []
+    before = None
+    for made, _ in turned(rig, knob, choice, BLOCK, duration):
+        if before is not None and before.attainable:
+            missed.append(made.force - before.wanted)
+        forces.append(made.force)
+        before = choice.last
+        assert before is not None
+        commands.append((before.current, before.falls_back))
+    currents, falls = np.array(commands)[round(SETTLED / PERIOD / BLOCK) :].T
+    error = np.concatenate(missed) if missed else np.array([np.nan])
+    return Followed(
+        reversals(currents),
+        drops(falls),
+        float(np.sqrt(np.mean(error**2)) / np.std(np.concatenate(forces))),
+    )
+
+
+# -- figures ---------------------------------------------------------------------------------------
+
+
+def figures(
+    roads: Sequence[str] = ROADS,
+    seeds: Sequence[int] = SEEDS,
+    switched_seeds: Sequence[int] = SWITCHED_SEEDS,
+    cases: Sequence[str] = tuple(CASES),
+    processes: int = PROCESSES,
+) -> list[Figure]:
+    """The loop's validity, error and calm; see the docstring of the module."""
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        drives = list(pool.map(_driven, [(road, seed) for road in roads for seed in seeds]))
+        runs = list(pool.map(switched, switched_seeds))
+        pairs = list(pool.map(_pair, cases))
+    for line in [each.told for each in drives] + [each.told for each in runs]:
+        print(line, file=sys.stderr)
+    for name, (on, off) in zip(cases, pairs, strict=True):
+        print(_told(name, on, off), file=sys.stderr)
+    ratios = {name: _ratio(on, off) for name, (on, off) in zip(cases, pairs, strict=True)}
+    worst = max(ratios, key=lambda name: ratios[name])
+    dropped = max(
+        [on.drops for name, (on, _) in zip(cases, pairs, strict=True) if CASES[name].right],
+        default=np.nan,
+    )
+    about = "Quarter car, invented damper, skyhook, identifier, model and controller, defaults"
+    least = min(drives, key=lambda each: each.valid)
+    far = max(drives, key=lambda each: each.nrmse / each.exact)
+    poor = min(runs, key=lambda each: each.confirmed)
+    return [
+        Figure(
+            "loop_valid_percent",
+            100.0 * least.valid,
+            f"{about}: share [%] of samples whose predicted force is valid, worst drive.",
+            (90.0, 100.0),
+            f"Road {least.road}, seed {least.seed}.",
+        ),
+        Figure(
+            "loop_nrmse_ratio",
+            far.nrmse / far.exact,
+            f"{about}: NRMSE of the valid force over that of the exact set, worst drive.",
+            (0.0, 1.2),
+            f"Road {far.road}, seed {far.seed}.",
+        ),
+        Figure(
+            "loop_drops",
+            max(each.drops for each in drives),
+            f"{about}: times a second that control falls back to the safe current, worst drive.",
+            (0.0, 0.2),
+        ),
+        Figure(
+            "loop_confirmed_percent",
+            100.0 * poor.confirmed,
+            "Emulated rig under a current that is switched every 0.2 to 1 s, identified from "
+            "nothing: share [%] of windows that are confirmed, worst run.",
+            (85.0, 100.0),
+            f"{poor.name}; median {100.0 * float(np.median([r.confirmed for r in runs])):.0f} %.",
+        ),
+        Figure(
+            "loop_stuck",
+            float(sum(each.stuck for each in runs)),
+            f"The same: runs of {len(runs)} in whose last third no window is confirmed.",
+            (0.0, 0.0),
+        ),
+        Figure(
+            "controller_reversals_ratio",
+            ratios[worst],
+            "Emulated rig, a viscous force wanted: reversals of the current with the defaults over "
+            "those with maximum_error 0, worst case.",
+            (0.0, 1.3),
+            f"{worst}; " + ", ".join(f"{name} {each:.2f}" for name, each in ratios.items()) + ".",
+        ),
+        Figure(
+            "controller_drops",
+            dropped,
+            "The same: times a second that control falls back to the safe current, of a damper "
+            "that is the known one, worst case.",
+            (0.0, 0.2),
+        ),
+    ]
+
+
+_FEW = 0.5
+"""Reversals a second that hardly count."""
+
+
+def _ratio(on: Followed, off: Followed) -> float:
+    return (on.reversals + _FEW) / (off.reversals + _FEW)
+
+
+def _told(name: str, on: Followed, off: Followed) -> str:
+    return (
+        f"{name}: {on.reversals:.1f} reversals/s (maximum_error 0: {off.reversals:.1f}), "
+        f"{on.drops:.2f} drops/s, NRMSE {on.nrmse:.1%} ({off.nrmse:.1%})"
+    )
+
+
+def _driven(task: tuple[str, int]) -> Driven:
+    return driven(*task)
+
+
+def _pair(name: str) -> tuple[Followed, Followed]:
+    return followed(CASES[name]), followed(CASES[name], watched=False)
+
+
+def main() -> int:
+    """Measure what is asked for."""
+    parser = argparse.ArgumentParser(prog="whole_loop", description=__doc__)
+    parser.add_argument("what", nargs="?", choices=("car", "plain", "hot", "switched", "reversals"))
+    parser.add_argument("which", nargs="*")
+    given = parser.parse_args()
+    if given.what is None:
+        print(table(figures()))
+    elif given.what == "switched":
+        for seed in given.which or SWITCHED_SEEDS:
+            print(switched(int(seed)).told, flush=True)
+    elif given.what == "reversals":
+        for name in given.which or CASES:
+            print(_told(name, *_pair(name)), flush=True)
+    else:
+        drives: dict[str, Callable[[str, int], Driven]] = {
+            "car": driven,
+            "plain": partial(driven, given=False),
+            "hot": partial(driven, hot_start=60.0),
+        }
+        drive = drives[given.what]
+        road, *seeds = given.which or ("C",)
+        for seed in seeds or SEEDS:
+            print(drive(road, int(seed)).told, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
