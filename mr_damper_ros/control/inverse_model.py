@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -26,7 +28,8 @@ class InverseModel:
     """The inverse of a parameter set between two currents [A] of the coil.
 
     ``gradual_reversal``: of the law without its jumps, as the force is predicted. Raises ValueError
-    where the highest current is not above the lowest.
+    where the highest current is not above the lowest; warns where the set was identified at one
+    current.
     """
 
     def __init__(
@@ -42,6 +45,8 @@ class InverseModel:
                 f"the highest current, {highest_current:g} A, is not above the lowest, "
                 f"{lowest_current:g} A"
             )
+        if parameters.doubt_over_current:
+            warnings.warn(parameters.doubt_over_current, stacklevel=2)
         self.law = parameters.law.continuous if gradual_reversal else parameters.law
         self.values = in_coil(parameters)
         self._range = parameters.peak_velocity_range

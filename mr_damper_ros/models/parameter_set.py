@@ -50,6 +50,10 @@ class SpokenError(ValueError):
         super().__init__(sentence.encode("utf-8", "backslashreplace").decode("utf-8"))
 
 
+_ONE_CURRENT = 0.05
+"""Currents [A] that are no further apart count as one."""
+
+
 class ParameterError(SpokenError):
     """A parameter set that cannot be used; the message says what to change."""
 
@@ -186,6 +190,18 @@ class ParameterSet:
             for parameter in self.law.parameters
         ]
         return replace(self, observable=np.array(known))
+
+    @property
+    def doubt_over_current(self) -> str:
+        """Why it says nothing of other currents, in words; empty where it does."""
+        low, high = self.current_range
+        if not (math.isfinite(low) and high - low <= _ONE_CURRENT):
+            return ""
+        return (
+            f"set {self.set_id} was identified at {0.5 * (low + high):.3g} A alone: its force at "
+            "any other current, and so the current for a wanted force, comes from the set that the "
+            "search began with; identify it from runs at several currents"
+        )
 
     @property
     def _ranges(self) -> dict[str, tuple[float, float]]:

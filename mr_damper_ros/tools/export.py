@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -60,6 +61,8 @@ def _export(chosen: argparse.Namespace) -> int:
         **{item.name: getattr(chosen, item.name) for item in options(ExportSettings)}
     )
     law = ExportedLaw.of(ParameterSet.load(chosen.parameters), settings)
+    if law.parameters.doubt_over_current:
+        print(f"WARNING: {law.parameters.doubt_over_current}", file=sys.stderr)
     chosen.output.mkdir(parents=True, exist_ok=True)
     written = _FORMATS[chosen.format](law, chosen.name, chosen.output)
     vectors = chosen.output / "vectors.csv"

@@ -112,6 +112,24 @@ def test_the_compiler_has_nothing_to_say(compiled: Compiled) -> None:
     assert compiled.said == ""
 
 
+def test_the_header_is_cpp_too(law: ExportedLaw, tmp_path: Path) -> None:
+    found = shutil.which("g++") or shutil.which("clang++")
+    if found is None:
+        pytest.skip("there is no C++ compiler")
+    (tmp_path / "mr_damper.h").write_text(header(law, "mr_damper"))
+    (tmp_path / "user.cpp").write_text(
+        '#include "mr_damper.h"\n'
+        "double first(double u) { mr_damper_state s; double come; mr_damper_reset(&s, 0.0);\n"
+        "  mr_damper_supply(&s, 1.0);\n"
+        "  return mr_damper_step(&s, u) + mr_damper_inverse(&s, 100.0, &come); }\n"
+    )
+    warnings = ["-std=c++11", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]
+    done = subprocess.run(
+        [found, *warnings, str(tmp_path / "user.cpp")], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+
+
 def test_the_c_code_is_the_law_point_by_point(law: ExportedLaw, compiled: Compiled) -> None:
     vectors = Vectors.of(law, POINTS)
     coefficients, force = compiled.law(vectors.inputs)
@@ -358,3 +376,13 @@ def test_brackets_are_kept_where_they_count() -> None:
     assert expression("-a4 * v_m", C) == "-a4 * v_m"
     with pytest.raises(ValueError, match="cannot be written"):
         expression("a if b else c", C)
+
+
+def test_a_set_of_one_current_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "one.yaml"
+    ParameterSet(PLAUSIBLE, current_range=(0.5, 0.5)).save(path)
+    assert export.main([str(path), "--format", "c", "--output", str(tmp_path)]) == 0
+    assert "identified at 0.5 A alone" in capsys.readouterr().err
+    assert "WARNING: set unnamed was identified at 0.5 A" in (tmp_path / "mr_damper.h").read_text()

@@ -246,3 +246,8 @@ def test_the_time_constant_is_that_of_the_set():
     values = EXAMPLES["sigmoid_lag"].copy()
     values[-1] = 0.012
     assert coil_time_constant(ParameterSet(values, model="sigmoid_lag")) == 0.012
+
+
+def test_a_set_of_one_current_is_warned_of() -> None:
+    with pytest.warns(UserWarning, match=r"identified at 0\.5 A alone"):
+        InverseModel(ParameterSet(PLAUSIBLE, current_range=(0.49, 0.51)), LOWEST, HIGHEST)

@@ -168,6 +168,18 @@ def test_the_file_has_the_options_of_the_table_in_its_order_with_its_defaults(no
 
 
 @pytest.mark.parametrize("node", NODES)
+def test_no_entry_of_the_file_is_given_twice(node: str) -> None:
+    def look(tree: yaml.Node) -> None:
+        if isinstance(tree, yaml.MappingNode):
+            names = [key.value for key, _ in tree.value]
+            assert len(names) == len(set(names)), names
+            for _, below in tree.value:
+                look(below)
+
+    look(yaml.compose((CONFIG / f"{node}.yaml").read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("node", NODES)
 def test_every_entry_of_the_file_is_explained(node: str) -> None:
     lines = (CONFIG / f"{node}.yaml").read_text(encoding="utf-8").splitlines()
     start = lines.index("  ros__parameters:")

@@ -103,10 +103,11 @@ class ExportedLaw:
     def provenance(self) -> str:
         """What a reader of the code should know of the set, in a line."""
         low, high = self.parameters.peak_velocity_range
+        doubt = self.parameters.doubt_over_current
         return (
             f"set {self.parameters.set_id} of model {self.parameters.model}, peak velocity "
             f"{low:.4g} to {high:.4g} m/s, current {self.parameters.current_range[0]:.4g} to "
-            f"{self.parameters.current_range[1]:.4g} A"
+            f"{self.parameters.current_range[1]:.4g} A" + (f"; WARNING: {doubt}" if doubt else "")
         )
 
 
