@@ -101,12 +101,17 @@ class MotionFollower:
         return self._peak.root_mean_square
 
     @property
+    def unsettled(self) -> str:
+        """Why the velocity of the last block is not known yet; empty where it is."""
+        if self._steady or self._differentiator.settled:
+            return ""
+        return "the velocity is still settling after the start or a jump of the displacement"
+
+    @property
     def doubt(self) -> str:
         """Why the motion of the last block is not known well yet; empty where it is."""
         if self._steady:
             return ""
-        if not self._differentiator.settled:
-            return "the velocity is still settling after the start or a jump of the displacement"
         if self._centre.reversals < _REVERSALS_FOR_CENTRE:
             return (
                 "the centre of the motion is not known before the motion has reversed three times"

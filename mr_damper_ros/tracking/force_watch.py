@@ -22,8 +22,9 @@ _SEEN = 0.98
 _CHANCE = 3.0
 """... less so many standard deviations of the noise, which may hide as much of it ..."""
 
-_SAMPLE = 0.68
-"""... but with much noise this part and as many more, so that noise alone is no wrong force."""
+_SAMPLE, _RARE = 0.68, 2.0
+"""... but with much noise this part and so many more: noise alone is seldom a wrong force, and then
+for a sample."""
 
 _LASTING = 1.0
 """Part of the allowed error that the root mean square over a half-cycle may reach."""
@@ -34,12 +35,16 @@ _MOST_REMEMBERED = 1.5
 _BACK = 0.9
 """Part of either limit that the error must fall below again."""
 
-_CALM = 0.02
-"""Seconds for which the error of a sample must have been below that before one is valid again."""
+_CALM, _CALM_PART, _AS_LONG = 0.02, 0.1, 0.25
+"""A force is valid again once it has been right for so many seconds, or this part of a half-cycle,
+or the last part of the time for which it was wrong, whichever is least."""
 
 _JUMP, _LONGEST_WILD = 1.0, 0.02
 """Samples of the measured force are wild whose error has jumped by so many peaks from one to the
 next, until it is small again; after so many seconds the force is taken to be such."""
+
+_ENOUGH = 4.0
+"""Seconds for which a force was right, if a cycle is longer: those of two windows."""
 
 _MOST_NOISE = 0.1
 """What looks like noise is taken for it up to this part of the peak."""
@@ -65,18 +70,22 @@ class ForceWatch:
         # The error [N] of the last sample, and for how many samples the measured force is wild.
         self._error, self._wild_for = 0.0, 0
         self._longest_wild = max(round(_LONGEST_WILD / period), 1)
-        # Samples until one that is right is valid again, and how many those are at first.
-        self._wait, self._calm = 0, 1 + round(_CALM / period)
+        # Samples until one that is right is valid again, and how many those are at most.
+        self._wait, self._calm = 0.0, _CALM / period
         # Seconds for which the forces have been compared without a break.
         self._compared = 0.0
+        self._cycle_known = False
 
     @property
     def holds(self) -> bool:
         """Whether the predicted force is right, and was over the last cycle, by the measured one.
 
+        Or over so many seconds of it as are enough.
+
         A moment in which it was wrong is over with that moment, but for what it adds to the rest.
         """
-        return self._compared >= 2.0 * self._time and not (self._wrong or self._wait)
+        enough = min(2.0 * self._time, _ENOUGH)
+        return self._cycle_known and self._compared >= enough and not (self._wrong or self._wait)
 
     @property
     def allowed(self) -> float:
@@ -94,7 +103,7 @@ class ForceWatch:
         """
         if known < math.inf and self._recent.peak > 0.0:
             self._square = (known / self._recent.peak) ** 2
-            self._wrong, self._wait = False, 0
+            self._wrong, self._wait = False, 0.0
         elif self._wrong:
             self._square = (_LASTING * self._limit) ** 2
         self._recent.forget_predicted()
@@ -102,7 +111,7 @@ class ForceWatch:
     def forget_moment(self) -> None:
         """The samples do not go on from where the force could be known, or were not judged."""
         self._square = self._compared = self._error = 0.0
-        self._wrong, self._wait, self._wild_for = False, 0, 0
+        self._wrong, self._wait, self._wild_for = False, 0.0, 0
 
     def judge(self, predicted: Array, measured: Array) -> list[Doubt]:
         """Follow the forces (n,) [N] of the next samples: why to doubt the predicted ones."""
@@ -143,7 +152,9 @@ class ForceWatch:
         is a sine that goes on.
         """
         self._recent.add(forces, velocity, current, half_cycle, steady=steady)
-        if not math.isnan(half_cycle):
+        self._cycle_known = not math.isnan(half_cycle)
+        if self._cycle_known:
+            self._calm = min(_CALM, _CALM_PART * half_cycle) / self._period
             self._time = min(max(half_cycle, _SHORTEST), _LONGEST)
 
     def _wrong_samples(
@@ -155,7 +166,7 @@ class ForceWatch:
         """
         before, self._error = self._error, float(errors[-1])
         limit, noise = self._limit * peak, self._noise(peak)
-        if self._wait == 0 and float(sizes.max()) <= self._allowed(limit, noise):
+        if self._wait == 0.0 and float(sizes.max()) <= self._allowed(limit, noise):
             self._wild_for = 0
             return None, None
         # A force that grows is not wrong because it was smaller before.
@@ -173,10 +184,11 @@ class ForceWatch:
                 continue
             self._wild_for = 0
             if begin or (stay and self._wait):
-                self._wait = self._calm
+                self._wait = min(self._wait + _AS_LONG, self._calm)
+                wrong[k] = True
             elif self._wait:
-                self._wait -= 1
-            wrong[k] = self._wait > 0
+                wrong[k] = self._wait >= 1.0
+                self._wait = max(self._wait - 1.0, 0.0)
         return wrong if wrong.any() else None, wild if wild.any() else None
 
     def _follow(self, sizes: Array, peak: float) -> None:
@@ -197,9 +209,8 @@ class ForceWatch:
     @staticmethod
     def _limits(limit: Array | float, noise: float) -> tuple[Array | float, Array | float]:
         """Differences [N] of which a sample may have the larger to a force of so much noise [N]."""
-        chance = _CHANCE * noise
         # The noise may hide a part of the error; where there is much of it, it may look like one.
-        return _SEEN * limit - chance, _SAMPLE * limit + chance
+        return _SEEN * limit - _CHANCE * noise, _SAMPLE * limit + _RARE * noise
 
     def _allowed(self, limit: float, noise: float) -> float:
         return float(max(*self._limits(limit, noise)))

@@ -35,6 +35,7 @@ from mr_damper_ros.tracking.validity import (
     doubt_of_missing,
     doubt_of_motion,
     doubt_of_parameters_age,
+    doubt_of_past,
     doubt_of_size,
     doubt_of_speed,
     doubts_of_samples,
@@ -389,9 +390,16 @@ class ForcePredictor:
         assert self._stream is not None
         assert self._watch is not None
         forces = reckoned.force, block.force
-        if settling := doubt_of_motion(self._motion, self._stream, self._begun_at):
+        settling = doubt_of_motion(self._motion)
+        measured: list[Doubt] = []
+        if not settling:
+            measured = self._watch.judge(reckoned.force[bridged:], block.force[bridged:])
+            if not self._watch.holds:
+                settling = doubt_of_past(self._motion, self._stream, self._begun_at)
+        if settling:
             # A force that nobody could know says nothing of the parameters.
-            self._watch.forget_moment()
+            if not measured or any(measured):
+                self._watch.forget_moment()
             self._known.forget_samples()
             if settling.kind is not DoubtKind.AT_REST:
                 self._unlearned = Unlearned(
@@ -399,20 +407,19 @@ class ForcePredictor:
                 )
             return [settling]
         self._unlearned = Unlearned(forces, motion, reckoned.current, True, block.period, bridged)
-        measured = self._watch.judge(reckoned.force[bridged:], block.force[bridged:])
         settings, live, present = self._settings, self._freshness.live, self._known.present
         assert present is not None
         doubts = [
             doubt_of_current_age(self._current, block.end_ns, settings.current_timeout, live=live),
             doubt_of_parameters_age(present.confirmed_ns, block.end_ns, settings, live=live),
-            reckoned.doubt.current,
-            *(each.after(bridged) for each in measured),
         ]
-        if not self._watch.holds:
-            # What has been right for a cycle of this motion holds for it, identified or not, and
-            # whatever the identifier says of windows that it could not fit.
-            doubts += [reckoned.doubt.size, reckoned.doubt.speed, self._verdicts.doubt]
-        return doubts
+        by_force = [each.after(bridged) for each in measured]
+        if self._watch.holds:
+            # What has been right for a cycle holds, identified for this motion and this current or
+            # not, and whatever the identifier says of windows that it could not fit.
+            return doubts + by_force
+        current, size, speed = reckoned.doubt
+        return [*doubts, current, *by_force, size, speed, self._verdicts.doubt]
 
     def _reckon_block(self, motion: Motion, block: SampleBlock) -> Reckoned:
         assert self._motion is not None

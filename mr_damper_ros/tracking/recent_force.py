@@ -33,6 +33,10 @@ _STRETCHES = 32
 _LONGEST_STRETCH = 0.25
 """The memory moves on by this part of it, or by so many seconds if that is less."""
 
+_PRELOAD = 0.5
+"""The middle of the force counts up to this part of half its span, as a gas pressure makes it. More
+of it is a load cell that was not set to zero: the force of the damper must not vanish beside it."""
+
 _FOR_POWER = 4
 """The power is that of so many half-cycles: what a spring takes it has given back by then."""
 
@@ -69,10 +73,10 @@ class _Stretch:
 class RecentForce:
     """Remembers some cycles of a stream of samples ``period`` [s] apart.
 
-    ``peak`` and ``centre`` [N]: half the span of the measured force and its middle, but for wild
-    samples; NaN before anything is known of it. Where the motion is not steady, those of ten
-    seconds or a cycle. The force at another current counts for ten seconds at most, and no longer
-    than until the present one has stayed for a cycle.
+    ``peak`` and ``centre`` [N]: the largest size of the measured force and the middle of its span,
+    but for wild samples; NaN before anything is known of it. Where the motion is not steady, those
+    of ten seconds or a cycle. The force at another current counts for ten seconds at most, and no
+    longer than until the present one has stayed for a cycle.
     ``noise`` [N]: standard deviation of its white part. ``stuck``: it has not changed at all for a
     half-cycle. ``measured_drives`` and ``predicted_drives``: that force puts power into the motion.
     """
@@ -186,7 +190,8 @@ class RecentForce:
             ages = (counts.cumsum() - counts) * self._period
             counted = list(compress(stretches, here | (ages < others)))
         top, bottom = max(s.top for s in counted), min(s.bottom for s in counted)
-        self.peak, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
+        half, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
+        self.peak = half + min(abs(self.centre), _PRELOAD * half)
 
     def _judge_power(self, half_cycle: float) -> None:
         self.stuck = self._unchanged * self._period > max(half_cycle, _SHORTEST_STUCK)

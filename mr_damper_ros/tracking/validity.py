@@ -258,18 +258,25 @@ def doubt_of_missing(
     )
 
 
-def doubt_of_motion(motion: MotionFollower, stream: ForceStream, begun_at: int) -> Doubt:
-    """Whether the motion is known, and what a model remembers of it.
+def doubt_of_motion(motion: MotionFollower) -> Doubt:
+    """Whether the damper moves, and its velocity is known."""
+    if motion.unsettled:
+        return Doubt(DoubtKind.SETTLING, motion.unsettled)
+    if not motion.doubt and motion.resting:
+        return Doubt(
+            DoubtKind.AT_REST,
+            "the damper is at rest: its force then depends on how it came to rest",
+        )
+    return NO_DOUBT
+
+
+def doubt_of_past(motion: MotionFollower, stream: ForceStream, begun_at: int) -> Doubt:
+    """Whether enough of the motion is known, and of what a model remembers of it.
 
     ``begun_at``: reversals of the motion when the stream began.
     """
     if motion.doubt:
         return Doubt(DoubtKind.SETTLING, motion.doubt)
-    if motion.resting:
-        return Doubt(
-            DoubtKind.AT_REST,
-            "the damper is at rest: its force then depends on how it came to rest",
-        )
     if stream.remembers and motion.reversals == begun_at:
         return Doubt(
             DoubtKind.SETTLING,

@@ -130,6 +130,36 @@ def test_the_valid_share_of_a_stream_does_not_depend_on_its_blocks() -> None:
     assert max(shares) - min(shares) < 0.02
 
 
+def test_a_force_is_valid_again_after_a_quarter_of_the_time_for_which_it_was_wrong() -> None:
+    force = RUN.force.copy()
+    force[5020:5060] += 0.3 * np.ptp(force)
+    doubts = np.concatenate([p.doubts for p in predicted(force=force)])
+    assert set(doubts[5020:5060]) == {DoubtKind.WRONG}
+    assert np.flatnonzero(doubts[5060:5200]).tolist() == list(range(10))
+
+
+def test_a_measured_force_of_a_cycle_makes_other_currents_valid() -> None:
+    elsewhere = dataclasses.replace(SET, current_range=(0.2, 0.5))
+    for maximum_error, kind in ((0.0, DoubtKind.OUT_OF_RANGE), (0.2, DoubtKind.NONE)):
+        predictions = predicted(parameters=elsewhere, maximum_error=maximum_error)
+        assert kinds(predictions, 4000) == {kind}
+
+
+def test_a_measured_force_of_a_cycle_makes_a_motion_known() -> None:
+    """Before the sine is known, and before its fourth half-cycle."""
+    run = known.run(frequency=0.05, amplitude=0.1, samples=12_000, period=5e-3, seed=0)
+    first = []
+    for maximum_error in (0.0, 0.2):
+        made = ForcePredictor(PredictorSettings(maximum_error=maximum_error))
+        made.set_parameters(SET)
+        results = []
+        for block in known.blocks(run.displacement, run.force, (20,), period=5e-3):
+            made.add_current(block.start_ns, 1.0)
+            results.append(made.predict(block).valid)
+        first.append(0.1 * results.index(True))
+    assert 14.9 < first[1] < 20.0 < first[0]
+
+
 def spiked(size: float) -> Array:
     """The force with wild samples of this size [N] in the second before the change."""
     force = RUN.force.copy()
@@ -346,7 +376,7 @@ def test_a_machine_at_rest_has_no_valid_force_and_one_that_starts_again_has() ->
     assert kinds(predictions, 8500) == {DoubtKind.NONE}
 
 
-def test_a_slow_motion_is_not_valid_before_a_cycle_and_valid_after_some() -> None:
+def test_a_slow_motion_is_not_valid_before_a_half_cycle_and_valid_after_some() -> None:
     run = known.run(frequency=0.05, amplitude=0.1, samples=16_000, period=5e-3, seed=0)
     blocks = known.blocks(run.displacement + 0.05, run.force, (20,), period=5e-3)
     made = ForcePredictor(PredictorSettings())
@@ -355,7 +385,7 @@ def test_a_slow_motion_is_not_valid_before_a_cycle_and_valid_after_some() -> Non
     for block in blocks:
         made.add_current(block.start_ns, 1.0)
         results.append(made.predict(block))
-    assert not any(p.valid for p in results[:200])
+    assert not any(p.valid for p in results[:149])
     assert all(p.valid for p in results[600:]), {p.reason for p in results[600:]}
 
 
