@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
 from benchmarks import relay
+from benchmarks.busy_loop import start_busy_loop
 from benchmarks.processes import ProfiledDomain, driver_node, start_node
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
@@ -34,8 +35,6 @@ CURRENT = 1.5
 _CURRENT_EVERY = 0.1
 _SILENT = 3.0
 """Seconds without an answer after which no more is waited for."""
-
-_BUSY = "while True: pass"
 
 _STAMP, _STAMP_PLACE = struct.Struct("<iI"), 4
 """Of a serialised message with a header: seconds and nanoseconds, after the encapsulation."""
@@ -186,7 +185,7 @@ class SideBySide:
             self._wait_for(2 if identifier else 1)
             with on_cores(cores):
                 for _ in range(busy):
-                    stack.callback(Program([sys.executable, "-c", _BUSY]).close)
+                    stack.callback(start_busy_loop().close)
             self._stack = stack.pop_all()
 
     def __enter__(self) -> SideBySide:

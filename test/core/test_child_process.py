@@ -104,6 +104,24 @@ def test_it_dies_with_its_parent() -> None:
         time.sleep(0.01)
 
 
+def test_a_busy_loop_does_not_outlive_a_test_run() -> None:
+    parent = (
+        f"import sys; sys.path[:] = {sys.path!r}; "
+        "from benchmarks.busy_loop import start_busy_loop; "
+        "print(start_busy_loop().pid, flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", parent]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as middle:
+        assert middle.stdout is not None
+        child = int(middle.stdout.readline())
+        assert not gone(child)
+        middle.kill()
+    deadline = time.monotonic() + PATIENCE
+    while not gone(child):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 def test_one_whose_parent_has_died_before_ends_at_once() -> None:
     command = child_process.command(pool_tasks.told)
     nobody = [str(os.getpid() + 1) if part == str(os.getpid()) else part for part in command]

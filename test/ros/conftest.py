@@ -25,6 +25,11 @@ _DOMAIN = RosDomain()
 os.environ.update(_DOMAIN.environment)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
+# What env.bash sets, too: nodes that are started again are found at once.
+if not os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE"):
+    _PROFILE = Path(__file__).parents[2] / "config" / "fastdds.xml"
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(_PROFILE))
+
 Start = Callable[..., TriedProgram]
 
 

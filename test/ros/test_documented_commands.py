@@ -5,12 +5,14 @@ What needs no installed ROS is run in test/core/test_documentation.py and below.
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
+import signal
 import subprocess
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import launch_stand_in
 import pytest
@@ -28,6 +30,7 @@ from mr_damper_ros.nodes.replay_node import ReplayParameters
 from mr_damper_ros.nodes.supply_node import SupplyParameters
 from mr_damper_ros.nodes.suspension_node import SuspensionParameters
 from mr_damper_ros.processes.hosting import hosting
+from mr_damper_ros.processes.programs import Program
 from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]
@@ -152,26 +155,30 @@ def test_all_pages_with_commands_are_read() -> None:
 
 
 def test_the_three_terminals_of_the_readme_identify_a_bag(
-    start: Any, listener: Listener, tmp_path: Path
+    listener: Listener, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The lines of the README as they stand, by the stand-in for the command where it is needed."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```bash\n(ros2 run mr_damper_ros identifier.*?)```", text, re.DOTALL)
     lines = block.replace("/tmp/damper", str(tmp_path)).splitlines()
     assert len(lines) == 3
+    monkeypatch.chdir(tmp_path)
     forces = listener.listen(PredictedForce, "/damper/predicted_force")
-    script = "".join(f'{line} & pids+=" $!"\n' for line in lines[:2])
-    script += lines[2] + " -p rate:=2.0\nsleep 1\nkill $pids\nwait\n"
-    done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=90,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr
-    assert "end of the bag" in done.stderr
+    terminals = [Program(["bash", "-c", line]) for line in (*lines[:2], f"{lines[2]} -p rate:=2.0")]
+    try:
+        assert terminals[2].wait() == 0, terminals[2].errors
+        listener.until(lambda: any(message.valid for message in forces), "a valid force")
+        # Ctrl-C goes to the whole group of a terminal: the command `ros2` hands no signal on.
+        for terminal in terminals[:2]:
+            os.killpg(terminal.pid, signal.SIGINT)
+        for terminal in terminals[:2]:
+            terminal.wait()
+    finally:
+        for terminal in terminals:
+            with suppress(ProcessLookupError):
+                os.killpg(terminal.pid, signal.SIGKILL)
+    assert "end of the bag" in terminals[2].errors
+    assert "Traceback" not in "".join(terminal.errors for terminal in terminals)
     assert (tmp_path / "identifier.yaml").exists()
-    listener.until(lambda: any(message.valid for message in forces), "a valid force")
+    for terminal in terminals:
+        terminal.forget()
