@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from mr_damper_msgs.msg import CurrentCommand, MtsSamples, SupplyCurrent
+from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand, MtsSamples, SupplyCurrent
 from sensor_msgs.msg import JointState, Temperature
 from support import Listener, assert_one_sentence
 
@@ -173,6 +174,40 @@ def test_the_supply_is_turned_while_the_rig_runs(start: Any, listener: Listener)
     assert "fixed while the node is configured" in refused.reason
     refused = listener.set_parameter("bridge", "emulated.current", "much")
     assert not refused.successful
+
+
+def test_a_knob_that_is_set_to_its_value_of_before_counts_after_a_time_out(
+    start: Any, listener: Listener
+) -> None:
+    current = listener.listen(SupplyCurrent, "supply/current")
+    start("bridge", emulated__current=0.5, emulated__command_timeout=0.3)
+    commands = listener.node.create_publisher(CurrentCommand, "supply/current_command", 10)
+    listener.until(commands.get_subscription_count, "the subscription")
+    now_ns = listener.node.get_clock().now().nanoseconds
+    commands.publish(CurrentCommand(header=header(now_ns, "damper"), current=1.2))
+    listener.until(lambda: current and current[-1].current == 1.2, "the commanded current")
+    listener.until(lambda: current[-1].current == 0.0, "no current after the time-out")
+    assert listener.set_parameter("bridge", "emulated.current", 0.5).successful
+    listener.until(lambda: current[-1].current == 0.5, "the current set by hand")
+
+
+def test_a_motion_stamped_ahead_is_refused_and_two_commanders_are_told_beside(
+    start: Any, listener: Listener
+) -> None:
+    start("bridge")
+    with Listener() as other:
+        commands, _ = (
+            one.node.create_publisher(ExcitationCommand, "rig/excitation_command", 10)
+            for one in (listener, other)
+        )
+        listener.until(commands.get_subscription_count, "the subscription")
+        ahead_ns = listener.node.get_clock().now().nanoseconds + 450_000_000
+        commands.publish(
+            ExcitationCommand(header=header(ahead_ns, "damper"), amplitude=0.005, frequency=1.0)
+        )
+        found = listener.wait_for_finding("bridge: motion", "s ahead, where 0.05 s are tolerated")
+    assert found.level == DiagnosticStatus.ERROR
+    assert "the motion is commanded by" in found.message
 
 
 def transition(listener: Listener, number: int) -> bool:
