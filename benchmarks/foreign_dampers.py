@@ -58,6 +58,9 @@ leaves so much more is worse."""
 FOLLOWING = 4.0
 """Sets are compared over so many seconds from when the new one takes effect."""
 
+_OF_A_SET = 3.0
+"""A set is of the samples of the last seconds before it takes effect."""
+
 _FINE = 5e-3
 _HIGHEST_CURRENT = 1.5
 
@@ -230,6 +233,9 @@ FAULTS = (
 )
 """From :data:`BEGIN` to :data:`END`."""
 
+_OF_THE_DAMPER = ("coil_factor", "force_loss", "wear")
+"""With these the same signals are those of another damper."""
+
 
 @dataclass(frozen=True)
 class Combination:
@@ -247,6 +253,11 @@ class Combination:
     fault: str
     size: float
     capacity: float
+
+    @property
+    def changes_damper(self) -> bool:
+        """Whether the damper is another one while the fault lasts."""
+        return self.fault.partition(":")[0] in _OF_THE_DAMPER
 
     @property
     def name(self) -> str:
@@ -397,16 +408,22 @@ def outcome_of(given: Combination, result: TrialResult, seconds: float = 0.0) ->
             if kinds[kind]
         },
         float(np.mean(windows)) if windows else 0.0,
-        tuple(worse_sets(result)),
+        tuple(worse_sets(result, (BEGIN, END) if given.changes_damper else ())),
         len(identified),
         seconds,
     )
 
 
-def worse_sets(result: TrialResult) -> list[WorseSet]:
-    """The sets that are worse than a good one before, by the true force of what follows."""
+def worse_sets(result: TrialResult, changes: Sequence[float] = ()) -> list[WorseSet]:
+    """The sets that are worse than a good one before, by the true force of what follows.
+
+    None where the damper itself changes from its window to the end of what follows: a fault of it
+    begins or is repaired.
+    """
     found = []
     for before, after in pairwise(result.sets):
+        if any(after.time - _OF_A_SET < edge < after.time + FOLLOWING for edge in changes):
+            continue
         truth = _truth(result, after.time, after.time + FOLLOWING)
         if truth is None:
             continue

@@ -113,8 +113,8 @@ def identify_global(
     without them comes first: how many samples count for the levels follows from what a set that is
     about right leaves of the force.
 
-    Raises ValueError where there are no windows, a force does not change, or for an unknown
-    method.
+    Raises DataError where there are no windows or a force does not change, ValueError for an
+    unknown method.
     """
     if method not in GLOBAL_METHODS:
         raise ValueError(f"method '{method}' is unknown: use one of {', '.join(GLOBAL_METHODS)}")

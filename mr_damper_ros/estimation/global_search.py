@@ -36,6 +36,7 @@ from mr_damper_ros.estimation.pooled_polish import PooledPolish
 from mr_damper_ros.estimation.record_levels import LevelPrior
 from mr_damper_ros.estimation.separate_fits import SeparateFits
 from mr_damper_ros.estimation.window_fit import WindowFit
+from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import PooledProblem
@@ -79,10 +80,10 @@ class GlobalSearch:
         later: int = 0,
         levels: LevelPrior | None = None,
     ) -> None:
-        """``later`` generations follow this search; ValueError where there are no windows."""
+        """``later`` generations follow this search; DataError where there are no windows."""
         self._levels = levels
         if not windows:
-            raise ValueError("there are no windows to identify from")
+            raise DataError("there are no windows to identify from")
         self.model = model
         self.windows = windows
         self._known = known
@@ -191,6 +192,8 @@ class GlobalSearch:
         self.best = (best if clearly else first).parameters
         if self._current_varies:
             self._search_again()
+        elif not self._varied <= self.free:
+            self._let_all_move()
         if self._common or self._current_varies:
             self._take_in_what_is_common()
         self._return_to_start()
@@ -290,6 +293,17 @@ class GlobalSearch:
             return True
         self.free = free
         return False
+
+    def _let_all_move(self) -> None:
+        """Search over all that was varied: what of it is determined, only a good fit can tell."""
+        wide = {
+            found.origin: self._polish.search(self.pooled, found.parameters, self._varied)
+            for found in self.candidates
+        }
+        best = self._best_of(wide)
+        if self.pooled.mean_square(best) < _CLEARLY_BETTER * self.pooled.mean_square(self.best):
+            self.best = best
+            self.free = self._determined(best)
 
     def _search_again(self) -> None:
         """From the laws over coefficients that the varying current no longer blurs.

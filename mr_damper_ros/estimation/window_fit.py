@@ -15,6 +15,7 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import without_negative_variance
 from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.repeatability import error_covariances, samples_per_cycle
+from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.window_problem import WindowProblem
@@ -84,13 +85,13 @@ def fit_window(
     ``should_stop`` is asked at every evaluation; where it says so, the best so far is returned with
     ``success`` False.
 
-    Raises ValueError for an unknown method or a force that does not change.
+    Raises DataError for a force that does not change, ValueError for an unknown method.
     """
     if method not in WINDOW_METHODS:
         raise ValueError(f"method '{method}' is unknown: use one of {', '.join(WINDOW_METHODS)}")
     spread = float(np.std(window.force))
     if spread == 0.0:
-        raise ValueError("the force does not change: there is nothing to identify")
+        raise DataError("the force does not change: there is nothing to identify")
     contest = _Contest(model, window, should_stop)
     weights = np.ones(window.sample_count)
     ending = Ending.CONVERGED

@@ -39,6 +39,10 @@ _POLYNOMIAL_ORDER = 4
 _SHORTEST_FILTER = 7
 
 
+class DataError(ValueError):
+    """Samples that nothing can be identified from; the message says why, in a sentence."""
+
+
 @dataclass(frozen=True)
 class Motion:
     """Kinematics of a window; arrays of shape (n,), SI units.
@@ -146,18 +150,18 @@ def window_motion(displacement: Array, period: float) -> Motion:
     ``displacement`` [m] has shape (n,), sampled every ``period`` [s]. The centre of the motion
     is the offset of the sine, or the middle of the span where the motion is no sine.
 
-    Raises ValueError for less than 16 samples, a period that is not positive, values that are
-    not finite, or no motion at all.
+    Raises DataError for less than 16 samples, values that are not finite, or no motion at all,
+    ValueError for a period that is not positive.
     """
     u = np.asarray(displacement, dtype=float)
     if u.ndim != 1 or u.size < 16:
-        raise ValueError(f"a window needs at least 16 samples of displacement (got {u.size})")
+        raise DataError(f"a window needs at least 16 samples of displacement (got {u.size})")
     if not (math.isfinite(period) and period > 0.0):
         raise ValueError(f"the sample period is {period} s: it must be positive")
     if not np.all(np.isfinite(u)):
-        raise ValueError("the displacement holds NaN or infinite values: repair the recording")
+        raise DataError("the displacement holds NaN or infinite values: repair the recording")
     if np.ptp(u) == 0.0:
-        raise ValueError("the displacement does not change: there is no motion to identify from")
+        raise DataError("the displacement does not change: there is no motion to identify from")
     sine = fit_sine(u, period)
     if sine is not None:
         noise = white_noise(u)

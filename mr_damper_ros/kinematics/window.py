@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion import Motion, window_motion
+from mr_damper_ros.kinematics.motion import DataError, Motion, window_motion
 from mr_damper_ros.kinematics.motion_history import MotionHistory, following_stride
 from mr_damper_ros.kinematics.sine import Sine
 from mr_damper_ros.signals.arrays import Array
@@ -31,7 +31,7 @@ class Window:
     the ``whole`` with the ``places`` (n,) of the samples, counted in samples of the whole (of a
     steady sine the places suffice).
 
-    Raises ValueError where lengths differ or values are not finite.
+    Raises DataError where values are not finite, ValueError where lengths differ.
     """
 
     motion: Motion
@@ -48,7 +48,7 @@ class Window:
             if array.shape != (n,):
                 raise ValueError(f"{name} has shape {array.shape}, the motion {n} samples")
             if not np.all(np.isfinite(array)):
-                raise ValueError(f"the {name} holds NaN or infinite values")
+                raise DataError(f"the {name} holds NaN or infinite values")
             object.__setattr__(self, name, array)
 
     @classmethod

@@ -14,6 +14,9 @@ from mr_damper_ros.signals.arrays import Array
 _RELATIVE_ERROR = 0.05
 """No coefficient is trusted more than to this part: the law itself is not exact."""
 
+_OPEN = 1e3
+"""The standard error of a coefficient that a window leaves open, in sizes of it."""
+
 _NOTHING = 1e-100
 """A coefficient that is zero at every operating point has still an error: no weight is infinite."""
 
@@ -38,10 +41,16 @@ class CoefficientTable:
     errors: Array
 
     def weights(self, column: int) -> Array:
-        """Inverse standard deviations (k,) of one coefficient, model error included."""
-        values = self.coefficients[:, column]
-        floor = _RELATIVE_ERROR * max(float(np.sqrt(np.mean(values**2))), _NOTHING)
-        errors = np.nan_to_num(self.errors[:, column], nan=1e3 * floor)
+        """Inverse standard deviations (k,) of one coefficient, model error included.
+
+        A part of a cycle may leave a coefficient open, and its fit then puts it anywhere: the
+        usual size is that of those that are known.
+        """
+        values, errors = self.coefficients[:, column], self.errors[:, column]
+        known = errors <= np.abs(values)
+        usual = float(np.sqrt(np.mean(values[known if known.any() else slice(None)] ** 2)))
+        floor = _RELATIVE_ERROR * max(usual, _NOTHING)
+        errors = np.where(np.isnan(errors), _OPEN * np.maximum(floor, np.abs(values)), errors)
         return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)
 
 

@@ -67,6 +67,15 @@ def check_plausible(parameters: ParameterSet) -> ParameterSet:
     raise ParameterError(reason)
 
 
+def implausible(parameters: ParameterSet) -> str:
+    """Why a set cannot be that of a damper, in a sentence; empty where it can."""
+    try:
+        check_plausible(parameters)
+    except ParameterError as error:
+        return str(error)
+    return ""
+
+
 class _Places(NamedTuple):
     """Where a law is tried, and whether it must be plausible everywhere there."""
 

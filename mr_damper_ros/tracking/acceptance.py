@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -17,8 +18,15 @@ one window to the next: a delay between the sensors does more."""
 
 _LEAST_WEIGHT = 0.1
 
-_WORSE = 0.05
-"""A set for all windows may leave so much more of the newest one's force than the running set."""
+_WORSE = 0.03
+"""A set for all windows may leave so much more of the force of late than the running set."""
+
+_WORTH_WHILE = 0.97
+"""A set for all windows leaves less than so many times what the running set leaves: what is as good
+where it was seen may be worse where it was not."""
+
+_STILL_GOOD = 0.3
+"""Where the running set leaves no more than this part of the force, it is good elsewhere, too."""
 
 _SAME_FORCE = 0.05
 _FAR_BETTER = 1.5
@@ -84,6 +92,14 @@ def fault_of_data(sentence: str) -> Judgement:
     return Judgement(Verdict.FAULT_OF_DATA, sentence)
 
 
+def failed(error: Exception) -> Judgement:
+    """The judgement where the identification itself came to grief, whatever the data."""
+    return Judgement(
+        Verdict.FAILED,
+        f"the identification failed ({type(error).__name__}: {error}): the running set stays",
+    )
+
+
 def too_little_motion(sentence: str) -> Judgement:
     """The judgement of a window that lacks motion: its data may be all right."""
     return Judgement(Verdict.TOO_LITTLE_MOTION, sentence)
@@ -124,6 +140,8 @@ class Evidence:
     ``nrmse_before`` and ``nrmse_after``: RMSE/std; ``rmse_after`` [N]; ``force_change``: relative
     change of the force from the running to the new set over the window's motion; ``lead``: how far
     the new set is ahead on samples that no set was fitted to, in standard errors of chance.
+    ``loss``: what the mean square error rises by at other operating points of late, over what it
+    falls by here [1].
     """
 
     nrmse_before: float
@@ -131,6 +149,7 @@ class Evidence:
     rmse_after: float
     force_change: float
     lead: float = math.inf
+    loss: float = 0.0
 
     @property
     def better(self) -> bool:
@@ -210,16 +229,20 @@ class Gatekeeper:
         holds: bool = False,
         same_motion: bool = False,
         one_point: bool = True,
+        objection: Callable[[], str] = str,
     ) -> Judgement:
         """Whether the new set is accepted, and why not.
 
         ``force``: size and operating point of the window's force, where they are to be judged.
         ``holds``: whether the running set has been identified where the window is;
         ``same_motion``: whether it has been confirmed in several windows of this very motion;
-        ``one_point``: whether the window has one current, so that its residual is that of a point.
+        ``one_point``: whether the window has one current, so that its residual is that of a point;
+        ``objection``: why nobody could use the set, asked where nothing else is against it.
         """
         point = force.operating_point if force is not None and one_point else None
         judgement = self._judge(evidence, force, point, holds, same_motion)
+        if judgement.verdict.accepted and (sentence := objection()):
+            judgement = Judgement(Verdict.POOR_FIT, sentence)
         if judgement.verdict.confirms:
             seen = SeenResidual(evidence.rmse_after, evidence.nrmse_after, *(point or ()))
             self._usual.add(seen)
@@ -231,13 +254,15 @@ class Gatekeeper:
         self,
         nrmse_before: float,
         nrmse_after: float,
-        newest: tuple[float, float] = (math.inf, 0.0),
+        recent: tuple[float, float] = (math.inf, 0.0),
         lead: float = math.inf,
+        objection: Callable[[], str] = str,
     ) -> Judgement:
         """Whether a set for the windows of the past is accepted: it leaves no trace.
 
-        ``newest``: NRMSE of the running and of the new set on the newest of these windows;
-        ``lead``: how far it is ahead of the running set, see :class:`Evidence`.
+        ``recent``: NRMSE of the running and of the new set at the operating points of late;
+        ``lead``: how far it is ahead of the running set, see :class:`Evidence`; ``objection`` as in
+        :meth:`judge`.
         """
         if not nrmse_after <= self._settings.maximum_nrmse:
             return Judgement(
@@ -245,15 +270,16 @@ class Gatekeeper:
                 f"one set for all operating points leaves {nrmse_after:.0%} of the force "
                 f"unexplained, more than maximum_nrmse ({self._settings.maximum_nrmse:.0%})",
             )
-        if not (nrmse_after < nrmse_before and lead > BEYOND_CHANCE):
+        if not (nrmse_after < _WORTH_WHILE * nrmse_before and lead > BEYOND_CHANCE):
             return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
-        if newest[1] > newest[0] + _WORSE:
+        if recent[1] > recent[0] + _WORSE:
             return Judgement(
                 Verdict.NO_BETTER,
-                f"one set for all operating points leaves {newest[1]:.0%} of the newest window's "
-                f"force unexplained, the running set {newest[0]:.0%}",
+                f"one set for all operating points leaves {recent[1]:.0%} of the force of late "
+                f"unexplained, the running set {recent[0]:.0%}",
             )
-        return ACCEPTED
+        sentence = objection()
+        return Judgement(Verdict.POOR_FIT, sentence) if sentence else ACCEPTED
 
     def may_be_early(self, evidence: Evidence) -> bool:
         """Whether a fit to a few samples after a change may replace the running set.
@@ -335,6 +361,12 @@ class Gatekeeper:
         if not (evidence.better if holds else evidence.nrmse_after < evidence.nrmse_before):
             return Judgement(
                 Verdict.NO_BETTER, "the running set predicts the held-back samples as well"
+            )
+        if evidence.loss > 1.0 and evidence.nrmse_before <= _STILL_GOOD:
+            return Judgement(
+                Verdict.NO_BETTER,
+                "the running set predicts the other operating points of late better than the new "
+                "one does this one",
             )
         change = evidence.force_change
         if force is not None and not holds:

@@ -20,6 +20,9 @@ from mr_damper_ros.tracking.reservoir import OperatingPoint, nearest_same
 _MOST_POWER = 1e100
 """Sum of squared forces [N²] beyond any damper's, far below where its square overflows."""
 
+_ALIKE = 0.5
+"""A force of less correlation with that of the baseline is no multiple of it."""
+
 _REMEMBERED = 40
 _FEWEST_PAIRS = 5
 
@@ -163,7 +166,7 @@ def force_scale(model: Model, window: Window, fit: WindowFit, baselines: Baselin
 def _measured_scale(reference: Array, measured: Array) -> ForceScale:
     """Scale that maps the force (n,) [N] of a baseline onto the measured one, in least squares."""
     power = float(reference @ reference)
-    if not 0.0 < power < _MOST_POWER:
+    if not _alike(reference, measured):
         return ForceScale()
     value = float(measured @ reference) / power
     noise = NoiseModel.of(measured - value * reference)
@@ -199,10 +202,19 @@ def scale_between(
     ``jacobian`` (n, k) is that of the present force by unknowns of this ``covariance`` (k, k).
     """
     power = float(reference @ reference)
-    if power == 0.0:
+    if not _alike(reference, present):
         return ForceScale()
     # An unknown that the samples do not determine does not change the force either.
     determined = ~np.isnan(np.diag(covariance))
     gradient = (reference @ jacobian / power)[determined]
     variance = float(gradient @ covariance[np.ix_(determined, determined)] @ gradient)
     return ForceScale(float(present @ reference) / power, math.sqrt(max(variance, 0.0)))
+
+
+def _alike(one: Array, other: Array) -> bool:
+    """Whether one force (n,) [N] is about a multiple of another, which may be another damper's."""
+    power = float(one @ one)
+    product = float(one @ other)
+    if not (0.0 < power < _MOST_POWER and product > 0.0):
+        return False
+    return product**2 > _ALIKE**2 * power * float(other @ other)

@@ -15,9 +15,10 @@ from mr_damper_ros.estimation.autocorrelation import NoiseModel
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.set_error import error_of_set
+from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.tracking.acceptance import fault_of_data
+from mr_damper_ros.tracking.acceptance import failed, fault_of_data
 from mr_damper_ros.tracking.held_back import Lead, held_back_samples
 from mr_damper_ros.tracking.tasks import GlobalResult, GlobalTask
 
@@ -37,14 +38,17 @@ def run_global(
             task.settings,
             report,
         )
-    except ValueError as error:
+    except DataError as error:
         return GlobalResult(fault_of_data(str(error)))
+    except (ValueError, ArithmeticError) as error:
+        return GlobalResult(failed(error))
     # Of a few samples none is held back.
     judged = [window.part(judges) for window, judges in pairs if judges.any()]
     before, after = (error_of_set(found, judged).nrmse for found in (start, fit.parameter_set))
-    newest = tuple(error_of_set(each, judged[-1:]).nrmse for each in (start, fit.parameter_set))
+    last = judged[-max(task.recent, 1) :]
+    recent = tuple(error_of_set(each, last).nrmse for each in (start, fit.parameter_set))
     lead = _lead(start, fit.parameter_set, task.windows, held_back)
-    return GlobalResult(None, fit, before, after, lead, (newest[0], newest[1]))
+    return GlobalResult(None, fit, before, after, lead, (recent[0], recent[1]))
 
 
 def _lead(

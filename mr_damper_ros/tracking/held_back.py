@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from mr_damper_ros.estimation.autocorrelation import NoiseModel
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Evidence
@@ -58,7 +59,8 @@ def evidence_of(task: FitTask, held_back: np.ndarray, window: Window, after: Arr
     settled = task.model.settled(window, after)
     spread = float(np.std(window.force))
     old = task.running.force(window)
-    new = candidate(task.running, after, window).force(window)
+    found = candidate(task.running, after, window)
+    new = found.force(window)
     if not np.isfinite(old).all():
         # Whatever was loaded there, anything is better.
         old = np.full(old.size, math.inf)
@@ -75,7 +77,38 @@ def evidence_of(task: FitTask, held_back: np.ndarray, window: Window, after: Arr
         noise = NoiseModel.of((new - window.force)[settled])
         one = Lead.of(old, new, window.force, judged, noise)
         lead = Lead.together([one] if _new_samples(task) >= _CHUNKS else [])
-    return Evidence(rmse_before / spread, rmse_after / spread, rmse_after, change, lead)
+    return Evidence(
+        rmse_before / spread,
+        rmse_after / spread,
+        rmse_after,
+        change,
+        lead,
+        _loss(task, found, rmse_before**2 - rmse_after**2),
+    )
+
+
+def _loss(task: FitTask, found: ParameterSet, gain: float) -> float:
+    """What the mean square error at other operating points rises by, over a ``gain`` here [N²].
+
+    But for a factor on the force: the strength of the damper may have changed since.
+    """
+    if not (task.known and task.elsewhere and gain > 0.0):
+        return 0.0
+    before, after = (_mean_square_elsewhere(each, task.elsewhere) for each in (task.running, found))
+    return (after - before) / gain
+
+
+def _mean_square_elsewhere(found: ParameterSet, windows: Sequence[Window]) -> float:
+    """Mean square error [N²] of a set, each window counted once, with the best factor for all."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        forces = [found.force(window) for window in windows]
+        pairs = [(force, window.force) for force, window in zip(forces, windows, strict=True)]
+        power = sum(float(np.mean(force * force)) for force, _ in pairs)
+        shared = sum(float(np.mean(force * measured)) for force, measured in pairs)
+        factor = shared / power if power > 0.0 else 1.0
+        errors = [float(np.mean((factor * force - measured) ** 2)) for force, measured in pairs]
+    error = sum(errors) / len(errors)
+    return error if math.isfinite(error) else math.inf
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mr_damper_ros.estimation.autocorrelation import NoiseModel
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE
 from mr_damper_ros.tracking.acceptance import Evidence
 from mr_damper_ros.tracking.cusum import change_point, fit_scale
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale, with_strength
-from mr_damper_ros.tracking.held_back import held_back_samples
+from mr_damper_ros.tracking.held_back import Lead, held_back_samples
 from mr_damper_ros.tracking.reservoir import nearest_same
 from mr_damper_ros.tracking.tasks import FitResult, FitTask, WindowSummary
 from mr_damper_ros.tracking.unscented_filter import FilterState
@@ -47,7 +48,10 @@ def run_look(task: FitTask, window: Window) -> FitResult:
         float(np.sqrt(np.mean((factor * own - measured)[held_back] ** 2)))
         for factor in (1.0, trained)
     )
-    evidence = Evidence(before / spread, after / spread, after, trained - 1.0)
+    # What the law cannot follow lasts for much of so few samples, and looks like a change.
+    noise = NoiseModel.of(trained * own - measured)
+    lead = Lead.together([Lead.of(own, trained * own, measured, held_back, noise)])
+    evidence = Evidence(before / spread, after / spread, after, trained - 1.0, lead)
     found = fit_scale(own, measured)
     if not found.factor > 0.0 or np.ptp(changed.force) == 0.0:
         return FitResult(watch=watch)  # a sensor has failed, no damper does that

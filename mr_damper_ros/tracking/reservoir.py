@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _SAME_VELOCITY = math.log(1.1)
 """Peak velocities within 10 % of each other are one operating point."""
@@ -17,6 +18,9 @@ _SAME_CURRENT = 0.05
 _MOST_SAMPLES = 500
 _FEWEST_SAMPLES = 125
 _MOST_WINDOWS = 100
+
+RECENT = 10.0
+"""Operating points of so many seconds are those that a set will be used at."""
 
 OperatingPoint = tuple[float, float]
 """Peak velocity [m/s] and current [A]."""
@@ -55,11 +59,18 @@ class Reservoir:
     """The newest good window of each operating point, see :func:`thinned_to_keep`."""
 
     def __init__(
-        self, windows: Iterable[Window] = (), points: Iterable[OperatingPoint] = ()
+        self,
+        windows: Iterable[Window] = (),
+        points: Iterable[OperatingPoint] = (),
+        stamps: Iterable[int] = (),
     ) -> None:
-        """Begin with these windows, oldest first, and their operating points."""
+        """Begin with these windows, oldest first, their operating points and last stamps [ns].
+
+        Windows without a stamp count as old.
+        """
         self._windows = list(windows)
         self._points = list(points)
+        self._stamps = list(stamps) or [0] * len(self._windows)
 
     @property
     def windows(self) -> tuple[Window, ...]:
@@ -72,17 +83,32 @@ class Reservoir:
         return tuple(self._points)
 
     @property
+    def stamps(self) -> tuple[int, ...]:
+        """Stamp [ns] of the last sample of each window."""
+        return tuple(self._stamps)
+
+    def recent(self, end_ns: int) -> tuple[Window, ...]:
+        """The windows of the last :data:`RECENT` seconds up to a stamp [ns], oldest first."""
+        since = end_ns - round(RECENT * NANOSECONDS)
+        return tuple(
+            window
+            for window, stamp in zip(self._windows, self._stamps, strict=True)
+            if since <= stamp <= end_ns
+        )
+
+    @property
     def operating_points(self) -> int:
         """Number of different operating points."""
         return len(self._windows)
 
-    def add(self, kept: Kept) -> None:
-        """Keep a window in place of the older one at its operating point."""
+    def add(self, kept: Kept, stamp_ns: int = 0) -> None:
+        """Keep a window up to this stamp in place of the older one at its operating point."""
         window, point = kept
         older = nearest_same(self._points, point)
         if older is None and len(self._windows) == _MOST_WINDOWS:
             older = 0
         if older is not None:
-            del self._windows[older], self._points[older]
+            del self._windows[older], self._points[older], self._stamps[older]
         self._windows.append(window)
         self._points.append(point)
+        self._stamps.append(stamp_ns)

@@ -136,7 +136,9 @@ def set_of_window(
     if known[1]:
         current_range = _wider(current_range, running.current_range)
     if any(known):
-        largest_force = _larger(largest_force, running.largest_force)
+        # Where nobody measured it over that range, the window does not tell it either.
+        unknown = math.isnan(running.largest_force)
+        largest_force = math.nan if unknown else max(largest_force, running.largest_force)
     return ParameterSet(
         values=fit.parameters,
         standard_errors=errors,

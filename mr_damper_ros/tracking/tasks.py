@@ -30,7 +30,8 @@ class FitTask:
 
     ``baselines`` are those of the force scale; ``state`` is where the filter stood and ``watch``
     that of the detector of changes, if they run; samples stamped before ``changed_ns`` are of the
-    damper before its last sudden change.
+    damper before its last sudden change; ``elsewhere``: windows at the operating points of the last
+    seconds before this one.
     """
 
     window: RawWindow
@@ -40,6 +41,7 @@ class FitTask:
     watch: ChangeWatch | None = None
     changed_ns: int = 0
     baselines: tuple[WindowFit, ...] = ()
+    elsewhere: tuple[Window, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -112,12 +114,16 @@ class FitResult:
 
 @dataclass(frozen=True, eq=False)
 class GlobalTask:
-    """The reservoir's windows, the last of them up to ``stamp_ns``, and the set to start from."""
+    """The reservoir's windows, the last of them up to ``stamp_ns``, and the set to start from.
+
+    The last ``recent`` of them are at the operating points of late.
+    """
 
     windows: tuple[Window, ...]
     start: ParameterSet
     settings: EvolutionSettings
     stamp_ns: int = 0
+    recent: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +132,7 @@ class GlobalResult:
 
     ``nrmse_before`` and ``nrmse_after`` are those of the set before and of that found, over the
     samples of all windows together that were held back; ``lead`` is that of the set found, see
-    :class:`Evidence`; ``newest`` are the NRMSE of both over the newest window alone.
+    :class:`Evidence`; ``recent`` are the NRMSE of both over the operating points of late.
     """
 
     refusal: Judgement | None = None
@@ -134,4 +140,4 @@ class GlobalResult:
     nrmse_before: float = math.nan
     nrmse_after: float = math.nan
     lead: float = math.inf
-    newest: tuple[float, float] = (math.nan, math.nan)
+    recent: tuple[float, float] = (math.nan, math.nan)

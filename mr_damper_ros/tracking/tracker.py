@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
@@ -46,6 +48,9 @@ _GROWTH = 1.5
 """
 
 
+_PATIENCE = 3
+"""So many windows that the law over the current does not explain are worth another search."""
+
 _ESTABLISHED = 3
 """So many windows of one motion establish the shape of its force."""
 
@@ -72,6 +77,9 @@ class WindowTracker:
             baselines=self._baselines.fits,
             reservoir=self._reservoir.windows,
             reservoir_points=self._reservoir.points,
+            reservoir_stamps=self._reservoir.stamps,
+            unexplained_windows=self._unexplained_windows,
+            unexplained_patience=self._unexplained_patience,
             state=self._state,
             watch=self._watch,
             changed_ns=self._changed_ns,
@@ -90,7 +98,9 @@ class WindowTracker:
         self._good_since_global = memory.accepted_since_global
         self._gatekeeper = Gatekeeper(self._settings.acceptance, memory.history)
         self._baselines = Baselines(memory.baselines)
-        self._reservoir = Reservoir(memory.reservoir, memory.reservoir_points)
+        self._reservoir = Reservoir(
+            memory.reservoir, memory.reservoir_points, memory.reservoir_stamps
+        )
         self._state = memory.state
         self._watch = memory.watch
         self._changed_ns = memory.changed_ns
@@ -103,8 +113,11 @@ class WindowTracker:
         self._motion = memory.motion
         self._kept_ns = memory.kept_ns
         self._seen_ns = 0
-        # Whether the law over the current does not explain the newest window.
+        # Whether the law over the current does not explain the newest window, how many of them came
+        # since the last search, and after how many the next one follows.
         self._unexplained = False
+        self._unexplained_windows = memory.unexplained_windows
+        self._unexplained_patience = memory.unexplained_patience or _PATIENCE
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
         """Go on where another tracker was, which may have had other settings.
@@ -178,6 +191,7 @@ class WindowTracker:
             self._watch,
             self._changed_ns,
             self._baselines.fits,
+            () if window.look else self._reservoir.recent(window.start_ns),
         )
 
     def complete(self, task: FitTask, result: FitResult) -> Report:
@@ -207,8 +221,21 @@ class WindowTracker:
         force = known_force(fit, summary)
         holds = not self._other_damper and holds_at(self.parameters, fit.operating_point)
         known_motion = self._motion.windows_of(summary) >= _ESTABLISHED
+        found = set_of_window(
+            self.parameters,
+            fit,
+            evidence,
+            summary,
+            set_id=f"window-{self._windows}",
+            stamp_ns=task.window.end_ns,
+        )
         judgement = self._gatekeeper.judge(
-            evidence, force, holds=holds, same_motion=known_motion, one_point=parts is None
+            evidence,
+            force,
+            holds=holds,
+            same_motion=known_motion,
+            one_point=parts is None,
+            objection=partial(implausible, found),
         )
         if self._unexplained and judgement.verdict is Verdict.DISTURBED:
             judgement = Judgement(
@@ -221,7 +248,6 @@ class WindowTracker:
             self._state = result.state
             self._watch = self._watch or result.watch
             self._motion = self._motion.followed_by(summary)
-            self._good_since_global += 1
             if parts is None or parts.explained:
                 # A wrong law over the current is nothing to compare other windows with.
                 self._baselines.add(fit)
@@ -229,20 +255,15 @@ class WindowTracker:
             self._watch = result.watch
             self._other_damper = False
             self._accepted += 1
-            self.parameters = set_of_window(
-                self.parameters,
-                fit,
-                evidence,
-                summary,
-                set_id=f"window-{self._windows}",
-                stamp_ns=task.window.end_ns,
-            )
+            self.parameters = found
         if judgement.verdict is Verdict.BEYOND_LIMITS:
             self._unexplained = False
+        self._unexplained_windows += self._unexplained
         if judgement.verdict.confirms or self._unexplained:
             self._kept_ns = task.window.end_ns
+            self._good_since_global += judgement.verdict.confirms
             for kept in result.kept:
-                self._reservoir.add(kept)
+                self._reservoir.add(kept, task.window.end_ns)
         return judgement
 
     def _paused_before(self, window: RawWindow) -> bool:
@@ -270,7 +291,14 @@ class WindowTracker:
             return None
         if not self._gatekeeper.may_be_early(evidence):
             return None
+        set_id = f"early-{self._windows + 1}"
+        found = set_of_change(
+            self.parameters, fit, evidence, summary, set_id=set_id, stamp_ns=raw.end_ns
+        )
+        if implausible(found):
+            return None
         self._windows += 1
+        self.parameters = found
         self._gatekeeper.follow_change(evidence)
         self._state = result.state
         # A law that is not exact swings about the force: the next change shows against a window.
@@ -280,10 +308,6 @@ class WindowTracker:
             self._temperatures = TemperatureMaps()
         length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
         self._changed_ns = raw.end_ns - length
-        set_id = f"early-{self._windows}"
-        self.parameters = set_of_change(
-            self.parameters, fit, evidence, summary, set_id=set_id, stamp_ns=raw.end_ns
-        )
         judgement = Judgement(
             Verdict.ACCEPTED_EARLY,
             f"the force changed by {evidence.force_change:+.0%} at "
@@ -299,7 +323,8 @@ class WindowTracker:
         if period == 0:
             return False
         has_grown = points >= _GROWTH * self._searched_points
-        if self._unexplained and points > 1 and has_grown:
+        waited = self._unexplained_windows >= self._unexplained_patience
+        if self._unexplained and points > 1 and (has_grown or waited):
             return True
         common = self._model.places(self._model.common_names)
         known = bool(self.parameters.observable[common].any())
@@ -312,15 +337,20 @@ class WindowTracker:
     def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
         """Task of a global identification of the reservoir, with other settings if given."""
         self._good_since_global = 0
+        self._unexplained_windows = 0
         self._global_patience += max(self._global_patience // 2, 1)
         self._searched_points = self._reservoir.operating_points
         settings = evolution or self._settings.evolution
         stamp_ns = max(self._kept_ns, self.parameters.stamp_ns)
-        return GlobalTask(self._reservoir.windows, self.parameters, settings, stamp_ns)
+        recent = len(self._reservoir.recent(self._kept_ns))
+        return GlobalTask(self._reservoir.windows, self.parameters, settings, stamp_ns, recent)
 
     def complete_global(self, task: GlobalTask, result: GlobalResult) -> Report:
         """Judge a global identification and, if it is accepted, run with it."""
         judgement = self._judge_global(result)
+        # A law that cannot follow the current is not searched for again and again.
+        accepted = judgement.verdict.accepted
+        self._unexplained_patience = _PATIENCE if accepted else 2 * self._unexplained_patience
         if judgement.verdict.accepted and result.fit is not None:
             self.parameters = replace(
                 result.fit.parameter_set,
@@ -334,5 +364,9 @@ class WindowTracker:
         if result.fit is None:
             return result.refusal or fault_of_data("the windows could not be fitted")
         return self._gatekeeper.judge_global(
-            result.nrmse_before, result.nrmse_after, result.newest, result.lead
+            result.nrmse_before,
+            result.nrmse_after,
+            result.recent,
+            result.lead,
+            objection=partial(implausible, result.fit.parameter_set),
         )

@@ -53,7 +53,10 @@ class TrackerMemory:
     operating points that the last global identification had; ``scales`` seen in motions that were
     no sine; ``global_patience``: good windows until the next search; ``other_damper``: whether the
     damper may be another one than that of the running set; ``motion`` of the newest good windows;
-    ``kept_ns``: stamp of the newest window in the reservoir.
+    ``kept_ns``: stamp of the newest window in the reservoir; ``reservoir_stamps``: that of each;
+    ``unexplained_windows``: windows whose dependence on the current the law did not explain since
+    the last search, and ``unexplained_patience``: after how many the next one follows, 0 for the
+    usual number.
     """
 
     windows: int = 0
@@ -73,6 +76,9 @@ class TrackerMemory:
     other_damper: bool = False
     motion: SteadyMotion = dataclasses.field(default_factory=SteadyMotion)
     kept_ns: int = 0
+    reservoir_stamps: tuple[int, ...] = ()
+    unexplained_windows: int = 0
+    unexplained_patience: int = 0
 
 
 def to_text(memory: TrackerMemory) -> str:
@@ -188,9 +194,11 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
     counts = (
         *(memory.windows, memory.accepted, memory.accepted_since_global),
         *(memory.searched_points, memory.motion.windows, memory.global_patience - 1),
+        *(memory.unexplained_windows, memory.unexplained_patience),
     )
     yield min(*counts, history.refused_for_residual) >= 0, "a negative count"
-    yield max(abs(memory.changed_ns), abs(memory.kept_ns)) < _STAMP_LIMIT, "such a stamp"
+    stamps = (memory.changed_ns, memory.kept_ns, *memory.reservoir_stamps)
+    yield max(map(abs, stamps)) < _STAMP_LIMIT, "such a stamp"
     for residual in history.residuals:
         sound = len(residual) in (2, 4) and all(map(math.isfinite, residual))
         yield sound and min(residual[:3]) >= 0.0, "such a residual"
@@ -198,7 +206,9 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
     for known in history.forces:
         of_force = (known.peak_velocity, known.size, known.largest)
         yield min(of_force) > 0.0 and all(map(math.isfinite, of_force)), "such a known force"
-    yield len(memory.reservoir) == len(memory.reservoir_points), "a window without its point"
+    windows, points_of_windows = len(memory.reservoir), len(memory.reservoir_points)
+    yield windows == points_of_windows, "a window without its point"
+    yield len(memory.reservoir_stamps) in (0, windows), "a window without its stamp"
     for fit in memory.baselines:
         yield fit.parameters.shape == (parameter_count,), "another number of parameters"
         yield _square(fit.scales, fit.covariance), "such a covariance"

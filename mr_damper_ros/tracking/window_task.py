@@ -11,10 +11,16 @@ import numpy as np
 from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.map_estimate import with_prior
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.tracking.acceptance import Evidence, fault_of_data, too_little_motion
+from mr_damper_ros.tracking.acceptance import (
+    Evidence,
+    failed,
+    fault_of_data,
+    too_little_motion,
+)
 from mr_damper_ros.tracking.current_parts import judge_parts, parts_by_current
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
@@ -39,7 +45,7 @@ _NEARER = 0.5
 
 
 def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> FitResult:
-    """Fit the window of a task; every fault of the data comes back as a sentence.
+    """Fit the window of a task; a fault of the data, or a failure, comes back as a sentence.
 
     Of a look only the watch comes back as long as nothing has changed.
     """
@@ -101,8 +107,10 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         )
         if task.known:
             final = with_prior(model, final, window, start, fastest=fastest, robust=settings.robust)
-    except ValueError as error:
+    except DataError as error:
         return FitResult(fault_of_data(str(error)))
+    except (ValueError, ArithmeticError) as error:
+        return FitResult(failed(error))
     final = replace(
         final,
         method=settings.method,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from pathlib import Path
@@ -13,6 +14,7 @@ from mr_damper_ros.tracking.acceptance import (
     AcceptanceSettings,
     Evidence,
     Gatekeeper,
+    Judgement,
     Verdict,
 )
 from mr_damper_ros.tracking.known_forces import KnownForce
@@ -275,7 +277,7 @@ def test_a_loop_that_is_another_at_once_is_not_taken_by_repetition() -> None:
 
 def test_one_set_for_all_that_is_worse_where_the_damper_is_now_is_refused() -> None:
     gatekeeper = Gatekeeper(AcceptanceSettings())
-    assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.09)) == ACCEPTED
+    assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.07)) == ACCEPTED
     assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.11)).verdict is Verdict.NO_BETTER
 
 
@@ -330,3 +332,28 @@ def test_what_is_usual_where_is_kept() -> None:
 
 def test_the_residual_factor_is_used() -> None:
     assert experienced(5.0, residual_factor=5.0).judge(evidence(100.0, 20.0)) == ACCEPTED
+
+
+def test_a_set_that_nobody_could_use_is_refused() -> None:
+    gatekeeper = Gatekeeper(AcceptanceSettings())
+    judgement = gatekeeper.judge(evidence(20.0, 5.0), objection=lambda: "no damper gives 1e9 N")
+    assert judgement == Judgement(Verdict.POOR_FIT, "no damper gives 1e9 N")
+    assert gatekeeper.judge(evidence(5.0, 5.0), objection=lambda: "no").verdict.confirms
+    found = gatekeeper.judge_global(0.2, 0.1, objection=lambda: "no damper gives 1e9 N")
+    assert found.verdict is Verdict.POOR_FIT
+
+
+@pytest.mark.parametrize(("loss", "accepted"), [(0.5, True), (2.0, False)])
+def test_a_set_may_lose_no_more_elsewhere_than_it_gains_here(loss: float, accepted: bool) -> None:
+    here = dataclasses.replace(evidence(50.0, 20.0), loss=loss)
+    judgement = Gatekeeper(AcceptanceSettings()).judge(here)
+    assert judgement.verdict is (Verdict.ACCEPTED if accepted else Verdict.NO_BETTER)
+
+
+def test_a_set_that_is_poor_here_goes_whatever_it_was_elsewhere() -> None:
+    here = dataclasses.replace(evidence(400.0, 20.0), loss=2.0)
+    assert Gatekeeper(AcceptanceSettings()).judge(here, holds=True) == ACCEPTED
+
+
+def test_a_set_for_all_windows_must_be_worth_while() -> None:
+    assert Gatekeeper(AcceptanceSettings()).judge_global(0.1, 0.099).verdict is Verdict.NO_BETTER

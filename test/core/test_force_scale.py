@@ -136,3 +136,13 @@ def test_a_baseline_beyond_all_measure_tells_no_scale() -> None:
     baselines.add(dataclasses.replace(fit, parameters=absurd))
     assert window.motion.sine is None
     assert math.isnan(force_scale(SIGMOID, window, fit, baselines).value)
+
+
+def test_a_force_unlike_that_of_the_baseline_tells_no_scale() -> None:
+    run = known.run(seed=None)
+    fit = fit_of(run)
+    reversed_force = dataclasses.replace(fit, parameters=fit.parameters.copy())
+    reversed_force.parameters[SIGMOID.strength_indices] *= -1e3
+    baselines = Baselines()
+    baselines.add(reversed_force)
+    assert math.isnan(scale_of(baselines, run).value)

@@ -279,6 +279,34 @@ def test_a_start_of_another_basin_does_not_spoil_the_fit(
     assert excess(windows, fit) < AT_THE_NOISE
 
 
+def strokes(currents: Sequence[float]) -> list[Window]:
+    """A fifth of a cycle at each current, as a switched supply leaves them."""
+    runs = [
+        known.run(THESIS_28_CELSIUS, current=current, seed=place, samples=1000, phase=1.3 * place)
+        for place, current in enumerate(currents)
+    ]
+    return [run.window.part(slice(300, 500)) for run in runs]
+
+
+def test_strokes_that_leave_coefficients_open_do_not_spoil_the_search() -> None:
+    windows = strokes([0.05, 0.2, 0.35, 0.5, 0.7, 0.9, 1.1, 1.3, 1.45])
+    fit = identify_global(SIGMOID, windows, LITERATURE, FEW)
+    assert fit.cost < AT_THE_NOISE_OF_FEW**2
+
+
+def test_a_coefficient_that_is_open_says_nothing_of_the_size_of_others() -> None:
+    known_only = np.array([[500.0], [520.0], [480.0]])
+    with_open = np.array([[500.0], [520.0], [480.0], [9e5], [8e5]])
+    errors = np.array([[5.0], [5.0], [5.0], [math.nan], [1e7]])
+    tables = [
+        CoefficientTable(np.ones(len(c)), np.arange(float(len(c))), c, errors[: len(c)])
+        for c in (known_only, with_open)
+    ]
+    weights = [table.weights(0) for table in tables]
+    np.testing.assert_allclose(weights[1][:3], weights[0])
+    assert weights[1][3:].max() < 1e-3 * weights[0].min()
+
+
 def test_repeated_runs_at_one_point_are_one_point() -> None:
     windows = tuple(known.run(seed=seed, samples=500).window for seed in range(4))
     fit = identify_global(SIGMOID, windows, LITERATURE, QUICK)

@@ -649,3 +649,20 @@ def test_windows_after_a_search_keep_the_shape_and_its_errors() -> None:
     )
     low, high = tracked.parameters.current_range
     assert (low, high) == (0.3, 1.4), "what was identified over several currents stays valid there"
+
+
+def test_a_set_that_the_model_would_refuse_is_not_taken() -> None:
+    tracked = toured()
+    task = tracked.global_task()
+    result = run_global(task)
+    assert result.fit is not None
+    found = result.fit.parameter_set
+    values = found.values.copy()
+    values[known.index("f0")] *= 1e6
+    absurd = dataclasses.replace(found, values=values)
+    fit = dataclasses.replace(result.fit, parameter_set=absurd)
+    good = tracked.parameters
+    report = tracked.complete_global(task, dataclasses.replace(result, fit=fit))
+    assert report.verdict is Verdict.POOR_FIT
+    assert "that are possible" in report.reason
+    assert tracked.parameters is good

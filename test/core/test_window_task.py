@@ -17,6 +17,8 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.tracking import global_task, window_task
+from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow
@@ -92,3 +94,30 @@ def test_what_was_first_found_here_does_not_undo_what_is_known_of_other_currents
     shape = law.places(law.shape_names)
     np.testing.assert_array_equal(fit.parameters[shape], weaker[shape])
     assert fit.rmse < 1.1 * known.NOISE
+
+
+def failing(*_: object, **__: object) -> None:
+    raise np.linalg.LinAlgError("SVD did not converge")
+
+
+def test_a_failure_of_ours_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracked = WindowTracker(TrackerSettings(), START)
+    monkeypatch.setattr(window_task, "fit_window", failing)
+    report = tracked.follow(WINDOWS["sine"])
+    assert report is not None
+    assert report.verdict is Verdict.FAILED
+    assert "SVD did not converge" in report.reason
+
+
+def test_a_search_that_fails_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracked = WindowTracker(TrackerSettings(), START)
+    tracked.follow(WINDOWS["sine"])
+    monkeypatch.setattr(global_task, "identify_global", failing)
+    assert tracked.identify().verdict is Verdict.FAILED
+
+
+def test_a_force_that_does_not_change_is_a_fault_of_the_data() -> None:
+    still = replace(WINDOWS["sine"], force=np.full(SAMPLES, 100.0))
+    report = WindowTracker(TrackerSettings(), START).follow(still)
+    assert report is not None
+    assert report.verdict is Verdict.FAULT_OF_DATA
