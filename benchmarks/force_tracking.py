@@ -9,20 +9,13 @@ import numpy as np
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import random_motion
 from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
-from mr_damper_ros.rig.emulator import (
-    CurrentSchedule,
-    EmulatedRig,
-    ModelDamper,
-    RigSettings,
-    ThermalModel,
-)
-from mr_damper_ros.rig.invented_damper import HOT_FORCE, invented_damper
+from mr_damper_ros.rig.commanded_rig import ForceChoice, turned
+from mr_damper_ros.rig.emulator import EmulatedRig, ModelDamper, RigSettings, ThermalModel
+from mr_damper_ros.rig.invented_damper import HIGHEST_CURRENT, HOT_FORCE, invented_damper
+from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.supply_knob import SupplyKnob
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.tracking.predictor import PredictorSettings
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
+from mr_damper_ros.tracking.engine import Engine
 
 VALUES = invented_damper(0.01).as_dict()
 
@@ -64,47 +57,28 @@ def tracked(duration: float, *, hot: bool, learns: bool, seed: int = 0) -> Track
     ``learns``: with the set that is identified meanwhile, else with that of 28 °C.
     """
     celsius = _HOT if hot else _COLD
-    times, currents = [0.0], [0.0]
+    knob = SupplyKnob(0.0)
     rig = EmulatedRig(
         ModelDamper(DAMPER, PERIOD, HOT_FORCE),
         random_motion(0.004, 0.5, 3.0, duration, seed=seed),
-        CurrentSchedule(times, currents),
+        knob.schedule,
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
         # So much heat capacity that it stays as it is.
         thermal=ThermalModel(ambient=celsius, initial=celsius, capacity=1e9),
     )
     rig.live = True
-    controller = ForceController(
-        ForceControlSettings(
-            highest_current=1.6,
-            predictor=PredictorSettings(max_age=0.0, maximum_error=0.0),
-        )
-    )
+    controller = ForceController(ForceControlSettings(highest_current=HIGHEST_CURRENT))
     controller.set_parameters(DAMPER)
-    windows = WindowSettings()
-    assembler = WindowAssembler(windows.window, windows.hop, windows.looks, windows.longest_window)
-    tracker = WindowTracker(TrackerSettings(model=DAMPER.model), DAMPER)
+
+    def wanted(made: RigBlock) -> float:
+        return DEMAND * float(made.displacement[-1] - made.displacement[0]) / (PERIOD * (BLOCK - 1))
+
+    choice = ForceChoice(controller, wanted, Engine(start=DAMPER) if learns else None)
     rows, forces, before = [], [], None
-    for number in range(round(duration / PERIOD / BLOCK)):
-        made = rig.next_block(BLOCK)
-        block = SampleBlock(made.start_ns, made.sequence, PERIOD, made.displacement, made.force)
-        # The current changes between blocks alone.
-        controller.predictor.add_current(made.start_ns, float(made.current[0]))
-        if learns:
-            ready = assembler.add_current(made.start_ns, float(made.current[0]))
-            for window in ready + assembler.add_block(block):
-                report = tracker.follow(window)
-                if report is not None and report.accepted:
-                    controller.set_parameters(tracker.parameters)
-        now = (number + 1) * BLOCK * PERIOD
-        rows.append(_row(now, before, made.force))
+    for number, (made, _) in enumerate(turned(rig, knob, choice, BLOCK, duration), start=1):
+        rows.append(_row(number * BLOCK * PERIOD, before, made.force))
         forces.append(made.force)
-        velocity = float(block.displacement[-1] - block.displacement[0]) / (PERIOD * (BLOCK - 1))
-        controller.want(block.end_ns, DEMAND * velocity)
-        before = controller.command(block)
-        controller.catch_up()
-        times.append(now)
-        currents.append(before.current)
+        before = choice.last
     every = np.concatenate(rows, axis=1)
     late = every[:, every[0] > SETTLED]
     met = late[:, late[3] > 0.0]

@@ -15,6 +15,7 @@ from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
 from mr_damper_ros.control.fallback import Fallback, FallbackSettings
 from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
 from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
+from mr_damper_ros.control.probe import Probe
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -61,6 +62,15 @@ class ForceControlSettings(SupplyLimits):
         minimum=0.0,
         maximum=1e6,
     )
+    probe_step: float = option(
+        0.0,
+        "Where a desired force needs a current beyond those that the damper was identified at, the "
+        "controller tries so much more [A], and as much again while the measured force confirms "
+        "the predicted one; up to highest_current. 0: it stays within the identified currents. A "
+        "rig without a load cell (maximum_error 0) cannot.",
+        minimum=0.0,
+        maximum=1.0,
+    )
     feedback: FeedbackSettings = group(FeedbackSettings, flat=True)
     predictor: PredictorSettings = group(PredictorSettings, flat=True)
 
@@ -78,7 +88,8 @@ class Command:
 
     ``wanted`` [N] is the demand, NaN without one; ``expected`` [N] the force that the current
     brings, and ``attainable`` whether that is the wanted one; ``prediction`` is that of the block.
-    ``falls_back``: the current is the safe one, or on its way there.
+    ``falls_back``: the current is the safe one, or on its way there. ``unknown``: the demand needs
+    a current at which nothing is known of the damper.
     """
 
     current: float
@@ -88,7 +99,14 @@ class Command:
     attainable: bool
     prediction: Prediction
     falls_back: bool
+    unknown: bool = False
 
+
+REMEDY = (
+    "by a run by hand (the bridge's or the supply's parameter current) or by a campaign, or set "
+    "probe_step"
+)
+"""How more comes to be known of a damper."""
 
 _AT_ONCE = (DoubtKind.MISSING, DoubtKind.OUTDATED)
 """Doubts that have lasted, or that nobody expects to be over in a moment."""
@@ -103,14 +121,16 @@ class ForceController:
         self._feedback = ForceFeedback(settings.feedback)
         self._demand: Demand | None = None
         self._inverse: _Inverse | None = None
-        # The set that it is the inverse of, and whether without jumps.
-        self._inverted: tuple[ParameterSet, bool] | None = None
+        # The set that it is the inverse of, whether without jumps, and how far [A] beyond it.
+        self._inverted: tuple[ParameterSet, bool, float] | None = None
         self._unusable = NO_DOUBT
         # Current of the coil that was wanted last, and the last command.
         self._wanted: float | None = None
         self._commanded = settings.fallback.safe_current
         span = settings.highest_current - settings.lowest_current
         self._fallback = Fallback(settings.fallback, span)
+        self._probe = Probe(settings.probe_step)
+        self._last_was_unknown = False
 
     @property
     def predictor(self) -> ForcePredictor:
@@ -122,6 +142,11 @@ class ForceController:
         """Factor on the wanted force that the feedback has come to."""
         return self._feedback.factor
 
+    @property
+    def highest_known(self) -> float:
+        """Highest current [A] that is commanded; NaN where there is no choice of one."""
+        return math.nan if self._inverse is None else self._inverse.highest
+
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
         """Control with this set from now on; see :meth:`ForcePredictor.set_parameters`."""
         self._predictor.set_parameters(parameters, confirmed_ns)
@@ -131,13 +156,15 @@ class ForceController:
         parameters, gradual = self._predictor.parameters, self._predictor.gradual
         if parameters is None:
             return
+        beyond = self._probe.beyond
+        self._predictor.tried = parameters.current_range[1] + beyond
         if self._inverted is not None:
-            before, were_gradual = self._inverted
-            if parameters is before and gradual == were_gradual:
+            before, were_gradual, reached = self._inverted
+            if parameters is before and gradual == were_gradual and beyond == reached:
                 return
-        self._inverted = parameters, gradual
+        self._inverted = parameters, gradual, beyond
         try:
-            self._inverse = _Inverse(self.settings, parameters, gradual=gradual)
+            self._inverse = _Inverse(self.settings, parameters, beyond, gradual=gradual)
         except ValueError as error:
             self._inverse, self._unusable = None, Doubt(DoubtKind.OUT_OF_RANGE, str(error))
             return
@@ -158,6 +185,8 @@ class ForceController:
         doubt = self._doubt(prediction, block.end_ns)
         wanted = math.nan if self._demand is None else self._demand.force
         at_once = doubt.kind in _AT_ONCE or bool(self._unusable)
+        self._probe.follow(duration, doubt, self._last_was_unknown)
+        self._last_was_unknown = False
         if not self._fallback.follow(duration, doubted=bool(doubt), at_once=at_once):
             return self._fall_back(prediction, doubt, wanted, duration)
         assert self._inverse is not None
@@ -170,8 +199,16 @@ class ForceController:
         self._feedback.expect(wanted if attainable else math.nan)
         command = self._inverse.drive(now, self._wanted, self._commanded, horizon, duration)
         self._commanded = self._fallback.within_reach(command)
+        self._last_was_unknown = aim.unknown
         return Command(
-            self._commanded, NO_DOUBT, wanted, aim.force, attainable, prediction, falls_back=False
+            self._commanded,
+            NO_DOUBT,
+            wanted,
+            aim.force,
+            attainable,
+            prediction,
+            falls_back=False,
+            unknown=aim.unknown,
         )
 
     def _fall_back(
@@ -183,6 +220,9 @@ class ForceController:
         # A coil that lags was given more than it should have: that is not to be held.
         held = self._commanded if self._wanted is None else self._wanted
         held = min(held, self._commanded, key=lambda current: abs(current - safe))
+        if self._inverse is not None:
+            # What was tried beyond the identified currents is not to be held either.
+            held = min(held, max(self._inverse.highest, safe))
         self._wanted = self._fallback.away_from(held, duration)
         self._commanded = self.settings.limited(self._wanted, self._commanded, duration)
         doubt = doubt or Doubt(
@@ -237,11 +277,16 @@ class ForceController:
 
 
 class _Aim(NamedTuple):
-    """Current of the coil [A], the force [N] that it brings, and whether that was wanted."""
+    """Current of the coil [A], the force [N] that it brings, and whether that was wanted.
+
+    ``unknown``: more force was wanted, and nothing is known of the higher currents that may be
+    commanded.
+    """
 
     current: float
     force: float
     attainable: bool
+    unknown: bool
 
 
 class _Now(NamedTuple):
@@ -265,24 +310,30 @@ class _Inverse:
     """A set's inverse and its coil."""
 
     def __init__(
-        self, settings: ForceControlSettings, parameters: ParameterSet, *, gradual: bool
+        self,
+        settings: ForceControlSettings,
+        parameters: ParameterSet,
+        beyond: float = 0.0,
+        *,
+        gradual: bool,
     ) -> None:
         low = max(settings.lowest_current, parameters.current_range[0])
-        high = min(settings.highest_current, parameters.current_range[1])
+        high = min(settings.highest_current, parameters.current_range[1] + beyond)
         if not low < high:
             raise ValueError(
                 f"the parameters hold for {parameters.current_range[0]:.2f} to "
                 f"{parameters.current_range[1]:.2f} A, which leaves no current to choose between "
                 f"{settings.lowest_current:g} and {settings.highest_current:g} A: identify the "
-                "damper at several currents"
+                f"damper at several currents, {REMEDY}"
             )
+        self._ends_early = high < settings.highest_current
         self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
         self._time_constant = coil_time_constant(parameters)
         # Also on the way to another current: beyond those identified no force would be valid.
         within = replace(settings, lowest_current=low, highest_current=high)
         self._limits = within
         self._drive = CoilDrive(within, self._time_constant)
-        self._lowest = low
+        self._lowest, self.highest = low, high
         self._deadband = settings.force_deadband
 
     def aim(self, now: _Now, wanted: float, last: float | None, horizon: float) -> _Aim:
@@ -309,7 +360,10 @@ class _Inverse:
         # The inverse asks for another current, which would miss by more on the way.
         given_up = best == _LOWEST and found.current != self._lowest
         met = found.attainable and not given_up
-        return _Aim(currents[best], forces[best][_MIDDLE], met)
+        # Of the motion's own sign and larger than any: more current is what it would take.
+        more = wanted * found.force > 0.0 and abs(wanted) > abs(found.force)
+        unknown = self._ends_early and more and not found.attainable
+        return _Aim(currents[best], forces[best][_MIDDLE], met, unknown)
 
     def drive(
         self, now: _Now, wanted: float, before: float, horizon: float, duration: float

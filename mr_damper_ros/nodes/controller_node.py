@@ -14,7 +14,12 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
+from mr_damper_ros.control.force_controller import (
+    REMEDY,
+    Command,
+    ForceController,
+    ForceControlSettings,
+)
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
@@ -87,6 +92,11 @@ class ControllerParameters(ParameterTable):
                 f"safe_current is {self.control.fallback.safe_current:g} A: it must lie within "
                 f"lowest_current and highest_current, {low:g} to {high:g} A"
             )
+        if self.control.probe_step > 0.0 and self.control.predictor.maximum_error == 0.0:
+            return (
+                "probe_step needs the measured force, and maximum_error is 0: set one of the two "
+                "to its default"
+            )
         return ""
 
 
@@ -100,7 +110,7 @@ class ControllerNode(Node):
         self._tracking = RunningError(self._options.error_memory)
         self._last: Command | None = None
         self._slowest = 0.0
-        self._commands = self._met = 0
+        self._commands = self._met = self._unknown = 0
         self._heard = -math.inf
         self._rest = PostponedWork()
         # One for all: what is published has been copied.
@@ -197,6 +207,7 @@ class ControllerNode(Node):
         if before is not None and not before.doubt:
             self._commands += 1
             self._met += before.attainable
+            self._unknown += before.unknown
             if before.attainable:
                 wanted = np.full(block.force.size, before.wanted)
                 self._tracking.add(wanted, block.force, block.period)
@@ -213,6 +224,7 @@ class ControllerNode(Node):
     def _command_finding(self) -> Finding:
         commands, self._commands = self._commands, 0
         met, self._met = self._met, 0
+        unknown, self._unknown = self._unknown, 0
         safe = f"the safe current, {self._options.control.fallback.safe_current:g} A, is commanded"
         if self._last is None or self._inputs.silent:
             return Finding(STALE, f"no samples come: {safe}")
@@ -232,6 +244,14 @@ class ControllerNode(Node):
             return Finding(level, f"{last.doubt.sentence}: {doing}", values)
         share = met / commands if commands else math.nan
         values["attainable"] = f"{share:.3f}"
+        if unknown:
+            return Finding(
+                WARN,
+                f"{unknown / commands:.0%} of the desired forces of the last second need more than "
+                f"the {self._controller.highest_known:.2f} A up to which the damper is known: "
+                f"identify it at more, {REMEDY}",
+                values,
+            )
         return Finding(
             OK,
             f"{last.current:.3f} A for {last.wanted:.0f} N; {share:.0%} of the desired forces of "
@@ -242,7 +262,9 @@ class ControllerNode(Node):
     def _tracking_finding(self) -> Finding:
         nrmse = self._tracking.nrmse
         if math.isnan(nrmse):
-            return Finding(OK, "no desired force has been given yet")
+            wanted = self._last is not None and not math.isnan(self._last.wanted)
+            what = "could be had" if wanted else "has been given"
+            return Finding(OK, f"no desired force {what} yet")
         return Finding(
             OK,
             f"what could be had was missed by {nrmse:.1%} of the measured force",

@@ -211,7 +211,7 @@ def _choice(task: BuildingRun, rig: PlantRig, building: ShearBuilding) -> tuple[
         fallback=FallbackSettings(safe_current=HIGHEST_CURRENT),
         force_deadband=_DEADBAND,
         # The emulated damper is the set itself, at any speed.
-        predictor=PredictorSettings(max_age=0.0, maximum_error=0.0, velocity_margin=100.0),
+        predictor=PredictorSettings(velocity_margin=100.0),
     )
     controller = ForceController(settings)
     controller.set_parameters(recorded_damper(task.coil_time_constant))

@@ -34,7 +34,6 @@ from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.sources.quarter_car_source import moment_of
 from mr_damper_ros.rig.supply_knob import SupplyKnob
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.predictor import PredictorSettings
 
 CAR = QuarterCar()
 GRAVITY = 9.80665
@@ -151,11 +150,7 @@ def car_rig(
 
 def force_choice(rig: PlantRig, known: ParameterSet, controller: Controller) -> ForceChoice:
     """What the nodes `suspension` and `controller` do together."""
-    settings = ForceControlSettings(
-        highest_current=HIGHEST_CURRENT,
-        # The study asks what a wrong set costs: it is not taken out of use.
-        predictor=PredictorSettings(max_age=0.0, maximum_error=0.0),
-    )
+    settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
     choice = ForceChoice(ForceController(settings), lambda _: controller(moment_of(rig)))
     choice.controller.set_parameters(known)
     return choice

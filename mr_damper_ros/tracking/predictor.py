@@ -97,6 +97,8 @@ class ForcePredictor:
         self._unlearned: Unlearned | None = None
         # Reversals of the motion when the model began to follow it.
         self._begun_at = 0
+        self.tried = -math.inf
+        """Highest current [A] that is being tried out: the measured force alone judges up to it."""
 
     @property
     def sequence(self) -> UniformGrid:
@@ -143,13 +145,13 @@ class ForcePredictor:
         displaces a given set. What the model remembers of the motion is found anew with this set;
         one of another model begins without.
         """
+        self._verdicts.forget()
         if self._known.is_in_use(parameters):
             return
         self._go_on()
         before, used = self._known.present, self.parameters
         half_cycle = math.nan if self._motion is None else self._motion.half_cycle
         self._known.add(parameters, confirmed_ns, half_cycle)
-        self._verdicts.forget()
         if before is not None and self._known.present is before:
             return
         if confirmed_ns is not None:
@@ -290,7 +292,7 @@ class ForcePredictor:
         assert self.parameters is not None
         settings, parameters = self._settings, self.parameters
         return ForceDoubt(
-            doubt_of_current_range(current, parameters, settings.current_margin),
+            doubt_of_current_range(current, parameters, settings.current_margin, self.tried),
             doubt_of_size(force, parameters, settings.force_margin),
             doubt_of_speed(self._speed(motion, steady), parameters, settings.velocity_margin),
         )

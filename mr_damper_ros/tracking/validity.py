@@ -190,12 +190,14 @@ def current_allowance(current_range: tuple[float, float], margin: float) -> floa
     return max(margin * (high - low), CURRENT_READING)
 
 
-def doubt_of_current_range(current: Array, parameters: ParameterSet, margin: float) -> Doubt:
-    """Whether the parameters hold for currents (n,) [A]."""
+def doubt_of_current_range(
+    current: Array, parameters: ParameterSet, margin: float, tried: float = -math.inf
+) -> Doubt:
+    """Whether the parameters hold for currents (n,) [A], or are tried out up to them."""
     low, high = parameters.current_range
     allowed = current_allowance(parameters.current_range, margin)
     lowest, highest = span_of(current)
-    if low - allowed <= lowest and highest <= high + allowed:
+    if low - allowed <= lowest and highest <= max(high, tried) + allowed:
         return NO_DOUBT
     return Doubt(
         DoubtKind.OUT_OF_RANGE,

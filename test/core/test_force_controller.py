@@ -266,6 +266,36 @@ def test_no_current_beyond_the_identified_ones_is_commanded() -> None:
     assert max(currents) <= 0.8
 
 
+def reached(damper: Damper, **changes: float) -> tuple[float, bool]:
+    """The highest current of a run of a damper known up to 0.4 A; whether more was asked for."""
+    known = replace(WHOLE, current_range=(0.0, 0.4))
+    trial = tracked(ControlLoop(controlled(known, **changes), damper), 40e3, 12.0)
+    commands = trial.commands
+    return max(each.current for each in commands), any(each.unknown for each in commands)
+
+
+def test_it_says_that_a_force_needs_a_current_at_which_nothing_is_known() -> None:
+    highest, unknown = reached(ModelDamper(WHOLE, PERIOD))
+    assert highest == pytest.approx(0.4, abs=1e-3)
+    assert unknown
+
+
+def test_it_probes_higher_currents_step_by_step_while_the_force_is_right() -> None:
+    highest, _ = reached(ModelDamper(WHOLE, PERIOD), probe_step=0.2)
+    assert 0.8 <= highest <= 2.0
+
+
+def test_it_does_not_probe_on_once_the_force_is_wrong() -> None:
+    """A damper that gives no more at more than 0.4 A, unlike its set."""
+
+    class Saturated(ModelDamper):
+        def force(self, motion: Any, current: Array, celsius: float) -> Array:
+            return super().force(motion, np.minimum(current, 0.4), celsius)
+
+    highest, _ = reached(Saturated(WHOLE, PERIOD), probe_step=0.4)
+    assert highest <= 0.81
+
+
 def test_a_coil_that_lags_is_not_hurried_by_currents_beyond_the_identified_ones() -> None:
     """The force would not be valid for them: each rise would end in the safe current."""
     late = replace(lagging_coil("sigmoid_lag", 0.03), current_range=(0.0, 0.4))
