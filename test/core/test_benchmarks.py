@@ -81,6 +81,7 @@ KEYS = [
     *("many_overhead_percent", "many_dask_overhead_percent", "threads_cpu_ratio"),
     *("starts_agreeing", "profile_contains_estimate"),
     *("planned_runs", "planned_runs_saved", "planned_runs_inside", "planned_runs_claim"),
+    "planned_runs_bound",
     *("export_c_error", "export_c_warnings", "export_c_us_per_step", "export_fmu_problems"),
     *("inverse_miss_of_span", "inverse_us_per_sample"),
     *("bad_set_taken", "healthy_valid_percent", "healthy_wrong_valid_s"),
@@ -247,7 +248,7 @@ def test_every_key_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "many_recordings": lambda: many_recordings.figures(4, 4),
         "thread_load": lambda: thread_load.figures(1, 1),
         "planned_runs": lambda: planned_runs.figures_of(
-            [planned_runs.PlannedTrial("some", 4.0, 0.01, 0.01, inside=True, random=12.0)]
+            [planned_runs.PlannedTrial("some", 4.0, 0.01, 0.01, 0.02, inside=True, random=12.0)]
         ),
     }
     found = [figure for name in bench.FULL for figure in short[name]()]
