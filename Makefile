@@ -11,7 +11,7 @@ TESTED := pytest -n 2 --dist worksteal
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
 
-.PHONY: help setup demo live thesis control truth doc bench soak test test-noble lint format clean distclean
+.PHONY: help setup demo live thesis control truth doc bench soak test test-noble test-wheel lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -21,7 +21,7 @@ help: ## List the targets
 setup: ## Install what is missing and build both packages (a second call does nothing)
 	@scripts/setup.bash
 
-demo: setup ## Replay a bag through bridge, identifier and model; table and figures at the end
+demo: setup ## Play a bag to identifier and model; table and figures at the end
 	@. ./env.bash
 	exec $(PROGRAMS)/demo $(ARGS)
 
@@ -63,6 +63,9 @@ test: setup ## Run all tests: core, packaging, and nodes over real DDS
 test-noble: ## Run the core tests with the package versions of Ubuntu 24.04, without ROS
 	@scripts/setup.bash noble
 	exec env -u PYTHONPATH -u PYTHONDONTWRITEBYTECODE .venv-noble/bin/python -m $(TESTED) test/core $(ARGS)
+
+test-wheel: ## Build the wheel and try it in an environment of nothing else, without ROS
+	@scripts/try_wheel.bash
 
 lint: setup ## Check style, types and the package.xml files
 	@. ./env.bash

@@ -1,15 +1,18 @@
-"""Build of the package mr_damper_ros, called by colcon."""
+"""Build of the package mr_damper_ros: called by colcon, and by pip and build for a wheel."""
 
 import importlib.util
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
+from setuptools.command.build_py import build_py
 from setuptools.command.develop import develop
 from setuptools.command.install_scripts import install_scripts
 
 NAME = "mr_damper_ros"
+ROOT = Path(__file__).resolve().parent  # colcon runs a link to this file
 NODES = (
     *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
     "suspension",
@@ -73,6 +76,19 @@ class Programs:
         super().write_script(script_name, contents, *arguments)  # type: ignore[misc]
 
 
+class BuildPy(build_py):
+    """Modules, with the definitions of the messages in a bag: writing one needs no workspace."""
+
+    def run(self) -> None:
+        """Copy them; setuptools calls it."""
+        super().run()
+        if not self.editable_mode:
+            folder = Path(self.build_lib, NAME, "io", "msg")
+            folder.mkdir(parents=True, exist_ok=True)
+            for message in ("MtsSamples", "SupplyCurrent"):
+                self.copy_file(str(ROOT / "msg_defs" / "msg" / f"{message}.msg"), str(folder))
+
+
 class Develop(Programs, develop):
     """Programs of a build with --symlink-install."""
 
@@ -91,6 +107,10 @@ def data_files(*patterns: str) -> list[tuple[str, list[str]]]:
     return list(folders.items())
 
 
+package = ElementTree.parse(ROOT / "package.xml").getroot()
+maintainer = package.find("maintainer")
+assert maintainer is not None
+
 if {"develop", "install"} & set(sys.argv) and not importlib.util.find_spec("mr_damper_msgs"):
     print(
         "The messages, mr_damper_msgs, are not built, and no node starts without them: link their "
@@ -101,11 +121,27 @@ if {"develop", "install"} & set(sys.argv) and not importlib.util.find_spec("mr_d
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=package.findtext("version"),
     description="Identifies a magnetorheological damper while it runs, and predicts its force",
-    maintainer="mr_damper_ros maintainers",
-    maintainer_email="maintainers@example.com",
-    license="Apache-2.0",
+    long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.get("email"),
+    url=package.findtext("url[@type='website']"),
+    project_urls={
+        "Source": package.findtext("url[@type='repository']"),
+        "Issues": package.findtext("url[@type='bugtracker']"),
+    },
+    license=package.findtext("license"),
+    keywords=["magnetorheological damper", "system identification", "ROS 2"],
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        *(f"Programming Language :: Python :: 3.{minor}" for minor in range(10, 14)),
+        "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
+    ],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: ["py.typed"],
@@ -121,7 +157,14 @@ setup(
         *data_files("config/**/*", "launch/**/*.py", "bags/**/*"),
     ],
     python_requires=">=3.10",
-    install_requires=["setuptools"],
+    install_requires=[
+        "matplotlib>=3.6",
+        "numpy>=1.26",
+        "PyYAML>=6.0",
+        "rosbags>=0.11.9",
+        "scipy>=1.11",
+        "threadpoolctl>=3.1",
+    ],
     extras_require={
         "test": ["pytest"],
         "fast": ["numba==0.68.1"],
@@ -132,7 +175,7 @@ setup(
         "visa": ["PyVISA==1.16.2", "PyVISA-py==0.8.1"],
     },
     zip_safe=False,
-    cmdclass={"develop": Develop, "install_scripts": InstallScripts},
+    cmdclass={"build_py": BuildPy, "develop": Develop, "install_scripts": InstallScripts},
     entry_points={
         "console_scripts": [f"{name} = {NAME}.entry_points:{name}" for name in NODES]
         + [f"{name} = {NAME}.tools.{name}:main" for name in TOOLS],

@@ -16,6 +16,7 @@ import os
 import signal
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -134,7 +135,8 @@ def _run(name: str, *arguments: object) -> int:
     try:
         node = import_module(f"mr_damper_ros.nodes.{name}_node")
     except ModuleNotFoundError as error:
-        missing = (error.name or "").partition(".")[0]
+        # Without ROS many modules are missing, of which that of rclpy need not be the first.
+        missing = (error.name or "").partition(".")[0] if find_spec("rclpy") else "rclpy"
         if missing not in _MISSING:
             raise
         print(_MISSING[missing], file=sys.stderr)

@@ -111,7 +111,7 @@ def test_package_xml_is_valid(name):
 @pytest.mark.parametrize(
     ("correct", "wrong"),
     [
-        ("maintainers@example.com", "maintainers at example.com"),
+        ("@mr-damper-ros.test", " at mr-damper-ros.test"),
         ("<license>Apache-2.0</license>", ""),
         ("exec_depend>", "run_depend>"),
         ('format="3"', 'format="2"'),
@@ -140,12 +140,24 @@ def test_the_schema_refuses_a_wrong_package_xml(tmp_path, correct, wrong):
 def test_one_version_everywhere():
     version = version_in(ROOT / "package.xml")
     assert version_in(ROOT / "msg_defs" / "package.xml") == version
-    assert f'version="{version}"' in (ROOT / "setup.py").read_text(encoding="utf-8")
+    assert described("--version") == version
     heading = re.search(
         r"^(\S+) \(.*\)\n-+$", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.MULTILINE
     )
     assert heading
     assert heading[1] == version
+
+
+def described(*options: str) -> str:
+    """What setup.py says of the package."""
+    return subprocess.run(
+        [sys.executable, "setup.py", *options],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    ).stdout.strip()
 
 
 KEYS = {
@@ -188,6 +200,18 @@ def test_package_xml_names_everything_that_is_imported():
     assert needed <= named
     # ros2launch is the command that starts the launch files.
     assert named - needed == {"ros2launch"}
+
+
+DISTRIBUTIONS = {"mpl_toolkits": "matplotlib", "yaml": "PyYAML"}
+"""What pip calls a module that is called differently."""
+
+
+def test_a_wheel_requires_everything_that_is_imported_without_ros():
+    needed = {DISTRIBUTIONS.get(name, name) for name in imported_modules() & set(KEYS)}
+    text = (ROOT / "setup.py").read_text(encoding="utf-8")
+    required = re.search(r"install_requires=\[(.*?)\]", text, re.DOTALL)
+    assert required
+    assert set(re.findall(r'"(\w+)', required[1])) == needed
 
 
 def test_a_link_to_the_messages_is_all_that_a_workspace_needs(tmp_path):

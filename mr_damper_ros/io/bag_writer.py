@@ -81,7 +81,8 @@ class _Message:
 def _message_folder() -> Path:
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     folders = [Path(prefix) / "share" / "mr_damper_msgs" / "msg" for prefix in prefixes if prefix]
-    folders.append(Path(__file__).resolve().parents[2] / "msg_defs" / "msg")
+    here = Path(__file__).resolve()
+    folders += [here.parent / "msg", here.parents[2] / "msg_defs" / "msg"]  # a wheel, a clone
     for folder in folders:
         if (folder / "MtsSamples.msg").is_file():
             return folder

@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Builds the wheel, installs it into an environment of nothing else, and runs there what needs no
+# ROS: the Python of the README and the programs of a recording's way to code.
+set -euo pipefail
+CDPATH="" cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.."
+. scripts/common.bash
+unset PYTHONPATH PYTHONHOME VIRTUAL_ENV AMENT_PREFIX_PATH
+
+place=build/wheel
+python=$(find_python 13)
+rm -rf "$place"
+mkdir -p "$place"
+say "Building the wheel with $("$python" --version)"
+"$python" -m venv "$place/tools"
+pip_install "$place/tools" build==1.2.2
+"$place/tools/bin/python" -m build --outdir "$place" . >"$place/build.log" 2>&1 \
+  || { tail -n 20 "$place/build.log" >&2; fail "the wheel could not be built."; }
+
+say "Trying it in an empty environment"
+"$python" -m venv "$place/env"
+without_hashes requirements/constraints.txt >"$place/versions.txt"
+pip_install "$place/env" -c "$place/versions.txt" "$place"/*.whl
+mkdir -p "$place/trial/doc"
+cp doc/example.csv "$place/trial/doc"
+sed -n '/^```python$/,/^```$/p' README.md | sed '1d; /^```$/,$d' >"$place/trial/readme.py"
+cd "$place/trial"
+PATH=$PWD/../env/bin:$PATH
+set -x
+python readme.py
+test -s damper.yaml -a -s damper.png
+import_record doc/example.csv --columns time:s,displacement:mm,force:N --current 0.5 --output run
+identify run --output set.yaml --plot figures
+validate set.yaml run
+plan_run --velocity 0.02 0.1 --current 0 1.5 --amplitude 0.01 --force 2000 run
+python -m mr_damper_ros export set.yaml --format c --output code
+for program in check_rig identifier live; do
+  code=0
+  said=$("$program" 2>&1) || code=$?
+  test "$code" = 2
+  [[ $said == *"ROS 2"* && $said != *Traceback* ]]
+done
