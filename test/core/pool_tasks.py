@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg  # noqa: F401  # its BLAS is another than NumPy's
-from threadpoolctl import threadpool_info
 
 from mr_damper_ros.processes.process_pool import Tell
 
@@ -39,6 +38,8 @@ def failing(number: int, tell: Tell) -> int:
 
 def threads(*anything: object) -> int:
     """The most threads that one of the libraries of this process computes with."""
+    from threadpoolctl import threadpool_info
+
     return max(library["num_threads"] for library in threadpool_info())
 
 
