@@ -35,7 +35,7 @@ _MOST_REMEMBERED = 1.5
 _BACK = 0.9
 """Part of either limit that the error must fall below again."""
 
-_CALM, _CALM_PART, _AS_LONG = 0.02, 0.1, 0.25
+_CALM, _CALM_PART, _AS_LONG = 0.02, 0.1, 0.125
 """A force is valid again once it has been right for so many seconds, or this part of a half-cycle,
 or the last part of the time for which it was wrong, whichever is least."""
 

@@ -130,12 +130,12 @@ def test_the_valid_share_of_a_stream_does_not_depend_on_its_blocks() -> None:
     assert max(shares) - min(shares) < 0.02
 
 
-def test_a_force_is_valid_again_after_a_quarter_of_the_time_for_which_it_was_wrong() -> None:
+def test_a_force_is_valid_again_after_an_eighth_of_the_time_for_which_it_was_wrong() -> None:
     force = RUN.force.copy()
     force[5020:5060] += 0.3 * np.ptp(force)
     doubts = np.concatenate([p.doubts for p in predicted(force=force)])
     assert set(doubts[5020:5060]) == {DoubtKind.WRONG}
-    assert np.flatnonzero(doubts[5060:5200]).tolist() == list(range(10))
+    assert np.flatnonzero(doubts[5060:5200]).tolist() == list(range(5))
 
 
 def test_a_measured_force_of_a_cycle_makes_other_currents_valid() -> None:
