@@ -197,7 +197,7 @@ class SupplyNode(LifecycleNode):
         assert self._supply is not None
         values = self.parameters.values
         if self._drive is not None:
-            self.get_logger().error(f"{self._problem}; it is not switched on before that")
+            self.get_logger().error(f"not switched on: {self._drive.failure}; {_NOT_OFF}")
             return TransitionCallbackReturn.FAILURE
         self._commander = CurrentCommander(values.commands, self._by_hand)
         driver = SupplyDriver(self._supply, self._commander, values.tolerance)
@@ -289,7 +289,6 @@ class SupplyNode(LifecycleNode):
         drive = self._drive
         if drive is not None and drive.failure:
             if self._commands is not None:
-                self._problem = f"{drive.failure}; {_NOT_OFF}"
                 self.trigger_deactivate()
             if drive.finished:
                 self._drive = None
@@ -310,7 +309,7 @@ class SupplyNode(LifecycleNode):
             "watchdog [s]": "none" if math.isnan(supply.watchdog) else f"{supply.watchdog:g}",
         }
         if drive is not None and drive.failure:
-            return Finding(ERROR, self._problem or drive.failure, values)
+            return Finding(ERROR, f"{drive.failure}; {_NOT_OFF}", values)
         if drive is None:
             level = ERROR if self._problem else WARN
             return Finding(level, self._problem or "not active: the output is off", values)
