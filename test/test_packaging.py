@@ -139,6 +139,7 @@ def test_one_version_everywhere():
     version = version_in(ROOT / "package.xml")
     assert version_in(ROOT / "msg_defs" / "package.xml") == version
     assert described("--version") == version
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     heading = re.search(
         r"^(\S+) \(.*\)\n-+$", (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8"), re.MULTILINE
     )
