@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from benchmarks import honest_errors
 from mr_damper_ros.estimation.autocorrelation import NoiseModel
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.rig.emulator import scaled
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.held_back import Lead, evidence_of, held_back_samples
 from mr_damper_ros.tracking.tasks import FitTask
@@ -85,6 +86,25 @@ def test_the_running_set_is_judged_by_the_force_that_it_predicts() -> None:
     left = known.rms((narrow.force(run.window) - run.force)[held_back]) / np.std(run.force)
     assert evidence.nrmse_before == pytest.approx(left)
     assert left > 2.0 * evidence.nrmse_after
+
+
+def loss_of(values: Array) -> float:
+    """Of a set (16,) found at 1 A, where the running set is right at 1.4 A."""
+    run = known.run(scaled(values, 1.0))
+    running = ParameterSet(known.PLAUSIBLE, observable=np.ones(16, dtype=bool))
+    elsewhere = (known.run(current=1.4, seed=1).window,)
+    task = FitTask(known.raw_window(run), running, TrackerSettings(), elsewhere=elsewhere)
+    return evidence_of(task, held_back_samples(run.force.size), run.window, values).loss
+
+
+def test_a_set_that_is_right_here_alone_loses_elsewhere() -> None:
+    blunt = known.PLAUSIBLE.copy()
+    blunt[known.index("a0")] *= 0.3
+    assert loss_of(blunt) > 0.5
+
+
+def test_a_damper_that_is_weaker_everywhere_loses_nothing() -> None:
+    assert loss_of(scaled(known.PLAUSIBLE, 0.7)) == pytest.approx(0.0, abs=0.05)
 
 
 @pytest.mark.parametrize("tracker", TRACKERS)
