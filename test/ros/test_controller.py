@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,12 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published_conditions import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.controller_node import ControllerParameters
+from mr_damper_ros.nodes.controller_node import ControllerNode, ControllerParameters
 from mr_damper_ros.nodes.messages import header
 from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.running_error import RunningError
 from mr_damper_ros.tracking.validity import DoubtKind
 
 ROOT = Path(__file__).parents[2]
@@ -147,3 +149,9 @@ def test_limits_without_a_range_are_one_sentence(start: Any, known: Path) -> Non
     assert controller.wait() == 2
     assert_one_sentence(controller.errors)
     assert "highest_current" in controller.errors
+
+
+@pytest.mark.parametrize(("wanted", "said"), [(math.nan, "given"), (300.0, "could be had")])
+def test_it_tells_forces_that_could_not_be_had_from_none_at_all(wanted: float, said: str) -> None:
+    node = SimpleNamespace(_tracking=RunningError(1.0), _last=SimpleNamespace(wanted=wanted))
+    assert said in ControllerNode._tracking_finding(node).message  # type: ignore[arg-type]
