@@ -11,11 +11,11 @@ from benchmarks.figure import Figure
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published_conditions import Condition, find, parameters
-from mr_damper_ros.models.sigmoid.coefficient_force import (
+from mr_damper_ros.models.sigmoid.law import (
     Coefficients,
     coefficient_jacobian,
+    operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array

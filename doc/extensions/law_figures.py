@@ -8,15 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.models.sigmoid.coefficient_force import (
+from mr_damper_ros.models.sigmoid.law import (
     Coefficients,
     force_from_coefficients,
-)
-from mr_damper_ros.models.sigmoid.law import (
-    COEFFICIENT_NAMES,
-    PARAMETER_NAMES,
     operating_point_coefficients,
 )
+from mr_damper_ros.models.sigmoid.law_formulas import COEFFICIENT_NAMES, PARAMETER_NAMES
 
 WIDTH = 5.0
 """Inches; narrow, so that the words can be read on a telephone."""

@@ -11,8 +11,7 @@ from mr_damper_ros.models.hyperbolic_tangent import HyperbolicTangent
 from mr_damper_ros.models.modified_bouc_wen import ModifiedBoucWen
 from mr_damper_ros.models.quantities import Parameter
 from mr_damper_ros.models.series_springs import SeriesSprings
-from mr_damper_ros.models.sigmoid.extended_model import ExtendedSigmoidModel
-from mr_damper_ros.models.sigmoid.sigmoid_model import SigmoidModel
+from mr_damper_ros.models.sigmoid.sigmoid_model import ExtendedSigmoidModel, SigmoidModel
 
 __all__ = ["MODELS", "Model", "Parameter"]
 

@@ -19,7 +19,7 @@ from mr_damper_ros.signals.arrays import Array
 if TYPE_CHECKING:
     from mr_damper_ros.kinematics.motion import Motion
     from mr_damper_ros.kinematics.motion_sample import MotionSample
-    from mr_damper_ros.models.force_model import Model, State
+    from mr_damper_ros.models.force_model import State
 
 NODES = 65
 """Currents at which a force is looked at first: between two of them it should bend once at most."""
@@ -57,18 +57,20 @@ class SampleResponse(ABC):
 
 
 class SampleResponses:
-    """Responses of a law with one set (p,), sample by sample; ``nodes`` (m,) [A] rise."""
+    """Responses of a law with one set, sample by sample; ``nodes`` (m,) [A] rise.
 
-    def __init__(self, law: Model, parameters: Array, nodes: Array) -> None:
-        self.nodes = nodes
-        self._law = law
-        self._parameters = parameters
+    ``respond`` gives that of a motion so many seconds after a state.
+    """
+
+    def __init__(
+        self, respond: Callable[[Motion, float, State | None], CurrentResponse], nodes: Array
+    ) -> None:
+        self._respond = respond
+        self._nodes = nodes
 
     def of(self, sample: MotionSample, period: float, state: State | None) -> SampleResponse:
         """That of the sample ``period`` [s] after the state."""
-        return ArraySampleResponse(
-            lambda: self._law.response(self._parameters, sample.motion, period, state), self.nodes
-        )
+        return ArraySampleResponse(lambda: self._respond(sample.motion, period, state), self._nodes)
 
     def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples | None:
         """Those of the samples (n,) of a motion; None where arrays take less time."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch, PooledProblem
 from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
@@ -26,7 +28,6 @@ from mr_damper_ros.signals.arrays import Array
 if TYPE_CHECKING:
     from mr_damper_ros.models.current_response import CurrentResponse, SampleResponses
     from mr_damper_ros.models.force_stream import ForceStream
-    from mr_damper_ros.models.sigmoid.law_formulas import SigmoidFormulas
     from mr_damper_ros.models.window_problem import WindowProblem
 
 State = tuple[Array, ...]
@@ -66,7 +67,7 @@ class Model(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     free_in_one_run: ClassVar[tuple[str, ...]] = ()
     remembers: ClassVar[bool] = False
-    turning: ClassVar[int] = 0
+    turning: int = 0
     strength: ClassVar[tuple[str, ...]] = ()
     many_at_once: ClassVar[bool] = False
     effort: ClassVar[SearchEffort] = SearchEffort()
@@ -273,10 +274,10 @@ class Model(ABC):
         """Force over the current of one sample after the other, for a set (p,); nodes (m,) [A]."""
         from mr_damper_ros.models.current_response import SampleResponses  # as above
 
-        return SampleResponses(self, parameters, nodes)
+        return SampleResponses(partial(self.response, parameters), nodes)
 
     @property
-    def formulas(self) -> SigmoidFormulas | None:
+    def formulas(self) -> WrittenLaw | None:
         """The law for other languages; None where it was not written down for them."""
         return None
 

@@ -13,7 +13,7 @@ from importlib import resources
 
 import numpy as np
 
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 PUBLISHED_METHODS = ("nelder_mead", "differential_evolution")

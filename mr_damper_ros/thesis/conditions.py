@@ -21,7 +21,7 @@ from mr_damper_ros.models.published_conditions import (
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.errata import METHOD_TITLES, disagreement, find_errata

@@ -28,7 +28,8 @@ from mr_damper_ros.models.published_conditions import (
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
+from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
+from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign

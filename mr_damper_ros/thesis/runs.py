@@ -9,12 +9,10 @@ import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published_conditions import Condition, find
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    coefficient_jacobian,
-    force_from_coefficients,
-)
 from mr_damper_ros.models.sigmoid.law import (
+    coefficient_jacobian,
     coefficient_parameter_jacobian,
+    force_from_coefficients,
     operating_point_coefficients,
     sign_of_pair,
     sine_force,

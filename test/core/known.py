@@ -19,13 +19,13 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid.coefficient_force import coefficient_jacobian
 from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
+    coefficient_jacobian,
     coefficient_parameter_jacobian,
     operating_point_coefficients,
     sine_force,
 )
+from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.models.window_problem import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock

@@ -1,4 +1,4 @@
-"""The sigmoid laws sample by sample, in plain numbers, against the arrays."""
+"""The sigmoid laws sample by sample, in scalars, against the arrays."""
 
 from __future__ import annotations
 

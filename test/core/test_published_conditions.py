@@ -18,7 +18,8 @@ from mr_damper_ros.models.published_conditions import (
     is_clean,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
+from mr_damper_ros.models.sigmoid.law import sine_force
+from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.rig.excitation import SineMotion
 
 PHASE = 1.0

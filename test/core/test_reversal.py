@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.sigmoid.following import branch_along
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
-from mr_damper_ros.models.sigmoid.reversal import branch_along
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 

@@ -15,21 +15,21 @@ from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.models import published_conditions as thesis
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.published_conditions import Condition
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    Coefficients,
-    SigmoidTerms,
-    coefficient_jacobian,
-    force_from_coefficients,
-    secant_damping,
-)
 from mr_damper_ros.models.sigmoid.law import (
-    COEFFICIENT_NAMES,
     DEPENDENCES,
+    Coefficients,
+    coefficient_jacobian,
+    coefficient_parameter_jacobian,
+    force_and_damping_jacobian,
+    force_from_coefficients,
+    operating_point_coefficients,
+    secant_damping,
+    sine_force,
+)
+from mr_damper_ros.models.sigmoid.law_formulas import (
+    COEFFICIENT_NAMES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    coefficient_parameter_jacobian,
-    operating_point_coefficients,
-    sine_force,
 )
 from mr_damper_ros.signals.arrays import Array
 
@@ -308,7 +308,7 @@ def test_derivatives_of_the_damping_by_the_seven_coefficients(
     def at(c: Array) -> Array:
         return secant_damping(Coefficients(*c), v, a)
 
-    analytic = SigmoidTerms.of(Coefficients(*values), v, a).damping_jacobian()
+    analytic = force_and_damping_jacobian(Coefficients(*values), v, a).damping
     assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
 
 

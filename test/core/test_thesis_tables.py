@@ -17,7 +17,8 @@ from mr_damper_ros.models.published_conditions import (
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
+from mr_damper_ros.models.sigmoid.law import sine_force
+from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import (
     conditions,

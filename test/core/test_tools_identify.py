@@ -25,11 +25,11 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.published_conditions import CONDITIONS, is_clean, parameters
 from mr_damper_ros.models.sigmoid.extension import without_extension
-from mr_damper_ros.models.sigmoid.law import (
+from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
+from mr_damper_ros.models.sigmoid.law_formulas import (
     COEFFICIENT_NAMES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    operating_point_coefficients,
 )
 from mr_damper_ros.thesis.published_runs import synthesise
 from mr_damper_ros.tools import identify, validate

@@ -12,8 +12,8 @@ from mr_damper_ros.kinematics.causal import (
     possible_bandwidths,
     settling_samples,
 )
+from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.parameter_set import ParameterSet, SpokenError
-from mr_damper_ros.models.sigmoid.law_formulas import SigmoidFormulas
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 
@@ -50,7 +50,7 @@ class ExportedLaw:
 
     parameters: ParameterSet
     settings: ExportSettings
-    formulas: SigmoidFormulas
+    formulas: WrittenLaw
     constants: dict[str, float]
     observer: Array
     """Matrix (4, 4) of the states of the observer."""

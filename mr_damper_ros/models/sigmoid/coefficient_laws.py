@@ -15,14 +15,20 @@ linearly and are solved for; differential evolution searches the rest, at most t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.models.formulas import gradient, staged
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law_formulas import (
+    COEFFICIENT_NAMES,
+    COEFFICIENTS,
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+)
 from mr_damper_ros.signals.arrays import Array
 
 _EXPONENT_SPAN = 8.0
@@ -35,15 +41,47 @@ Values = Mapping[str, Array | float]
 class _Law(NamedTuple):
     """One group of parameters: which coefficients they make, and how.
 
-    Each coefficient is scale (constant + gain step): ``basis`` gives the two parts for unknowns of
-    shape (s, 1) and operating points of shape (k,). ``gain`` is k2, k3 or empty.
+    Each coefficient is scale (constant + gain step): ``constant`` and ``step`` are the derivatives
+    of the first by its scale at no gain, and by the gain at a scale of 1. ``gain`` is k2, k3 or
+    empty.
     """
 
     stage: str
     scales: tuple[tuple[int, str], ...]
     gain: str
     unknowns: tuple[str, ...]
-    basis: Callable[[Array, Array, Values], tuple[Array, Array]]
+    constant: Callable[..., Array]
+    step: Callable[..., Array] | None
+
+    @classmethod
+    def of(
+        cls, stage: str, coefficients: Sequence[str], gain: str, unknowns: tuple[str, ...]
+    ) -> _Law:
+        """That of these coefficients."""
+        places = [COEFFICIENT_NAMES.index(name) for name in coefficients]
+        scales = tuple((place, SCALE_PARAMETER_NAMES[place]) for place in places)
+        by = (scales[0][1], *([gain] if gain else []))
+        lines = gradient(COEFFICIENTS, coefficients[0], by)
+        parts = [
+            staged(lines, _INPUTS, [f"{coefficients[0]}_by_{name}"], arrays=True) for name in by
+        ]
+        return cls(stage, scales, gain, unknowns, parts[0], parts[1] if gain else None)
+
+    def basis(self, v: Array, i: Array, values: Values) -> tuple[Array, Array]:
+        """The two parts, for unknowns of shape (s, 1) and operating points of shape (k,)."""
+        unit = {**values, **{name: 1.0 for _, name in self.scales}}
+        step = 0.0 if self.step is None else self.step(*_in_order(unit), v, i)
+        if self.gain:
+            unit[self.gain] = 0.0
+        constant, step = np.broadcast_arrays(self.constant(*_in_order(unit), v, i), step)
+        return np.atleast_2d(constant), np.atleast_2d(step)
+
+
+_INPUTS = [(*PARAMETER_NAMES, "v_m", "i")]
+
+
+def _in_order(values: Values) -> list[Array | float]:
+    return [values[name] for name in PARAMETER_NAMES]
 
 
 def fit_laws(
@@ -121,10 +159,7 @@ class _LawProblem:
     def solve(self, trial: Values) -> tuple[Array, dict[str, float]]:
         """Misfit (s,) for trial unknowns of shape (s, 1), and the scales of the last trial."""
         values = {**self._values, **trial}
-        constant, step = np.broadcast_arrays(
-            *self._law.basis(self._table.peak_velocity, self._table.current, values)
-        )
-        constant, step = np.atleast_2d(constant), np.atleast_2d(step)
+        constant, step = self._law.basis(self._table.peak_velocity, self._table.current, values)
         gain_is_free = self._law.gain in self._free
         if self._law.gain and not gain_is_free:
             constant = constant + self._values[self._law.gain] * step
@@ -171,37 +206,9 @@ def _through_origin(x: Array, y: Array, weights: Array) -> float:
     return float(np.sum(weights**2 * x * y)) / power if power > 0.0 else 0.0
 
 
-def _current_step(i: Array, slope: Array | float, shift: Array | float) -> Array:
-    on, off = slope * (i + shift), np.asarray(slope * shift)
-    return np.asarray(0.5 * (np.tanh(0.5 * on) - np.tanh(0.5 * off)))
-
-
-def _bounded_exp(x: Array) -> Array:
-    return np.asarray(np.exp(np.clip(x, -200.0, 200.0)))
-
-
-def _yield_force(v: Array, i: Array, p: Values) -> tuple[Array, Array]:
-    growth = 1.0 + _bounded_exp(p["a1"] * v)
-    return growth, growth * _current_step(i, p["a2"], p["I0"])
-
-
-def _steepness(v: Array, i: Array, p: Values) -> tuple[Array, Array]:
-    base = 1.0 / (1.0 + p["k0"] * v)
-    return base, np.zeros_like(base)
-
-
-def _viscous_slopes(v: Array, i: Array, p: Values) -> tuple[Array, Array]:
-    base = _bounded_exp(-p["a4"] * v)
-    return base, np.zeros_like(base)
-
-
-def _hysteresis(v: Array, i: Array, p: Values) -> tuple[Array, Array]:
-    return v, v * _current_step(i, p["a3"], p["I1"])
-
-
 _LAWS = (
-    _Law("yield force", ((0, "f0"),), "k2", ("a1", "a2", "I0"), _yield_force),
-    _Law("steepness", ((1, "a0"),), "", ("k0",), _steepness),
-    _Law("viscous slopes", ((2, "k1c"), (3, "k1e")), "", ("a4",), _viscous_slopes),
-    _Law("hysteresis", ((4, "k4"),), "k3", ("a3", "I1"), _hysteresis),
+    _Law.of("yield force", ("f_t",), "k2", ("a1", "a2", "I0")),
+    _Law.of("steepness", ("alpha",), "", ("k0",)),
+    _Law.of("viscous slopes", ("k_c", "k_e"), "", ("a4",)),
+    _Law.of("hysteresis", ("v_h",), "k3", ("a3", "I1")),
 )

@@ -25,12 +25,9 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion_history import MotionHistory
 from mr_damper_ros.models.coil import COIL
-from mr_damper_ros.models.first_order_lag import FirstOrderLag
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    Coefficients,
-    SigmoidTerms,
-)
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.models.first_order_lag import FirstOrderLag, next_lagged, one_sample_later
+from mr_damper_ros.models.sigmoid.law import ForceAndDamping
+from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 EXTENDED_MODEL = "sigmoid_lag"
@@ -64,35 +61,12 @@ class Extension(NamedTuple):
         return self.stiffness * displacement + self.offset
 
 
-class ForceAndDamping(NamedTuple):
-    """Force [N] of the sigmoid law and the damping [N s/m] of its sigmoid, or derivatives."""
-
-    force: Array
-    damping: Array
-
-
-def force_and_damping(
-    coefficients: Coefficients, velocity: Array, acceleration: Array
-) -> ForceAndDamping:
-    """Both of shape (..., n), for coefficients that broadcast against velocity (n,) [m/s]."""
-    terms = SigmoidTerms.of(coefficients, velocity, acceleration)
-    return ForceAndDamping(terms.force(), terms.damping())
-
-
-def force_and_damping_jacobian(
-    coefficients: Coefficients, velocity: Array, acceleration: Array
-) -> ForceAndDamping:
-    """Derivatives of both by the seven coefficients, of shape (..., n, 7)."""
-    terms = SigmoidTerms.of(coefficients, velocity, acceleration)
-    return ForceAndDamping(terms.force_jacobian(), terms.damping_jacobian())
-
-
 def is_extended(parameters: Array) -> bool:
     """Whether an array (..., 16) or (..., 20) is of the extended law.
 
     Raises ValueError for any other length.
     """
-    count = np.shape(parameters)[-1]
+    count = parameters.shape[-1]
     if count not in (SIGMOID_COUNT, len(EXTENDED_NAMES)):
         raise ValueError(
             f"there are {count} parameters: the sigmoid law has {SIGMOID_COUNT}, the extended one "
@@ -114,6 +88,35 @@ def coil_time_constant_of(parameters: Array) -> float:
 def without_extension(sixteen: Array) -> Array:
     """Parameters (20,) of the extended law that give the force of these (16,)."""
     return np.concatenate((sixteen, np.zeros(len(EXTENDED_NAMES) - SIGMOID_COUNT)))
+
+
+class LagMemory(NamedTuple):
+    """What the lag remembers: force and lagged force of the sigmoid [N] and time constant [s]."""
+
+    plain: float
+    force: float
+    constant: float
+
+
+def late_after(
+    force: float, damping: float, extension: Extension, period: float, before: LagMemory | None
+) -> LagMemory:
+    """The lag at a sample ``period`` [s] after another; without one nothing is late."""
+    constant = max(float(extension.compliance) * damping, 0.0)
+    late = force
+    if before is not None:
+        late = one_sample_later(force, constant, period, *before)
+    return LagMemory(force, late, constant)
+
+
+def alternatives_after(
+    force: Array, damping: Array, extension: Extension, period: float, before: LagMemory | None
+) -> Array:
+    """Lagged forces [N] of alternatives for the one sample after another; they broadcast."""
+    if before is None:
+        return force
+    state = np.array(before.plain), np.array(before.force), np.array(before.constant)
+    return next_lagged(force, extension.time_constant(damping), period, state)
 
 
 class LateForce:

@@ -13,28 +13,25 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.first_order_lag import SETTLING
 from mr_damper_ros.models.operating_points import window_weights, windows_of_samples
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    Coefficients,
-    coefficient_jacobian,
-    force_from_coefficients,
-)
 from mr_damper_ros.models.sigmoid.extension import (
     EXTENDED_NAMES,
     SIGMOID_COUNT,
-    ForceAndDamping,
     LateForce,
     extension_of,
-    force_and_damping,
-    force_and_damping_jacobian,
     is_extended,
 )
 from mr_damper_ros.models.sigmoid.law import (
-    COEFFICIENT_NAMES,
     DEPENDENCES,
-    PARAMETER_NAMES,
+    Coefficients,
+    ForceAndDamping,
+    coefficient_jacobian,
     coefficient_parameter_jacobian,
+    force_and_damping,
+    force_and_damping_jacobian,
+    force_from_coefficients,
     operating_point_coefficients,
 )
+from mr_damper_ros.models.sigmoid.law_formulas import COEFFICIENT_NAMES, PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 _FORCE_BY = tuple(

@@ -19,28 +19,26 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.first_order_lag import SETTLING
 from mr_damper_ros.models.search_effort import SearchEffort
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    Coefficients,
-    coefficient_jacobian,
-    force_from_coefficients,
-    secant_damping,
-)
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
-    ForceAndDamping,
     LateForce,
     coil_time_constant_of,
     extension_of,
-    force_and_damping,
-    force_and_damping_jacobian,
     is_extended,
 )
 from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
     SCALE_INDICES,
+    Coefficients,
+    ForceAndDamping,
+    coefficient_jacobian,
+    force_and_damping,
+    force_and_damping_jacobian,
+    force_from_coefficients,
     operating_point_coefficients,
+    secant_damping,
     sign_of_pair,
 )
+from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.models.window_problem import relative_change
 from mr_damper_ros.signals.arrays import Array
 

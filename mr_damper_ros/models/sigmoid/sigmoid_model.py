@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
@@ -11,37 +12,77 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_response import CurrentResponse, SampleResponses, nodes_along
+from mr_damper_ros.models.coil import COIL, PLAUSIBLE_COIL, coil_parameter, coil_unsettled, in_coil
+from mr_damper_ros.models.current_response import SampleResponses, nodes_along
+from mr_damper_ros.models.first_order_lag import SETTLING
 from mr_damper_ros.models.force_model import Model, State
+from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.quantities import LoopReading, Quantity
-from mr_damper_ros.models.sigmoid.coefficient_force import (
-    Coefficients,
-    force_from_coefficients,
-)
+from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws, searched_laws, shape_bounds
-from mr_damper_ros.models.sigmoid.extension import SIGMOID_COUNT
+from mr_damper_ros.models.sigmoid.extension import (
+    COMPLIANCE,
+    EXTENDED_MODEL,
+    EXTENDED_NAMES,
+    EXTENSION_NAMES,
+    SIGMOID_COUNT,
+    LateForce,
+    extension_of,
+    without_extension,
+)
+from mr_damper_ros.models.sigmoid.following import BRANCH_MEMORY, follow
 from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
     SCALE_INDICES,
-    SCALE_PARAMETER_NAMES,
     coefficient_parameter_jacobian,
     current_gains,
+    force_and_damping,
+    force_from_coefficients,
     operating_point_coefficients,
     sign_of_pair,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import SigmoidFormulas
+from mr_damper_ros.models.sigmoid.law_formulas import (
+    COEFFICIENT_NAMES,
+    COEFFICIENTS,
+    FORCE,
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+)
+from mr_damper_ros.models.sigmoid.over_current import SigmoidResponse, SigmoidSampleResponses
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.sample_response import SigmoidSampleResponses
 from mr_damper_ros.models.sigmoid.scale_misfit import (
     ScaleMisfit,
     coefficients_along,
+    longest_lag,
     scale_parameter_errors,
 )
-from mr_damper_ros.models.sigmoid.sigmoid_response import Branch, SigmoidResponse
-from mr_damper_ros.models.sigmoid.sixteen import SIXTEEN
 from mr_damper_ros.signals.arrays import Array
+
+_UNITS = {
+    **dict.fromkeys(("a0", "a1", "a4", "k0", "k1c", "k1e"), "s/m"),
+    **dict.fromkeys(("k2", "k3", "k4", "k5", "k6"), "1"),
+    # The thesis prints (m/s)^-1 for a3, which multiplies a current.
+    **dict.fromkeys(("a2", "a3"), "1/A"),
+    **dict.fromkeys(("I0", "I1"), "A"),
+    "f0": "N",
+}
+
+_PEAK_VELOCITIES = dict.fromkeys(("a1", "k0", "a4"), 2)
+_CURRENTS = {
+    **dict.fromkeys(("k2", "k3"), 2),
+    **dict.fromkeys(("a2", "a3"), 3),
+    **dict.fromkeys(("I0", "I1"), 4),
+}
+
+_SIXTEEN = tuple(
+    Parameter(
+        name,
+        _UNITS[name],
+        peak_velocities=_PEAK_VELOCITIES.get(name, 1),
+        currents=_CURRENTS.get(name, 1),
+    )
+    for name in PARAMETER_NAMES
+)
 
 _LITERATURE_PEAK_VELOCITY = 2.0 * math.pi * 1.0 * 2.5e-3
 """Peak velocity [m/s] of the test that the literature's set is for: 1 Hz, 2.5 mm, at 0 A."""
@@ -52,9 +93,16 @@ _GAIN_RANGE = 100.0
 _SOFT = 2.0
 """A step over current that is this part of the largest current wide, inverted."""
 
+_USUAL_LAG = 0.02
+"""Time constant [s] that a lag of coil and fluid hardly exceeds. Until it is known, what it may
+hide at the begin of a window is left out."""
+
 
 class SigmoidModel(Model):
-    """The sixteen-parameter law of Wang et al. (2004)."""
+    """The sixteen-parameter law of Wang et al. (2004).
+
+    ``jumps``: whether the force jumps where the motion turns, as that of the law does.
+    """
 
     name = "sigmoid"
     title = "sigmoid"
@@ -66,7 +114,7 @@ class SigmoidModel(Model):
         r"F = \left(f_t \tanh\tfrac{\alpha (v + \operatorname{sgn}(a) v_h + v_d)}{2} - f_d\right)"
         r" (1 + k |v|)"
     )
-    parameters = SIXTEEN
+    parameters = _SIXTEEN
     free_in_one_run: ClassVar[tuple[str, ...]] = SCALE_PARAMETER_NAMES
     strength = ("f0",)
     many_at_once = True
@@ -82,43 +130,30 @@ class SigmoidModel(Model):
     linear = (*SCALE_PARAMETER_NAMES, "k2", "k3")
     shape_groups = (("a1", "k2", "a2", "I0"), ("k0",), ("a4",), ("k3", "a3", "I1"))
 
+    def __init__(self, *, jumps: bool = True) -> None:
+        self._jumps = jumps
+        self.turning = 0 if jumps else BRANCH_MEMORY
+
     def follow(
         self, parameters: Array, motion: Motion, current: Array, period: float, state: State | None
     ) -> tuple[Array, State]:
-        """Force [N] of the law; remembered is at most the branch."""
-        coefficients = operating_point_coefficients(parameters, motion.peak_velocity, current)
-        coefficients, acceleration, turning = self._turned(coefficients, motion, state)
-        return force_from_coefficients(coefficients, motion.velocity, acceleration), turning
+        """Force [N]; see :mod:`following` for what is remembered."""
+        return follow(parameters, motion, current, period, state, jumps=self._jumps)
 
-    @property
+    @cached_property
     def continuous(self) -> Model:
         """The law whose branch follows the velocity where the motion turns."""
-        from mr_damper_ros.models.sigmoid.continuous import CONTINUOUS  # it needs this module
-
-        return CONTINUOUS[self.name]
-
-    def _turned(
-        self, coefficients: Coefficients, motion: Motion, state: State | None
-    ) -> tuple[Coefficients, Array, State]:
-        """Coefficients, acceleration (n,) whose sign tells the branch, and the branch's state.
-
-        ``state`` begins with that of the branch.
-        """
-        return coefficients, motion.acceleration, ()
+        return type(self)(jumps=False) if self._jumps else self
 
     def response(
         self, parameters: Array, motion: Motion, period: float, state: State | None
-    ) -> CurrentResponse:
+    ) -> SigmoidResponse:
         """Force over the current, of which only two factors depend on it."""
-        return SigmoidResponse.along(parameters, motion, self._branch(motion, state))
+        return SigmoidResponse(parameters, motion, period, state, jumps=self._jumps)
 
     def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
-        """In plain numbers."""
-        return SigmoidSampleResponses(self, parameters, nodes)
-
-    def _branch(self, motion: Motion, state: State | None) -> Branch:
-        """Where on the hysteresis the samples are."""
-        return Branch(np.sign(motion.acceleration)[:, np.newaxis])
+        """In scalars."""
+        return SigmoidSampleResponses(parameters, nodes, jumps=self._jumps)
 
     def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
         """Closer together where the two factors change."""
@@ -126,9 +161,9 @@ class SigmoidModel(Model):
         return nodes_along(lambda current: current_gains(sixteen, current), lowest, highest)
 
     @property
-    def formulas(self) -> SigmoidFormulas:
+    def formulas(self) -> WrittenLaw:
         """The law for other languages."""
-        return SigmoidFormulas()
+        return WrittenLaw(EXTENDED_NAMES, COEFFICIENTS, FORCE, COEFFICIENT_NAMES)
 
     def starts(self, reading: LoopReading) -> Array:
         """Some steepness, some hysteresis, no dependence on velocity or current."""
@@ -250,3 +285,98 @@ class SigmoidModel(Model):
 
     def _slowest_lag(self, windows: Sequence[Window], known: Array | None) -> float:
         return 0.0
+
+
+class ExtendedSigmoidModel(SigmoidModel):
+    """The sixteen parameters with a compliance in series, stiffness, offset and a lagging coil."""
+
+    name = EXTENDED_MODEL
+    title = "sigmoid with lag, stiffness, offset"
+    source = f"{SigmoidModel.source}; the extension is this package's"
+    equation = (
+        r"\tau \dot F_l + F_l = F_\mathrm{sigmoid},\quad"
+        r" \tau = \mathrm{compliance} \cdot f_t \tanh(\alpha x / 2) / x,\quad"
+        r" F = F_l + \mathrm{stiffness} \cdot u + \mathrm{offset}"
+    )
+    parameters = (
+        *_SIXTEEN,
+        *(
+            Parameter(name, unit, 0.0 if name == COMPLIANCE else -np.inf)
+            for name, unit in zip(EXTENSION_NAMES, ("m/N", "N/m", "N"), strict=True)
+        ),
+        coil_parameter(),
+    )
+    free_in_one_run = (*SCALE_PARAMETER_NAMES, *EXTENSION_NAMES)
+    remembers = True
+    many_at_once = False
+
+    @property
+    def scale_names(self) -> tuple[str, ...]:
+        """Those of the sigmoid law: the extension is common to all runs."""
+        return SCALE_PARAMETER_NAMES
+
+    @property
+    def simpler(self) -> Model:
+        """The sixteen-parameter law."""
+        return SigmoidModel()
+
+    def to_simpler(self, values: Array) -> Array:
+        """The sixteen parameters (16,)."""
+        return values[:SIGMOID_COUNT]
+
+    def from_simpler(self, simple: Array) -> Array:
+        """Without lag, stiffness and offset."""
+        return without_extension(simple)
+
+    def starts(self, reading: LoopReading) -> Array:
+        """Those of the sigmoid law with a small compliance."""
+        plain = super().starts(reading)
+        compliance = 0.02 * reading.amplitude / reading.force
+        return np.hstack([plain, np.tile([compliance, 0.0, 0.0, 0.0], (len(plain), 1))])
+
+    def initial_values(self) -> tuple[Array, str, float]:
+        """The set from the literature, without lag, stiffness and offset."""
+        values, name, speed = super().initial_values()
+        return without_extension(values), name, speed
+
+    def window_force(self, window: Window, parameters: Array) -> Array:
+        """Force [N] at the samples of a window, shape (..., n), for parameters (..., 20)."""
+        if parameters.ndim > 1:
+            sets = parameters.reshape(-1, parameters.shape[-1])
+            forces = np.array([self.window_force(window, one) for one in sets])
+            return forces.reshape(*parameters.shape[:-1], window.sample_count)
+        window = in_coil(window, float(parameters[-1]))
+        sixteen = parameters[:SIGMOID_COUNT]
+        history = window.history
+        past = force_and_damping(*coefficients_along(sixteen, history.motion, history.current))
+        late = LateForce(history, past, extension_of(parameters))
+        plain = partial(super().window_force, window, sixteen)
+        return late.force(window.motion.displacement, plain)
+
+    def settled(self, window: Window, parameters: Array) -> np.ndarray:
+        """Mask (n,) of samples at which lag and coil have forgotten the past before the window."""
+        unsettled = window.history.unsettled(SETTLING * longest_lag([window], parameters))
+        return ~(unsettled | coil_unsettled(window, float(parameters[-1])))
+
+    def plausible_ranges(
+        self, windows: Sequence[Window], top_velocity: float, top_current: float
+    ) -> dict[str, tuple[float, float]]:
+        """Those of the sigmoid law, and of the extension from what the data span.
+
+        The compliance gives way to the force by no more than the amplitude of any window; the
+        stiffness and the offset make no more than all of the force in it.
+        """
+        forces = [float(np.max(np.abs(window.force))) for window in windows]
+        stiffnesses = [
+            force / window.motion.amplitude for force, window in zip(forces, windows, strict=True)
+        ]
+        return {
+            **super().plausible_ranges(windows, top_velocity, top_current),
+            COMPLIANCE: (0.0, 1.0 / max(stiffnesses)),
+            "stiffness": (-min(stiffnesses), min(stiffnesses)),
+            "offset": (-min(forces), min(forces)),
+            COIL: (0.0, PLAUSIBLE_COIL),
+        }
+
+    def _slowest_lag(self, windows: Sequence[Window], known: Array | None) -> float:
+        return _USUAL_LAG if known is None else max(longest_lag(windows, known), known[-1])

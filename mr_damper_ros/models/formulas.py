@@ -1,0 +1,331 @@
+"""A law written once, as formulas: compiled to Python for scalars and for arrays, differentiated.
+
+A formula is a name and an expression of Python: numbers, inputs, the formulas above it, the signs
+``+ - * / < >=`` and the functions ``exp``, ``tanh``, ``abs``, ``clip(x, low, high)``,
+``larger(x, y)``, ``where(condition, yes, no)``, ``sat(x)`` (x within ±1e100) and ``number(x)``
+(0 in place of NaN).
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+
+Formulas = tuple[tuple[str, str], ...]
+
+LIMIT = 1e100
+"""``sat`` limits to this, so that no product of a few quantities overflows."""
+
+_SIGNS: dict[type, str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.Lt: "<",
+    ast.GtE: ">=",
+}
+
+
+@dataclass(frozen=True)
+class WrittenLaw:
+    """A law for other languages: its parameters by name, and its formulas.
+
+    ``coefficients`` are given the peak velocity v_m [m/s] and the coil's current i [A], and make
+    the ``coefficient_names``; ``force`` is given the velocity v [m/s], the branch s of the
+    hysteresis before and the ``change`` of the velocity since [m/s] too.
+    """
+
+    parameter_names: tuple[str, ...]
+    coefficients: Formulas
+    force: Formulas
+    coefficient_names: tuple[str, ...]
+
+    def constants(self, parameters: Array) -> dict[str, float]:
+        """The parameters by name; those left out at the end are zero."""
+        missing = [0.0] * (len(self.parameter_names) - parameters.size)
+        return dict(zip(self.parameter_names, parameters.tolist() + missing, strict=True))
+
+    def expected(self, parameters: Array, inputs: Array) -> tuple[Array, Array]:
+        """Coefficients (c, n) and force (n,) for inputs (n, 5): v, v_m, i, s, change."""
+        names = ("v", "v_m", "i", "s", "change")
+        results = (*self.coefficient_names, "force")
+        lines = (*self.coefficients, *self.force)
+        law = staged(lines, [self.parameter_names, names], results, arrays=True)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            *found, force = law(*self.constants(parameters).values())(*inputs.T)
+        return np.stack(np.broadcast_arrays(*found)), force
+
+
+def staged(
+    formulas: Formulas, stages: Sequence[Sequence[str]], results: Sequence[str], *, arrays: bool
+) -> Callable[..., Any]:
+    """Compile the formulas: ``staged(...)(*stages[0])(*stages[1])...`` gives the results.
+
+    ``stages`` names the inputs that become known together; the name of a formula may be one of
+    them. Each part of an expression is computed at the first stage that knows its inputs, so that
+    a function that is kept does not compute it again. Several results come as a tuple. Of
+    ``arrays``, inputs broadcast, and one input at least of each stage after the first is an array;
+    otherwise all of them are floats.
+    """
+    known = {name: stage for stage, names in enumerate(stages) for name in names}
+    lines = [(name, _tree(text)) for name, text in _needed(formulas, results, known)]
+    parts = Counter(ast.unparse(node) for _, tree in lines for node in ast.walk(tree))
+    writer = (_Arrays if arrays else _Scalars)(stages, known, {p for p in parts if parts[p] > 1})
+    for name, tree in lines:
+        writer.add(name, tree)
+    source = writer.source(results)
+    space = dict(writer.functions)
+    exec(compile(source, "<formulas>", "exec"), space)  # noqa: S102: of our own formulas
+    made: Callable[..., Any] = space["stage_0"]
+    return made
+
+
+def gradient(
+    formulas: Formulas, result: str, by: Sequence[str], given: Sequence[str] = ()
+) -> Formulas:
+    """The formulas with those of the derivatives of one of them, named ``{result}_by_{input}``.
+
+    What is ``given`` does not change with the inputs. In reverse order: it takes about as many
+    operations as the result itself, however many inputs there are. ``sat``, ``clip`` and ``number``
+    count as if they changed nothing. Raises ValueError where ``exp`` and ``tanh`` do not stand
+    alone in their formula, and where a function has no derivative.
+    """
+    lines = list(_needed(formulas, [result], dict.fromkeys((*by, *given), 0)))
+    moving = set(by)
+    for name, text in lines:
+        if _names(_tree(text)) & moving:
+            moving.add(name)
+    parts: dict[str, list[str]] = {name: [] for name in (*by, *moving)}
+    parts[result] = ["1.0"]
+    found: list[tuple[str, str]] = []
+    for name, text in reversed(lines):
+        if name not in moving:
+            continue
+        own, tree = _sum(parts[name]), _tree(text)
+        if not isinstance(_tree(own), (ast.Name, ast.Constant)):
+            found.append((f"{result}_by_{name}", own))
+            own = f"{result}_by_{name}"
+        for inner in sorted(_names(tree) & moving):
+            parts[inner].append(_product(own, _derivative(tree, inner, name, tree)))
+    ends = tuple((f"{result}_by_{name}", _sum(parts[name])) for name in by)
+    return (*formulas, *found, *ends)
+
+
+def _needed(
+    formulas: Formulas, results: Sequence[str], known: Mapping[str, int]
+) -> Iterator[tuple[str, str]]:
+    """The formulas that the results need, in their order."""
+    wanted = set(results) - set(known)
+    for name, text in reversed(formulas):
+        if name in wanted:
+            wanted |= _names(_tree(text)) - set(known)
+    return ((name, text) for name, text in formulas if name in wanted and name not in known)
+
+
+def _tree(text: str) -> ast.expr:
+    return ast.parse(text, mode="eval").body
+
+
+def _names(tree: ast.AST) -> set[str]:
+    functions = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    every = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
+    return {node.id for node in every if id(node) not in functions}
+
+
+# -- derivatives
+
+
+def _derivative(node: ast.expr, by: str, name: str, line: ast.expr) -> str:
+    """Derivative of a part of the formula ``name`` by one of the names in it."""
+    if by not in _names(node):
+        return "0.0"
+    text = ast.unparse
+    match node:
+        case ast.Name():
+            return "1.0"
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return _product("-1.0", _derivative(operand, by, name, line))
+        case ast.BinOp(left=left, op=operator, right=right):
+            first, second = (_derivative(side, by, name, line) for side in (left, right))
+            match operator:
+                case ast.Add():
+                    return _sum([first, second])
+                case ast.Sub():
+                    return _sum([first, _product("-1.0", second)])
+                case ast.Mult():
+                    return _sum([_product(first, text(right)), _product(text(left), second)])
+            second = _product(f"-({text(left)}) / (({text(right)}) * ({text(right)}))", second)
+            return _sum([first if first == "0.0" else f"({first}) / ({text(right)})", second])
+        case ast.Call(func=ast.Name(id=function), args=[inner, *others]):
+            if function == "where":
+                yes, no = (_derivative(other, by, name, line) for other in others)
+                return "0.0" if yes == no == "0.0" else f"where({text(inner)}, {yes}, {no})"
+            if function in ("sat", "clip", "number"):
+                return _derivative(inner, by, name, line)
+            if function in ("tanh", "exp") and node is line:
+                slope = name if function == "exp" else f"1.0 - {name} * {name}"
+                return _product(slope, _derivative(inner, by, name, line))
+    raise ValueError(f"{text(node)} in the formula of {name} has no derivative by {by}")
+
+
+def _sum(parts: Sequence[str]) -> str:
+    some = [part for part in parts if part != "0.0"]
+    return " + ".join(f"({part})" for part in some) if len(some) > 1 else "".join(some) or "0.0"
+
+
+def _product(first: str, second: str) -> str:
+    if "0.0" in (first, second):
+        return "0.0"
+    if "1.0" in (first, second):
+        return second if first == "1.0" else first
+    return f"({first}) * ({second})"
+
+
+# -- functions of Python
+
+
+class _Writer:
+    """Nested functions, one for each stage, that compute what each can."""
+
+    functions: ClassVar[Mapping[str, Any]]
+
+    def __init__(
+        self, stages: Sequence[Sequence[str]], known: dict[str, int], repeated: set[str]
+    ) -> None:
+        """``known``: by their name the stages of the inputs; ``repeated``: what to keep."""
+        self._stages = stages
+        self._known = known
+        self._repeated = repeated
+        self._lines: list[list[str]] = [[] for _ in stages]
+        self._kept: dict[str, str] = {}
+        self._count = 0
+
+    def add(self, name: str, tree: ast.expr) -> None:
+        """Take up a formula."""
+        stage = self._stage(tree)
+        self._lines[stage].append(f"{name} = {self._written(tree, stage)}")
+        self._known[name] = stage
+
+    def source(self, results: Sequence[str]) -> str:
+        """The program."""
+        lines = []
+        for stage, inputs in enumerate(self._stages):
+            lines.append("    " * stage + f"def stage_{stage}({', '.join(inputs)}):")
+            lines.extend("    " * (stage + 1) + line for line in self._lines[stage])
+        last = len(self._stages)
+        lines.append("    " * last + f"return {', '.join(results)}")
+        lines.extend("    " * stage + f"return stage_{stage}" for stage in range(last - 1, 0, -1))
+        return "\n".join(lines)
+
+    def _stage(self, tree: ast.expr) -> int:
+        return max((self._known[name] for name in _names(tree)), default=0)
+
+    def _part(self, node: ast.expr, stage: int) -> str:
+        """A part of an expression of a stage: kept where it is known earlier, or comes again."""
+        own, text = self._stage(node), ast.unparse(node)
+        simple = isinstance(node, (ast.Name, ast.Constant))
+        if simple or (own == stage and text not in self._repeated):
+            return self._written(node, own)
+        if text not in self._kept:
+            self._kept[text] = self._new()
+            self._lines[own].append(f"{self._kept[text]} = {self._written(node, own)}")
+        return self._kept[text]
+
+    def _written(self, node: ast.expr, stage: int) -> str:
+        match node:
+            case ast.Constant(value=float(number)):
+                return repr(number)
+            case ast.Name(id=name):
+                return name
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return f"-{self._part(operand, stage)}"
+            case ast.BinOp(left=left, op=operator, right=right):
+                first, second = self._part(left, stage), self._part(right, stage)
+                if isinstance(operator, ast.Div):
+                    return self._quotient(first, second)
+                return f"({first} {_SIGNS[type(operator)]} {second})"
+            case ast.Compare(left=left, ops=[comparison], comparators=[right]):
+                first, second = self._part(left, stage), self._part(right, stage)
+                return f"({first} {_SIGNS[type(comparison)]} {second})"
+            case ast.Call(func=ast.Name(id=function), args=arguments):
+                return self._call(function, [self._part(inner, stage) for inner in arguments])
+        raise ValueError(f"{ast.unparse(node)} is no formula")
+
+    def _new(self) -> str:
+        self._count += 1
+        return f"part_{self._count}"
+
+    def _quotient(self, first: str, second: str) -> str:
+        return f"({first} / {second})"
+
+    def _call(self, function: str, arguments: Sequence[str]) -> str:
+        return f"{function}({', '.join(arguments)})"
+
+
+class _Arrays(_Writer):
+    """With NumPy."""
+
+    functions: ClassVar = {
+        "exp": np.exp,
+        "tanh": np.tanh,
+        "abs": np.abs,
+        "where": np.where,
+        # The method: np.clip takes twice the time, which counts for blocks of a few samples.
+        "clip": lambda x, low, high: x.clip(low, high),
+        "sat": lambda x: x.clip(-LIMIT, LIMIT),
+        "larger": np.maximum,
+        "number": lambda x: np.where(x == x, x, 0.0),
+    }
+
+
+class _Scalars(_Writer):
+    """With floats, and no call where an expression will do: a call takes as long as ten sums."""
+
+    functions: ClassVar = {
+        "exp": math.exp,
+        "tanh": math.tanh,
+        "abs": abs,
+        "clip": lambda x, low, high: high if x > high else low if x < low else x,
+        "over": lambda x: math.nan if x != x or x == 0.0 else math.copysign(math.inf, x),
+    }
+
+    def _quotient(self, first: str, second: str) -> str:
+        divisor = self._new()
+        return f"({first} / {divisor} if ({divisor} := {second}) else over({first}))"
+
+    def _call(self, function: str, arguments: Sequence[str]) -> str:
+        first, *others = arguments
+        part = self._new()
+        if function == "where":
+            return f"({others[0]} if {first} else {others[1]})"
+        if function == "sat":
+            others = [repr(-LIMIT), repr(LIMIT)]
+        if function in ("sat", "clip"):
+            low, high = others
+            within = f"{low} <= ({part} := {first}) <= {high}"
+            return f"({part} if {within} else clip({part}, {low}, {high}))"
+        if function == "larger":
+            return f"({part} if ({part} := {first}) > {others[0]} else {others[0]})"
+        if function == "number":
+            return f"({part} if ({part} := {first}) == {part} else 0.0)"
+        return super()._call(function, arguments)
+
+
+def columns(*parts: Array | float) -> Array:
+    """Arrays of shape (..., n), or that broadcast to it, as (..., n, columns).
+
+    Each of them lies together in memory: what is done to them then takes half the time.
+    """
+    shape = np.broadcast_shapes(*(np.shape(part) for part in parts))
+    result = np.empty((len(parts), *shape))
+    for place, part in enumerate(parts):
+        result[place] = part
+    return np.moveaxis(result, 0, -1)
