@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import Any
 
 _lock = threading.Lock()
@@ -34,7 +34,7 @@ def one_thread() -> Iterator[None]:
         with _lock:
             _users -= 1
             if _users == 0:
-                _limits.__exit__(None, None, None)
+                _limits.restore_original_limits()
 
 
 def keep_one_thread(*, with_scipy: bool = True) -> None:
@@ -54,8 +54,6 @@ def _load() -> None:
 
 
 def _limited() -> Any:
-    try:
-        from threadpoolctl import ThreadpoolController
-    except ImportError:
-        return ExitStack()
+    from threadpoolctl import ThreadpoolController
+
     return ThreadpoolController().limit(limits=1)

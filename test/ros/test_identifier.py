@@ -151,7 +151,7 @@ def test_a_bag_gives_the_same_sets_at_every_rate(start: Any, listener: Listener)
     assert outcomes[0] == outcomes[1]
     assert outcomes[0] == outcomes[2]
     replayed = mr.replay(BAG)
-    reports = [report_message(report, 0.0, "damper") for report in replayed.reports]
+    reports = [report_message(report, 0.0, "damper", "/identifier") for report in replayed.reports]
     for message in reports:
         message.verdict = int(message.verdict)  # as it comes over the wire
     sets = [parameters_message(found, "damper", "/identifier") for found in replayed.sets]
@@ -615,7 +615,7 @@ def test_it_ends_cleanly_and_its_worker_with_it(
             lambda folder: {"model": "bouc_wen", "tracker": "unscented"},
             "tracker 'unscented' does not follow model 'bouc_wen'",
         ),
-        (lambda folder: {"model": "magic"}, "must be one of bingham, hyperbolic_tangent"),
+        (lambda folder: {"model": "magic"}, "must be one of auto, bingham, hyperbolic_tangent"),
         (lambda folder: {"method": "guess"}, "must be one of nelder_mead, least_squares"),
         (lambda folder: {"evolution__mutation": 3.0}, "evolution.mutation must be from"),
     ],
