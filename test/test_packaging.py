@@ -147,6 +147,14 @@ def test_one_version_everywhere():
     assert heading[1] == version
 
 
+def test_the_maintainer_is_named_in_one_way():
+    ours, messages = (
+        ElementTree.parse(ROOT / folder / "package.xml").getroot().find("maintainer")
+        for folder in (".", "msg_defs")
+    )
+    assert (ours.text, ours.get("email")) == (messages.text, messages.get("email"))
+
+
 def described(*options: str) -> str:
     """What setup.py says of the package."""
     return subprocess.run(
