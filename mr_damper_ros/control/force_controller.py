@@ -17,8 +17,8 @@ from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
 from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
 from mr_damper_ros.control.probe import Probe
 from mr_damper_ros.kinematics.motion_sample import MotionSample
-from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings

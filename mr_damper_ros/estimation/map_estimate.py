@@ -23,7 +23,7 @@ from mr_damper_ros.estimation.repeatability import samples_per_cycle
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.window_problem import WindowProblem
+from mr_damper_ros.models.operating_points import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 
 _CONTRADICTED = 1e-3

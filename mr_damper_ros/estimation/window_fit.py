@@ -18,7 +18,7 @@ from mr_damper_ros.estimation.repeatability import error_covariances, samples_pe
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.window_problem import WindowProblem
+from mr_damper_ros.models.operating_points import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 
 WINDOW_METHODS = ("nelder_mead", "least_squares")

@@ -8,8 +8,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
-from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
 

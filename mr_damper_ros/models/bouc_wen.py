@@ -10,7 +10,6 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_dependence import Coefficient
-from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import (
     HYSTERESIS,
     follow_yield,
@@ -27,7 +26,7 @@ from mr_damper_ros.models.known_derivatives import (
     driven,
 )
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop
-from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
 

@@ -32,9 +32,15 @@ from mr_damper_ros.models.coil import (
     coil_unsettled,
 )
 from mr_damper_ros.models.current_response import CurrentResponse
-from mr_damper_ros.models.force_model import Model, State
-from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
-from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
+from mr_damper_ros.models.difference_problems import DifferenceProblem, PooledDifferences
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.operating_points import (
+    CoefficientTable,
+    LawSearch,
+    PooledProblem,
+    WindowProblem,
+)
+from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity, State
 from mr_damper_ros.signals.arrays import Array
 
 _GROWTH = 100.0
@@ -173,6 +179,16 @@ class CurrentDependentModel(Model):
         in_coil = np.moveaxis(history.at_samples(np.moveaxis(late, -1, 0)), 0, -1)
         values = self._all_at(parameters, in_coil)
         return self.force_at(values, window.motion, history.period, None)[0]
+
+    def window_problem(self, window: Window, parameters: Array) -> WindowProblem:
+        """What one current determines; derivatives are by differences."""
+        return DifferenceProblem(self, window, parameters)
+
+    def pooled_problem(
+        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
+    ) -> PooledProblem:
+        """All windows; derivatives are by differences."""
+        return PooledDifferences(self, windows, noise, known)
 
     def settled(self, window: Window, parameters: Array) -> np.ndarray:
         """Mask (n,) of samples at which law and coil have forgotten what came before the window."""

@@ -10,16 +10,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
-
-if TYPE_CHECKING:
-    from mr_damper_ros.kinematics.motion import Motion
-    from mr_damper_ros.kinematics.motion_sample import MotionSample
-    from mr_damper_ros.models.force_model import State
 
 NODES = 65
 """Currents at which a force is looked at first: between two of them it should bend once at most."""

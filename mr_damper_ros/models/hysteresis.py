@@ -22,7 +22,8 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_dependence import Coefficient
-from mr_damper_ros.models.force_model import Model, State
+from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 
 HYSTERESIS = (

@@ -8,7 +8,6 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel
-from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import (
     HYSTERESIS,
     follow_inner_point,
@@ -18,7 +17,7 @@ from mr_damper_ros.models.hysteresis import (
     relaxation,
 )
 from mr_damper_ros.models.machine_code import run_loop
-from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.search_effort import SearchEffort
 from mr_damper_ros.signals.arrays import Array
 
 _RELATIVE_ERROR = 0.05
@@ -62,6 +63,64 @@ class PriorRows(NamedTuple):
 
     rows: np.ndarray
     variance: float
+
+
+class WindowProblem(Protocol):
+    """Residual (n,) of a window and its Jacobian (n, f) for unknowns (f,).
+
+    ``start`` (f,): those of the parameters given; ``bounds`` of the unknowns, None for none;
+    ``settled`` (n,): samples that have a residual; ``strength`` (f,): which of the unknowns rise
+    and fall with the strength of the damper; ``differences``: evaluations of the force that went
+    into derivatives.
+    """
+
+    window: Window
+    differences: int
+
+    @property
+    def settled(self) -> np.ndarray:
+        """Mask (n,)."""
+
+    @property
+    def effort(self) -> SearchEffort:
+        """How far to search."""
+
+    @property
+    def start(self) -> Array:
+        """Unknowns (f,) of the parameters given."""
+
+    @property
+    def bounds(self) -> tuple[Array, Array] | None:
+        """Lower and upper bounds (f,) of the unknowns."""
+
+    @property
+    def strength(self) -> np.ndarray:
+        """Mask (f,)."""
+
+    def residual(self, unknowns: Array) -> Array:
+        """Model minus measurement [N], shape (n,); zero where the past is not known."""
+
+    def jacobian(self, unknowns: Array) -> Array:
+        """Derivatives of the residual by the unknowns, shape (n, f)."""
+
+    def parameters(self, unknowns: Array) -> Array:
+        """All parameters (p,)."""
+
+    def restarted(self, parameters: Array) -> WindowProblem:
+        """The problem for parameters (p,) of which only the unknowns are others."""
+
+    def cold_starts(self) -> list[Array]:
+        """Parameters (p,) to start from, read off the window."""
+
+    def coefficients(self, unknowns: Array, covariance: Array) -> tuple[Array, Array]:
+        """Operating-point coefficients (c,) and their covariance (c, c); empty where none are."""
+
+    def usual_change(self, part: float, fastest: float) -> Array:
+        """Change (f,) of each unknown that changes the force by this part of it.
+
+        Seen in the window, and in a sine of peak velocity ``fastest`` [m/s] where that is finite;
+        infinite where there is no force to compare with.
+        """
 
 
 class PooledProblem(Protocol):

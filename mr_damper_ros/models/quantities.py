@@ -8,9 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.signals.arrays import Array
 
 _OUTERMOST = 0.98
 """Quantile of the speed and of the displacement that counts as the largest."""
+
+State = tuple[Array, ...]
+"""What a law remembers of the past: arrays of the shape of the sets, none for a law without memory.
+
+None stands for a start: at rest, or settled.
+"""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import coil_unsettled, few_in_coil
 from mr_damper_ros.models.current_dependence import Coefficient
-from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.hysteresis import integrated
 from mr_damper_ros.models.known_derivatives import (
     DifferentiatedModel,
@@ -35,7 +34,7 @@ from mr_damper_ros.models.known_derivatives import (
     driven,
 )
 from mr_damper_ros.models.machine_code import as_machine_code, runs_machine_code
-from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.models.spring_path import PathState, SpringPath, follow_path
 from mr_damper_ros.signals.arrays import Array
 

@@ -18,8 +18,8 @@ from mr_damper_ros.control.inverse_model import in_coil
 from mr_damper_ros.control.linear_plant import LinearPlant, MovingPlant
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
-from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.rig.emulator import CurrentSchedule, RigSettings, ThermalModel
 from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array

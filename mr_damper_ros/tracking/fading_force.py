@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.force_model import Model, State
-from mr_damper_ros.models.force_stream import ForceStream
+from mr_damper_ros.models.force_model import ForceStream, Model
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.force_stream import ForceStream
+from mr_damper_ros.models.force_model import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.judged_samples import JudgedSamples

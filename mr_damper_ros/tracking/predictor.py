@@ -10,9 +10,9 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
-from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.force_stream import ForceStream
+from mr_damper_ros.models.force_model import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.settings.option_table import option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.force_model import State
-from mr_damper_ros.models.force_stream import Ahead, ForceStream
+from mr_damper_ros.models.force_model import Ahead, ForceStream
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.validity import Doubt
 

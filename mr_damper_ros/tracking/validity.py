@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
-from mr_damper_ros.models.force_stream import ForceStream
+from mr_damper_ros.models.force_model import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, span_of

@@ -91,3 +91,21 @@ def test_ros_is_known_to_the_nodes_alone() -> None:
         if name.split(".")[0] in ROS
     }
     assert wrong == set()
+
+
+def test_no_circle_of_imports_in_the_models() -> None:
+    names = {f"mr_damper_ros.{inside(path)[:-3].replace('/', '.')}": path for path in modules()}
+    known = {
+        name: {
+            other
+            for full in imported(path)
+            for other in (full, full.rpartition(".")[0])
+            if other in names and other != name
+        }
+        for name, path in names.items()
+        if room(path) == "models"
+    }
+    left = dict(known)
+    while free := {name for name, others in left.items() if not others & left.keys()}:
+        left = {name: others for name, others in left.items() if name not in free}
+    assert sorted(left) == [], "these modules import one another"

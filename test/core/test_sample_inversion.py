@@ -17,8 +17,8 @@ from mr_damper_ros.control.sample_inversion import FoundCurrent, invert_sample
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import State
 
 PERIOD = 1e-3
 

@@ -25,8 +25,8 @@ import numpy as np
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.coil import coil_current, coil_state, few_in_coil
 from mr_damper_ros.models.first_order_lag import lagged
-from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.formulas import staged
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     Extension,

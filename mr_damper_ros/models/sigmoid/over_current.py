@@ -21,8 +21,8 @@ from mr_damper_ros.models.current_response import (
     SampleResponses,
     SeveralSamples,
 )
-from mr_damper_ros.models.force_model import State
 from mr_damper_ros.models.formulas import staged
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     Extension,

@@ -15,11 +15,11 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.coil import COIL, PLAUSIBLE_COIL, coil_parameter, coil_unsettled, in_coil
 from mr_damper_ros.models.current_response import SampleResponses, nodes_along
 from mr_damper_ros.models.first_order_lag import SETTLING
-from mr_damper_ros.models.force_model import Model, State
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity
+from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity, State
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws, searched_laws, shape_bounds
 from mr_damper_ros.models.sigmoid.extension import (
     COMPLIANCE,
