@@ -84,4 +84,5 @@ class TrackerSettings(CheckedSettings):
         """
         if self.model != OF_THE_SET:
             initial.of_model(self.model)
+            return self
         return replace(self, model=initial.model)

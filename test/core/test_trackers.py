@@ -53,7 +53,7 @@ class SmoothingTracker(ScaleTracker):
 
 def test_a_tracker_of_a_users_own_follows_the_damper(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TRACKERS, SmoothingTracker.name, SmoothingTracker())
-    settings = TrackerSettings(method="least_squares", global_period=0)
+    settings = TrackerSettings(model="sigmoid", method="least_squares", global_period=0)
     object.__setattr__(settings, "tracker", SmoothingTracker.name)  # chosen from the registry
     tracked = WindowTracker(settings, ParameterSet(known.PLAUSIBLE))
     strengths = (1.0, 0.98, 0.98)
