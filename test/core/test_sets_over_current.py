@@ -210,15 +210,21 @@ def test_a_set_of_this_current_too_takes_over_where_it_gives_the_force_better(
         assert came.set_at(END - 0.1).startswith(in_use)
 
 
-def test_where_nothing_is_known_of_a_current_the_present_set_goes_on() -> None:
+@pytest.mark.parametrize(
+    ("maximum_error", "kind"), [(0.2, DoubtKind.NONE), (0.0, DoubtKind.OUT_OF_RANGE)]
+)
+def test_where_nothing_is_known_of_a_current_only_the_measured_force_vouches_for_the_present_set(
+    maximum_error: float, kind: DoubtKind
+) -> None:
     low = window_of(SIGMOID, LOW, "low")
     known_low = replace(whole_of(SIGMOID), current_range=(0.3, 0.5))
-    came = course([Said(5.0, replace(low, current_range=(0.3, 0.5)))], whole=known_low)
+    came = course(
+        [Said(5.0, replace(low, current_range=(0.3, 0.5)))],
+        whole=known_low,
+        maximum_error=maximum_error,
+    )
     assert came.set_at(END - 0.1) == "low"
-    kinds = [prediction.doubt.kind for prediction in came.predictions]
-    assert DoubtKind.OUT_OF_RANGE in kinds
-    # The measured force confirms it: once it has done so for a cycle, the force is valid.
-    assert kinds[-1] is DoubtKind.NONE
+    assert came.predictions[-1].doubt.kind is kind
 
 
 def test_a_wrong_set_for_all_is_not_called_valid() -> None:
