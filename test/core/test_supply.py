@@ -463,6 +463,7 @@ def line(instrument: EmulatedInstrument) -> Iterator[SerialInstrument]:
 def test_pyvisa_reaches_the_same_instrument_over_a_serial_line(
     line: SerialInstrument, clock: SetClock
 ) -> None:
+    pytest.importorskip("serial")
     supply = supply_at(f"ASRL{line.path}::INSTR")
     supply.open()
     supply.switch_on()
