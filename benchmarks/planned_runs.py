@@ -11,9 +11,8 @@ import numpy as np
 
 from benchmarks.figure import Figure
 from benchmarks.random_dampers import KINDS, DamperKind, random_damper
-from mr_damper_ros.estimation.candidate_runs import first_run
 from mr_damper_ros.estimation.force_knowledge import Cycles, ForceGoal, PointErrors
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
 from mr_damper_ros.estimation.run_planner import Plan, PlanState, RunPlanner
 from mr_damper_ros.interface.run_advice import planned
 from mr_damper_ros.kinematics.periodic_motion import MotionKind

@@ -19,10 +19,11 @@ import numpy as np
 
 from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.covariance import triangular_factor
-from mr_damper_ros.estimation.determination import noise_level, parameter_spans
 from mr_damper_ros.estimation.observability import (
     determined_parameters,
+    noise_level,
     operating_points_within,
+    parameter_spans,
     varied_parameters,
 )
 from mr_damper_ros.kinematics.window import Window

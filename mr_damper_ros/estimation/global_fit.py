@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mr_damper_ros.estimation.between_motions import discrepancy_between, motion_numbers
 from mr_damper_ros.estimation.covariance import (
+    discrepancy_between,
+    error_covariances,
     least_squares_covariance,
+    motion_numbers,
+    samples_per_cycle,
     without_negative_variance,
 )
 from mr_damper_ros.estimation.differential_evolution import (
@@ -21,7 +24,6 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.global_search import Candidate, GlobalSearch
 from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
 from mr_damper_ros.estimation.record_levels import LevelPrior, counted_samples
-from mr_damper_ros.estimation.repeatability import error_covariances, samples_per_cycle
 from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.estimation.adaptation import adapted
-from mr_damper_ros.estimation.determination import noise_level
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     ProgressClock,
@@ -27,6 +26,7 @@ from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.observability import (
     current_varies,
     determined_parameters,
+    noise_level,
     not_known,
     operating_points_within,
     parameter_ranges,

@@ -1,18 +1,29 @@
-"""Which parameters of a model the data determine.
+"""What samples determine: which parameters of a model, and how many combinations of them.
 
 Two views. *What was varied*: a law over current needs as many different currents as it has
 unknowns, a law over peak velocity at least two. *What the samples say*: the Jacobian at the
-solution tells how far each parameter could move before the misfit would notice. A parameter is
-observable where both agree; the others keep the value of the start and have no standard error.
+solution tells how far each parameter could move before the misfit would notice.
+
+Everything is counted in *spans*: of a shape parameter the range in which it is plausible, of a
+scale its own size. In these units the singular values of the Jacobian are the inverse standard
+errors of uncorrelated combinations of the parameters. A parameter or a combination is determined
+where its standard error is below a quarter of a span. See Belsley, Kuh and Welsch, "Regression
+Diagnostics", 1980, chapter 3.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import least_squares_covariance, triangular_factor
+from mr_damper_ros.estimation.covariance import (
+    correlation_length,
+    least_squares_covariance,
+    triangular_factor,
+)
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import PooledProblem
@@ -184,3 +195,192 @@ def standard_errors(columns: Array, names: Sequence[str]) -> dict[str, float]:
         return dict.fromkeys(names, np.inf)
     errors = np.sqrt(np.sum((vt.T / singular) ** 2, axis=1)) / lengths
     return dict(zip(names, errors.tolist(), strict=True))
+
+
+_SMALLEST_SHARE = 0.1
+"""The span of a scale near zero is what would change the force by this part, not itself."""
+
+_NEGLIGIBLE = 0.05
+"""Left out of the words: what moves by less than this part of the largest move, and changes the
+force by less than this part of the largest change."""
+
+_MOST_WORDS = 5
+
+_AS_A_PRODUCT = 0.1
+"""Two parameters are known as a product, or a ratio, where their relative moves agree so far."""
+
+_LEADS_BY = 0.1
+"""Relative move of the parameter that leads, for the words."""
+
+_BEYOND_PERCENT = 10.0
+"""A relative move larger than this is told in the parameter's unit."""
+
+_ROUNDING = 1e-10
+"""A move that the samples notice less than this, of what they may notice, is one they do not."""
+
+_PREFER_SHAPE = 1e2
+"""Where a scale trades with a shape parameter, it is the shape that is said to be open; not where
+the shape's part is less than a hundredth, or one direction would be told several times."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A direction in which parameters may move together while the force hardly changes.
+
+    ``weights``: how far each moves, by name, in spans; the largest is 1, the first is that of the
+    parameter which leads. ``standard_error``: of the move, in spans; infinite where the samples do
+    not notice it at all. ``words``: what is not known, as in "f0 and k2 only as a product".
+    """
+
+    weights: Mapping[str, float]
+    standard_error: float
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Determination:
+    """What samples determine: ``singular_values`` (p,) in 1/spans, largest first.
+
+    ``rank``: combinations that are determined; ``condition``: the largest over the smallest
+    singular value, infinite where the smallest is zero up to rounding; ``open``: the p - rank
+    combinations that are not determined, each led by another parameter.
+    """
+
+    names: tuple[str, ...]
+    singular_values: Array
+    rank: int
+    condition: float
+    open: tuple[Combination, ...]
+
+
+def parameter_spans(
+    model: Model, jacobian: Array, parameters: Array, ranges: Mapping[str, tuple[float, float]]
+) -> Array:
+    """Span (p,) of each parameter, in its own unit; see the head of this module.
+
+    ``jacobian`` (n, p) is that of the residual at ``parameters`` (p,), ``ranges`` are those of the
+    shape parameters.
+    """
+    lengths = np.linalg.norm(jacobian, axis=0)
+    # The force is proportional to the strength of the damper.
+    strength = model.strength_indices
+    force = float(np.linalg.norm(jacobian[:, strength] @ parameters[strength]))
+    spans = np.maximum(
+        np.abs(parameters), _SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
+    )
+    for place, name in enumerate(model.parameter_names):
+        if name in ranges:
+            spans[place] = ranges[name][1] - ranges[name][0]
+    return np.asarray(np.where(spans > 0.0, spans, 1.0))
+
+
+def noise_level(misfit: PooledProblem, parameters: Array) -> float:
+    """Standard deviation [1] of the residual that its Jacobian may be divided by.
+
+    Correlated samples count once together, so what a law leaves of the force is not taken for
+    noise that averages out.
+    """
+    residual = misfit.residual(parameters)
+    variance = float(np.mean(residual**2)) * max(correlation_length(residual), 1)
+    return math.sqrt(max(variance, 1e-300))
+
+
+def determination(model: Model, jacobian: Array, spans: Array, parameters: Array) -> Determination:
+    """What a Jacobian (n, p), of a residual of unit variance at ``parameters`` (p,), determines."""
+    triangular = triangular_factor(jacobian) * spans
+    _, values, rows = np.linalg.svd(triangular, full_matrices=True)
+    names = model.parameter_names
+    singular = np.zeros(len(names))
+    singular[: values.size] = values
+    scales = [name in model.scale_names for name in names]
+    loose = singular * SURE <= 1.0
+    return Determination(
+        names=names,
+        singular_values=singular,
+        rank=int(np.sum(~loose)),
+        condition=_condition(singular),
+        open=_combinations(rows[loose], triangular, model, np.array(scales), (parameters, spans)),
+    )
+
+
+def _condition(singular: Array) -> float:
+    largest, smallest = float(singular[0]), float(singular[-1])
+    return largest / smallest if smallest > _ROUNDING * largest else math.inf
+
+
+def _combinations(
+    directions: Array,
+    triangular: Array,
+    model: Model,
+    scales: np.ndarray,
+    values_and_spans: tuple[Array, Array],
+) -> tuple[Combination, ...]:
+    """A basis of the span of the rows (d, p) in which each row is led by another parameter.
+
+    Gauss-Jordan elimination, complete pivoting: singular vectors mix what has nothing to do with
+    each other.
+    """
+    names, (values, spans) = model.parameter_names, values_and_spans
+    basis = np.array(directions)
+    preference = np.where(scales, 1.0, _PREFER_SHAPE)
+    leads: list[int] = []
+    for step in range(len(basis)):
+        sizes = np.abs(basis[step:]) * preference
+        sizes[:, leads] = 0.0
+        row, lead = divmod(int(np.argmax(sizes)), len(names))
+        basis[[step, step + row]] = basis[[step + row, step]]
+        basis[step] /= basis[step, lead]
+        others = np.arange(len(basis)) != step
+        basis[others] -= np.outer(basis[others, lead], basis[step])
+        leads.append(lead)
+    largest = float(np.linalg.norm(triangular, 2))
+    lengths = np.linalg.norm(triangular, axis=0)
+    combinations = []
+    for lead, move in sorted(zip(leads, basis, strict=True), key=lambda led: led[0]):
+        move = move / np.max(np.abs(move))
+        order = [lead, *(place for place in np.argsort(-np.abs(move)) if place != lead)]
+        change = np.abs(move) * lengths
+        told = (np.abs(move) >= _NEGLIGIBLE) | (
+            change > max(_NEGLIGIBLE * change.max(), _ROUNDING * largest)
+        )
+        told[lead] = True
+        weights = {names[k]: float(move[k]) for k in order if told[k]}
+        noticed = float(np.linalg.norm(triangular @ move))
+        error = 1.0 / noticed if noticed > _ROUNDING * largest else math.inf
+        moves = {names[k]: (values[k], move[k] * spans[k]) for k in order if told[k]}
+        combinations.append(Combination(weights, error, _words(moves, model.units)))
+    return tuple(combinations)
+
+
+def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
+    """What is open, for value and move of each parameter, that which leads first."""
+    lead, *others = moves
+    if not others:
+        return lead
+    relative = {name: move / value if value else math.inf for name, (value, move) in moves.items()}
+    if len(others) == 1:
+        ratio = relative[lead] / relative[others[0]]
+        if abs(ratio + 1.0) < _AS_A_PRODUCT:
+            return f"{lead} and {others[0]} only as a product"
+        if abs(ratio - 1.0) < _AS_A_PRODUCT:
+            return f"{lead} and {others[0]} only as a ratio"
+    _, move = moves[lead]
+    step = _LEADS_BY if math.isinf(relative[lead]) else _LEADS_BY / abs(relative[lead])
+    step = math.copysign(step, move)
+    changes = [
+        _change(name, step * moves[name][1], moves[name][0], units[name])
+        for name in (lead, *others[:_MOST_WORDS])
+    ]
+    more = " and others move" if len(others) > _MOST_WORDS else ""
+    listed = ", ".join(others[:-1]) + f" and {others[-1]}" if len(others) > 1 else others[0]
+    together = f"{lead} and {listed}" if len(others) == 1 else f"{lead}, {listed}"
+    return f"{together} only together: as {changes[0]}, {', '.join(changes[1:])}{more}"
+
+
+def _change(name: str, move: float, value: float, unit: str) -> str:
+    part = move / value if value else math.inf
+    if abs(part) > _BEYOND_PERCENT:
+        way = "rises" if move > 0.0 else "falls"
+        return f"{name} {way} by {abs(move):.2g}{'' if unit == '1' else f' {unit}'}"
+    # Of a negative number it is the size that grows or shrinks.
+    return f"{name} {'grows' if part > 0.0 else 'shrinks'} by {100.0 * abs(part):.2g} %"

@@ -1,4 +1,4 @@
-"""Runs of a test machine, and what it may do.
+"""Runs of a test machine: what it may do, what a run is, and the runs that a goal leaves to choose.
 
 A run is a sine, a swept sine or random motion, at one current or at a staircase of currents.
 """
@@ -6,16 +6,19 @@ A run is a sine, a swept sine or random motion, at one current or at a staircase
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.estimation.force_knowledge import PHASES, Cycles, ForceGoal, steady_cycle
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
@@ -192,3 +195,270 @@ def _settled(part: slice, recording: Recording) -> slice:
     if not late.size:
         return part
     return slice(part.start + int(late[-1]) + 1 + round(SETTLING / recording.period), part.stop)
+
+
+_SPEEDS = 6
+_CURRENTS = 6
+"""Peak velocities and currents of the candidates."""
+
+_AMPLITUDES = (1.0, 0.5, 0.25)
+"""Parts of the largest amplitude."""
+
+_BROAD_SPEEDS = 3
+_BROAD_AMPLITUDES = 2
+"""Of these so many of the largest are those of motions that are no sine."""
+
+_RANDOM_BAND = (0.25, 2.0)
+"""Random motion is within these parts of the frequency of a sine as large and as fast."""
+
+_TRIES = 10
+"""To find such a motion that is within the limits, also while it grows."""
+
+_STAIRS = (2, 3, 4, 6)
+"""Currents of a staircase."""
+
+_FIRST_CURRENTS = 4
+"""Those of the first one, at most."""
+
+_PARTS = 12
+"""A motion that is no sine is looked at in so many parts: every staircase has whole ones."""
+
+_FINE = 48
+"""Samples of the shortest cycle of such a motion, for its peak velocity."""
+
+_LEAST_CYCLES = 1.0
+"""A stretch at one current holds so many cycles at the least."""
+
+
+def first_run(goal: ForceGoal, limits: MachineLimits) -> PlannedRun:
+    """The run of a damper of which nothing is known: the gentlest, at a few small currents.
+
+    Raises ValueError where the machine cannot make it.
+    """
+    low, high = goal.current
+    half = 0.5 * (low + min(high, limits.current))
+    counts = range(1, 1 + (_FIRST_CURRENTS if limits.steps and half > low else 1))
+    stairs = [tuple(np.linspace(low, half, count).tolist()) for count in counts]
+    runs = [
+        run for part in _AMPLITUDES for run in _runs(limits, part, goal.peak_velocity[0], stairs)
+    ]
+    if not runs:
+        raise ValueError(
+            f"the machine cannot make a run of {limits.duration:g} s at a peak velocity of "
+            f"{goal.peak_velocity[0]:g} m/s that holds a cycle: allow longer runs"
+        )
+    return max(runs, key=lambda run: len(run.currents))
+
+
+def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
+    """All runs that the machine can make within a goal, from which a plan chooses."""
+    low, high = goal.peak_velocity
+    speeds = np.unique(np.geomspace(low, min(high, limits.peak_velocity), _SPEEDS)).tolist()
+    stairs = _stairs(goal, limits)
+    found: dict[PlannedRun, None] = {}
+    for speed in speeds:
+        for part in _AMPLITUDES:
+            found.update(dict.fromkeys(_runs(limits, part, speed, stairs)))
+    for number, speed in enumerate(speeds[1:][-_BROAD_SPEEDS:]):
+        for part in _AMPLITUDES[:_BROAD_AMPLITUDES]:
+            for kind in limits.motions:
+                run = _broad_run(limits, kind, part, (low, speed), number)
+                runs = [replace(run, currents=currents) for currents in stairs] if run else []
+                found.update(dict.fromkeys(_whole_cycles(runs)))
+    return list(found)
+
+
+def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
+    """The currents of runs: one, or several where the machine can step them."""
+    bottom, top = goal.current[0], min(goal.current[1], limits.current)
+    currents = [_round(current) for current in np.unique(np.linspace(bottom, top, _CURRENTS))]
+    stairs: list[tuple[float, ...]] = [(current,) for current in currents]
+    for count in _STAIRS if limits.steps else ():
+        for start in range(len(currents)):
+            for stride in range(1, len(currents)):
+                chosen = tuple(currents[start::stride][:count])
+                if len(chosen) == count and chosen not in stairs:
+                    stairs.append(chosen)
+    return stairs
+
+
+def _runs(
+    limits: MachineLimits, part: float, speed: float, stairs: Sequence[tuple[float, ...]]
+) -> list[PlannedRun]:
+    """Sines of an amplitude and a peak velocity that the machine can make, in round numbers."""
+    amplitude = _round_down(part * limits.amplitude)
+    frequency = _round_down(speed / (2.0 * math.pi * amplitude))
+    if not limits.frequency[0] <= frequency <= limits.frequency[1]:
+        return []
+    return _whole_cycles(
+        [PlannedRun(amplitude, frequency, tuple(map(_round, s)), limits.duration) for s in stairs]
+    )
+
+
+def _broad_run(
+    limits: MachineLimits, kind: MotionKind, part: float, speeds: tuple[float, float], seed: int
+) -> PlannedRun | None:
+    """A motion that is no sine, within these peak velocities; None where there is none."""
+    if kind is MotionKind.SINE:
+        return None
+    amplitude = _round_down(part * limits.amplitude)
+    low, high = (speed / (2.0 * math.pi * amplitude) for speed in speeds)
+    if kind is MotionKind.RANDOM:
+        low, high = (part * high for part in _RANDOM_BAND)
+    low, high = max(low, limits.frequency[0]), min(high, limits.frequency[1])
+    for _ in range(_TRIES):
+        run = _banded(PlannedRun(amplitude, low, (0.0,), limits.duration, kind, high, seed))
+        try:
+            speed = run.motion.growing_velocity
+        except ValueError:
+            return None
+        if speed <= speeds[1]:
+            return run
+        # The faster part of it is left out, or it is made smaller.
+        if kind is MotionKind.SWEEP:
+            high = 0.99 * high * speeds[1] / speed
+        else:
+            amplitude = _round_down(amplitude * speeds[1] / speed)
+    return None
+
+
+def _banded(run: PlannedRun) -> PlannedRun:
+    """The run with its frequencies in round numbers, a swept one with whole cycles."""
+    low, high = _round_up(run.frequency), _round_down(run.highest_frequency)
+    if run.kind is MotionKind.SWEEP:
+        cycles = math.ceil(0.5 * (low + high) * run.duration - 1e-9)
+        low = _round_up(max(2.0 * cycles / run.duration - high, low), 6)
+    return replace(run, frequency=low, highest_frequency=high)
+
+
+def _whole_cycles(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
+    """Those runs that hold a cycle at each current."""
+    return [
+        run
+        for run in runs
+        if (run.stretch - SETTLING * (len(run.currents) > 1))
+        * max(run.frequency, 0.5 * (run.frequency + run.highest_frequency))
+        >= _LEAST_CYCLES
+    ]
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def _round_up(value: float, digits: int = 2) -> float:
+    """So many digits, never less than the value: limits hold."""
+    unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
+    return float(f"{math.ceil(value / unit - 1e-9) * unit:.6g}")
+
+
+def _round_down(value: float) -> float:
+    """Two digits, never more than the value: limits hold."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.floor(value / unit + 1e-9) * unit:.6g}")
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A cycle, or a part of a motion, at one current, that stands for a part of a run."""
+
+    motion: PeriodicMotion
+    current: float
+    duration: float
+    part: int
+
+
+class CandidateRuns:
+    """What each of many ``runs`` would tell, and what it would ask of the machine.
+
+    What a stretch tells depends on its motion and its current: each pair is looked at once.
+    """
+
+    def __init__(self, model: Model, runs: Sequence[PlannedRun], sample_rate: float) -> None:
+        self.runs = list(runs)
+        looks: dict[_Look, int] = {}
+        rows, columns, times, told = [], [], [], []
+        for row, run in enumerate(self.runs):
+            for look, time, part in _looks(run):
+                rows.append(row)
+                columns.append(looks.setdefault(look, len(looks)))
+                times.append(time)
+                told.append(part * time)
+        shape = (len(self.runs), len(looks))
+        self._time, self._samples = np.zeros(shape), np.zeros(shape)
+        np.add.at(self._time, (rows, columns), times)
+        np.add.at(self._samples, (rows, columns), np.multiply(told, sample_rate))
+        windows = _windows(list(looks))
+        self._cycles = Cycles(model, windows)
+        self._velocity = np.array([window.motion.velocity for window in windows])
+        self._steady = np.array([run.kind is MotionKind.SINE for run in self.runs])
+
+    def gains(self, parameters: Array, noise: float, broad_noise: float) -> Array:
+        """Information (m, p, p) that each run would add.
+
+        ``noise`` [N] is white, ``broad_noise`` that of a motion that is no sine.
+        """
+        jacobian = self._cycles.gradient(parameters)
+        of_sample = np.einsum("knp,knq->kpq", jacobian, jacobian) / PHASES
+        size = parameters.size
+        gains = (self._samples @ of_sample.reshape(-1, size * size)).reshape(-1, size, size)
+        sigma = np.where(self._steady, noise, broad_noise)
+        return np.asarray(gains / sigma[:, None, None] ** 2)
+
+    def demands(self, sets: Sequence[Array]) -> tuple[Array, Array]:
+        """Largest force (m,) [N] and heat (m,) [J] of each run, whichever of the sets is true."""
+        forces = np.stack([self._cycles.force(values) for values in sets])
+        largest = np.max(np.abs(forces), axis=(0, 2))
+        power = np.max(np.mean(forces * self._velocity, axis=2), axis=0)
+        return np.max(np.where(self._time > 0.0, largest, 0.0), axis=1), self._time @ power
+
+
+def _looks(run: PlannedRun) -> Iterator[tuple[_Look, float, float]]:
+    """What stands for the parts of a run, how long [s] each is, and what part of it tells."""
+    for place, current in enumerate(run.currents):
+        settled = 1.0 - SETTLING * (place > 0) / run.stretch
+        if run.kind is MotionKind.SINE:
+            yield _Look(run.motion, current, 0.0, 0), run.stretch, settled
+            continue
+        parts = _PARTS // len(run.currents)
+        for part in range(place * parts, (place + 1) * parts):
+            look = _Look(run.motion, current, run.duration, part)
+            yield look, run.stretch / parts, settled
+
+
+def _windows(looks: Sequence[_Look]) -> list[Window]:
+    """A window of each; without a force."""
+    moved: dict[tuple[PeriodicMotion, float], Window] = {}
+    wholes: dict[tuple[PeriodicMotion, float, float], Window] = {}
+    found = []
+    for look in looks:
+        motion, key = look.motion, (look.motion, look.duration)
+        if key not in moved:
+            steady = motion.kind is MotionKind.SINE
+            moved[key] = (
+                steady_cycle(motion.amplitude, motion.frequency, 0.0)
+                if steady
+                else _moved(motion, look.duration)
+            )
+        if (*key, look.current) not in wholes:
+            current = np.full(moved[key].sample_count, look.current)
+            wholes[(*key, look.current)] = replace(moved[key], current=current)
+        whole = wholes[(*key, look.current)]
+        if motion.kind is MotionKind.SINE:
+            found.append(whole)
+            continue
+        count = whole.sample_count // _PARTS
+        stride = count // PHASES
+        begin = look.part * count + stride // 2
+        found.append(whole.part(slice(begin, begin + PHASES * stride, stride)))
+    return found
+
+
+def _moved(motion: PeriodicMotion, duration: float) -> Window:
+    """A motion for so long [s]; without a force and a current."""
+    least = PHASES * _PARTS
+    count = least * math.ceil(_FINE * motion.highest_frequency * duration / least)
+    period = duration / count
+    u, v, a = motion.at(np.arange(count, dtype=np.float64) * period)
+    moved = Motion(u, v, a, np.abs(v), sine=None)
+    return with_motion_before(Window(moved, np.zeros(count), np.zeros(count), period))

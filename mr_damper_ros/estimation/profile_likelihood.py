@@ -24,9 +24,9 @@ from mr_damper_ros.estimation.covariance import (
     least_squares_covariance,
     normal_inverse,
 )
-from mr_damper_ros.estimation.determination import parameter_spans
 from mr_damper_ros.estimation.free_parameters import FreeParameters
 from mr_damper_ros.estimation.local_search import LocalSearch
+from mr_damper_ros.estimation.observability import parameter_spans
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.signals.arrays import Array

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.estimation.determination import noise_level
+from mr_damper_ros.estimation.observability import noise_level
 from mr_damper_ros.models.operating_points import PooledProblem, PriorRows
 from mr_damper_ros.signals.arrays import Array
 

@@ -21,7 +21,6 @@ from enum import Enum
 import numpy as np
 
 from mr_damper_ros.estimation.adaptation import adapted
-from mr_damper_ros.estimation.candidate_runs import CandidateRuns, candidate_runs
 from mr_damper_ros.estimation.force_knowledge import (
     FEW,
     Cycles,
@@ -36,7 +35,12 @@ from mr_damper_ros.estimation.force_knowledge import (
     repeated_error,
     window_information,
 )
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.planned_run import (
+    CandidateRuns,
+    MachineLimits,
+    PlannedRun,
+    candidate_runs,
+)
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array

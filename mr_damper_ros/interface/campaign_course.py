@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.estimation.candidate_runs import first_run
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.planned_run import PlannedRun
+from mr_damper_ros.estimation.planned_run import PlannedRun, first_run
 from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
 from mr_damper_ros.interface.campaign_folder import (
     CampaignFolder,

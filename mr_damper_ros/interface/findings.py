@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.determination import (
-    Determination,
-    determination,
-    noise_level,
-    parameter_spans,
-)
 from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
 from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import MultiStart
-from mr_damper_ros.estimation.observability import parameter_ranges
+from mr_damper_ros.estimation.observability import (
+    Determination,
+    determination,
+    noise_level,
+    parameter_ranges,
+    parameter_spans,
+)
 from mr_damper_ros.estimation.profile_likelihood import Profile
 from mr_damper_ros.estimation.profiled_fit import search_misfit
 from mr_damper_ros.interface.estimates import as_json

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.estimation.candidate_runs import first_run
+from mr_damper_ros.estimation.planned_run import first_run
 from mr_damper_ros.interface.campaign_conductor import (
     CampaignConductor,
     CampaignEnd,

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from mr_damper_ros.estimation.candidate_runs import first_run
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.estimation.planned_run import first_run
 from mr_damper_ros.estimation.run_planner import Plan, PlanState
 from mr_damper_ros.interface.run_advice import advise_run
 from mr_damper_ros.interface.signal_file import write_signal

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mr_damper_ros.estimation.autocorrelation import NoiseModel
+from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mr_damper_ros.estimation.autocorrelation import NoiseModel
+from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.set_error import error_of_set

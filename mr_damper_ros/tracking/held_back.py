@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mr_damper_ros.estimation.autocorrelation import NoiseModel
+from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array

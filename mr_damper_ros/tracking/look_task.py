@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mr_damper_ros.estimation.autocorrelation import NoiseModel
+from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE
 from mr_damper_ros.tracking.acceptance import Evidence

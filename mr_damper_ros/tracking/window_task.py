@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mr_damper_ros.estimation.adaptation import adapted
-from mr_damper_ros.estimation.map_estimate import with_prior
-from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window, with_prior
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array

@@ -7,8 +7,11 @@ import math
 import known
 import numpy as np
 
-from mr_damper_ros.estimation.between_motions import discrepancy_between, motion_numbers
-from mr_damper_ros.estimation.covariance import least_squares_covariance
+from mr_damper_ros.estimation.covariance import (
+    discrepancy_between,
+    least_squares_covariance,
+    motion_numbers,
+)
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior

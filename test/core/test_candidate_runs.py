@@ -13,9 +13,15 @@ from campaign_of_three import played
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.estimation.candidate_runs import CandidateRuns, candidate_runs, first_run
 from mr_damper_ros.estimation.force_knowledge import ForceGoal, window_information
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, motions_of
+from mr_damper_ros.estimation.planned_run import (
+    CandidateRuns,
+    MachineLimits,
+    PlannedRun,
+    candidate_runs,
+    first_run,
+    motions_of,
+)
 from mr_damper_ros.interface.campaign_course import fault_of_run
 from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
 from mr_damper_ros.interface.signal_file import signal

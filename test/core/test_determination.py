@@ -13,16 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import SIGMOID
 
-from mr_damper_ros.estimation.determination import (
-    Determination,
-    determination,
-    noise_level,
-    parameter_spans,
-)
 from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
 from mr_damper_ros.estimation.observability import (
+    Determination,
+    determination,
     determined_parameters,
+    noise_level,
     operating_points_within,
+    parameter_spans,
     varied_parameters,
 )
 from mr_damper_ros.kinematics.window import Window

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks import honest_errors
-from mr_damper_ros.estimation.autocorrelation import NoiseModel
+from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.emulator import scaled
 from mr_damper_ros.signals.arrays import Array

@@ -9,8 +9,7 @@ from known import SIGMOID
 from random_motion import BandLimitedRandom
 
 from benchmarks.other_dampers import DAMPERS
-from mr_damper_ros.estimation.map_estimate import WANDER, with_prior
-from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
+from mr_damper_ros.estimation.window_fit import WANDER, WindowFit, fit_window, with_prior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES

@@ -9,8 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks import honest_errors
-from mr_damper_ros.estimation.autocorrelation import NoiseModel
-from mr_damper_ros.estimation.repeatability import error_covariances
+from mr_damper_ros.estimation.covariance import NoiseModel, error_covariances
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import ForceScale, ScaleScatter
 

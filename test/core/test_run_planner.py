@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import mr_damper_ros as mr
-from mr_damper_ros.estimation.candidate_runs import first_run
 from mr_damper_ros.estimation.force_knowledge import (
     Cycles,
     ForceGoal,
@@ -23,7 +22,7 @@ from mr_damper_ros.estimation.force_knowledge import (
     relative_gradient,
     window_information,
 )
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
 from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
 from mr_damper_ros.interface.campaign_folder import CampaignStep
 from mr_damper_ros.interface.force_campaign import ForceCampaign, run_campaign
