@@ -247,7 +247,6 @@ class ForceController:
     def catch_up(self) -> None:
         """Do what only later blocks need; call it once the command is on its way."""
         self._predictor.catch_up()
-        self._predictor.look_ahead()
 
     def give_up(self) -> float:
         """Forget what was commanded: returns the safe current [A]."""

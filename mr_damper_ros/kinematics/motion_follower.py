@@ -13,7 +13,7 @@ from mr_damper_ros.kinematics.adaptive_observer import AdaptiveObserver
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_centre import MotionCentre
-from mr_damper_ros.kinematics.peak_velocity import PeakVelocity, peak_velocity
+from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.kinematics.sine_follower import SineFollower
 from mr_damper_ros.signals.arrays import Array
 
@@ -30,9 +30,9 @@ _HALF_CYCLES_FOR_PEAK = 4
 _NOISE_SPEED = 1e-4
 """A sine whose peak velocity [m/s] is below this does not move: it is that of noise."""
 
-_AHEAD = 0.02
-"""Seconds of a sine that are foreseen at once where blocks are smaller: a hundred numbers are
-computed in the time of one."""
+_TOGETHER = 0.02
+"""Seconds of a steady sine that the observer and the fit learn at once: a hundred samples take them
+the time of one."""
 
 
 class MotionFollower:
@@ -43,9 +43,7 @@ class MotionFollower:
     ``centre_memory`` [s] must hold a whole cycle of the motion.
 
     Only what a block's own motion needs is done when it comes. The rest, which takes longer, is
-    done by :meth:`catch_up`. ``foreseen`` is the motion of the next samples if the sine goes on;
-    ``came`` of them have come so far, as :attr:`steady` then says. As long as they do there is
-    nothing else to do for a while.
+    done by :meth:`catch_up`.
     """
 
     def __init__(self, period: float, bandwidth: float, centre_memory: float) -> None:
@@ -58,17 +56,14 @@ class MotionFollower:
         self._centre = MotionCentre(centre_memory, period)
         self._peak = PeakVelocity(period, centre_memory)
         self._sine = SineFollower(period, centre_memory)
-        self._ahead = round(_AHEAD / period)
+        self._together = round(_TOGETHER / period)
         self._unlearned: list[Array] = []
-        self.foreseen: Motion | None = None
-        self.came = 0
+        self._unlearned_count = 0
         self._steady = False
-        # Whether the sine that is foreseen is more than noise.
-        self._moves = False
 
     @property
     def steady(self) -> bool:
-        """Whether the motion of the last block was a sine that goes on, as it was foreseen."""
+        """Whether the motion of the last block was a sine that goes on."""
         return self._steady
 
     @property
@@ -86,7 +81,7 @@ class MotionFollower:
 
         A steady sine is slow at its dead centres, and a rest is a sine of nothing but noise.
         """
-        if self._steady and self.foreseen is not None and self._moves:
+        if self._steady and self._sine.peak_velocity > _NOISE_SPEED:
             return False
         return self._centre.resting
 
@@ -122,52 +117,32 @@ class MotionFollower:
 
     def follow(self, displacement: Array) -> Motion:
         """Motion at the next samples [m], shape (n,)."""
-        if self.foreseen is None or self.came >= self._ahead:
+        self.catch_up()
+        motion = self._sine.motion_of(displacement, self._unlearned_count)
+        if motion is None:
+            # Before the sine is over: the observer has not seen the last of it.
             self._learn()
-            self._foresee(displacement.size)
-        end = self.came + displacement.size
-        if self.foreseen is not None and end > self.foreseen.displacement.size:
-            self._foresee(end)
-        if self.foreseen is not None:
-            motion = self.foreseen.part(slice(self.came, end))
-            if self._sine.holds(motion.displacement, displacement):
-                self._steady = True
-                self._unlearned.append(displacement)
-                self.came = end
-                return motion
-        # Before it is said that the sine is over: the observer has not seen the last of it.
-        self._learn()
-        self._steady = False
+        self._steady = motion is not None
         self._unlearned.append(displacement)
-        return self._observe(displacement)
+        self._unlearned_count += displacement.size
+        return motion or self._observe(displacement)
 
     def catch_up(self) -> None:
         """Learn from the last block what only those after it need; :meth:`follow` does it, too."""
-        if not self._unlearned:
-            return
-        if not self._steady or self.came >= self._ahead:
-            count = self._unlearned[-1].size
+        if not self._steady or self._unlearned_count >= self._together:
             self._learn()
-            self._foresee(count)
 
     def _learn(self) -> None:
         if not self._unlearned:
             return
         displacement = np.concatenate(self._unlearned)
         self._unlearned.clear()
+        self._unlearned_count = 0
         if self._steady:
             self._observe(displacement)
         if isinstance(self._differentiator, AdaptiveObserver):
             self._differentiator.adapt()
         self._sine.learn(displacement, self._centre.half_cycle)
-        self.foreseen, self.came = None, 0
-
-    def _foresee(self, count: int) -> None:
-        """Foresee a block of so many samples that begins before the time to learn again."""
-        sine = self._sine.ahead(self._ahead + count)
-        self.foreseen = None if sine is None else _steady_motion(*sine)
-        if self.foreseen is not None:
-            self._moves = float(self.foreseen.peak_velocity.max()) > _NOISE_SPEED
 
     def _observe(self, displacement: Array) -> Motion:
         u, v, a = self._differentiator.follow(displacement)
@@ -177,13 +152,3 @@ class MotionFollower:
         return Motion(
             displacement=centred, velocity=v, acceleration=a, peak_velocity=v_m, sine=None
         )
-
-
-def _steady_motion(displacement: Array, velocity: Array, acceleration: Array) -> Motion:
-    return Motion(
-        displacement=displacement,
-        velocity=velocity,
-        acceleration=acceleration,
-        peak_velocity=peak_velocity(displacement, velocity, acceleration),
-        sine=None,
-    )

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion import SINE_TOLERANCE
+from mr_damper_ros.kinematics.motion import SINE_TOLERANCE, Motion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.white_noise import white_noise
 
@@ -54,8 +54,7 @@ _LARGEST_STEP = 0.1
 class SineFollower:
     """Fits a sine to the latest samples of a displacement, ``period`` [s] apart.
 
-    ``memory`` [s] is the longest stretch that is kept. Where the sine goes on can be reckoned
-    before the samples come, so that nothing but a comparison is left to do then.
+    ``memory`` [s] is the longest stretch that is kept.
     """
 
     def __init__(self, period: float, memory: float) -> None:
@@ -75,28 +74,37 @@ class SineFollower:
         # Samples until it is worth while to look for a sine again.
         self._wait = 0
 
-    def ahead(self, count: int) -> tuple[Array, Array, Array] | None:
-        """Displacement about the centre, velocity and acceleration of the next samples, (count,).
+    @property
+    def peak_velocity(self) -> float:
+        """That of the sine [m/s]; NaN without one."""
+        if self._weights is None:
+            return math.nan
+        return self._omega * math.hypot(*self._weights[:2].tolist())
 
-        They follow the last samples learned. None where the motion is no steady sine, or not yet.
+    def motion_of(self, displacement: Array, unlearned: int) -> Motion | None:
+        """Motion of samples (n,) that lie on the sine within their noise; None where they do not.
+
+        So many ``unlearned`` samples came between them and the last that :meth:`learn` was given.
         """
         if self._weights is None:
             return None
-        by_sine, by_cosine, _ = self._weights.tolist()
-        angle = self._omega * self._period * np.arange(self._since + 1, self._since + count + 1)
+        by_sine, by_cosine, offset = self._weights.tolist()
+        first = self._since + unlearned + 1
+        angle = self._omega * self._period * np.arange(first, first + displacement.size)
         sine, cosine = np.sin(angle), np.cos(angle)
         centred = by_sine * sine + by_cosine * cosine
-        velocity = self._omega * (by_sine * cosine - by_cosine * sine)
-        return centred, velocity, -(self._omega**2) * centred
-
-    def holds(self, centred: Array, displacement: Array) -> bool:
-        """Whether samples, shape (n,), lie on the sine that was foreseen, within their noise."""
-        if self._weights is None:
-            return False
-        error = centred + self._weights[2] - displacement
+        error = centred + offset - displacement
         limit = _LEAVING * self._allowed
         # The root of the sum of squares, which is quicker, is no less than the largest.
-        return bool(error.dot(error) <= limit**2 or np.abs(error).max() <= limit)
+        if not (error.dot(error) <= limit**2 or np.abs(error).max() <= limit):
+            return None
+        return Motion(
+            displacement=centred,
+            velocity=self._omega * (by_sine * cosine - by_cosine * sine),
+            acceleration=-(self._omega**2) * centred,
+            peak_velocity=np.full(angle.size, self.peak_velocity),
+            sine=None,
+        )
 
     def learn(self, displacement: Array, half_cycle: float) -> None:
         """Fit the sine to these samples too, if it is time to.

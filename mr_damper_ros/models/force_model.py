@@ -12,7 +12,6 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
@@ -393,20 +392,6 @@ class Model(ABC):
         """
 
 
-@dataclass(frozen=True, eq=False)
-class Ahead:
-    """Force [N] of samples with this motion and current [A], and the state after them.
-
-    ``parameters`` (..., p) are those of the force.
-    """
-
-    parameters: Array
-    force: Array
-    motion: Motion
-    current: Array
-    state: State
-
-
 class ForceStream:
     """Force of a motion that goes on: the same as in one piece, however it is cut into blocks.
 
@@ -444,12 +429,6 @@ class ForceStream:
         ``current`` [A] is a number or has shape (n,). Raises ValueError where the number of
         parameters is wrong.
         """
-        ahead = self.ahead(parameters, motion, current)
-        self.take(ahead)
-        return ahead.force
-
-    def ahead(self, parameters: ArrayLike, motion: Motion, current: ArrayLike) -> Ahead:
-        """What :meth:`follow` would give; the stream stays where it is."""
         values = np.asarray(parameters, dtype=float)
         count = len(self.model.parameters)
         if values.shape[-1:] != (count,):
@@ -462,44 +441,33 @@ class ForceStream:
             amperes = np.broadcast_to(amperes, motion.velocity.shape)
         with np.errstate(over="ignore", invalid="ignore"):
             force, state = self.model.follow(values, motion, amperes, self._period, self._state)
-        return Ahead(values, force, motion, amperes, state)
-
-    def state_after(
-        self, parameters: Array, motion: Motion, current: float, state: State | None
-    ) -> State:
-        """What the law remembers after samples at a current [A] that follow such a state."""
-        amperes = np.full(motion.velocity.size, current)
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self.model.follow(parameters, motion, amperes, self._period, state)[1]
-
-    def take(self, ahead: Ahead) -> None:
-        """Go on to where :meth:`ahead` has looked."""
         if self.model.remembers:
-            self._measure_memory(ahead)
-            self._keep(ahead)
-        self._state = ahead.state
+            self._measure_memory(values, amperes)
+            self._keep(motion, amperes)
+        self._state = state
+        return force
 
-    def _measure_memory(self, ahead: Ahead) -> None:
+    def _measure_memory(self, parameters: Array, current: Array) -> None:
         """Find the way to be kept: at any of the currents so far, as the next may be like them."""
         known, low, high = self._way_of
-        lowest, highest = span_of(ahead.current)
-        if ahead.parameters is not known:
+        lowest, highest = span_of(current)
+        if parameters is not known:
             low, high, self._way_kept = math.inf, -math.inf, 0.0
-        one = ahead.parameters.reshape(-1, ahead.parameters.shape[-1])[0]
-        for current in {lowest, highest}:
-            if not low <= current <= high:
-                way = self.model.memory_length(one, current)
+        one = parameters.reshape(-1, parameters.shape[-1])[0]
+        for amperes in {lowest, highest}:
+            if not low <= amperes <= high:
+                way = self.model.memory_length(one, amperes)
                 self._way_kept = max(self._way_kept, way)
-        self._way_of = ahead.parameters, min(low, lowest), max(high, highest)
+        self._way_of = parameters, min(low, lowest), max(high, highest)
 
-    def _keep(self, ahead: Ahead) -> None:
-        way = float(np.abs(ahead.motion.velocity).sum()) * self._period
-        self._past.append((self._state, ahead.motion, ahead.current, way))
-        self._past_count += ahead.current.size
+    def _keep(self, motion: Motion, current: Array) -> None:
+        way = float(np.abs(motion.velocity).sum()) * self._period
+        self._past.append((self._state, motion, current, way))
+        self._past_count += current.size
         self._past_way += way
         while self._is_spare(self._past[0][2].size, self._past[0][3]):
-            _, _, current, way = self._past.popleft()
-            self._past_count -= current.size
+            _, _, amperes, way = self._past.popleft()
+            self._past_count -= amperes.size
             self._past_way -= way
 
     def _is_spare(self, count: int, way: float) -> bool:

@@ -139,18 +139,19 @@ def _moved(found: ParameterSet, period: Array) -> Array:
     """Displacement [m] at the samples of the mass on a law, under a force that goes on for ever."""
     step, count = PERIOD / _LAW_STEPS, period.size // _LAW_STEPS
     half, mass = 0.5 * step, TRUTH.mass
-    stream = found.law.stream(step)
+    current, state = np.zeros(1), None
     y = v = a = 0.0
     rows = []
     for u in np.concatenate((period, period, period[: period.size // 2])).tolist():
         fast = v + step * a
         for _ in range(_ROUNDS):
-            ahead = stream.ahead(found.values, _one(y + half * (v + fast), fast, a), 0.0)
-            late = (u - float(ahead.force[0])) / mass
+            motion = _one(y + half * (v + fast), fast, a)
+            force, after = found.law.follow(found.values, motion, current, step, state)
+            late = (u - float(force[0])) / mass
             fast = v + half * (a + late)
         y += half * (v + fast)
         v, a = fast, late
-        stream.take(ahead)
+        state = after
         rows.append(y)
     return thinned(np.array(rows), _LAW_STEPS)[count : 2 * count]
 

@@ -23,7 +23,7 @@ from mr_damper_ros.tracking.force_watch import ForceWatch
 from mr_damper_ros.tracking.freshness import Freshness
 from mr_damper_ros.tracking.known_sets import Choice, KnownSets
 from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Foreseen, Reckoned, Unlearned
+from mr_damper_ros.tracking.reckoned_force import ForceDoubt, Reckoned, Unlearned
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.validity import (
     NO_DOUBT,
@@ -89,7 +89,6 @@ class ForcePredictor:
         self._sequence = UniformGrid(grid)
         self._motion: MotionFollower | None = None
         self._stream: ForceStream | None = None
-        self._foreseen: Foreseen | None = None
         self._freshness = Freshness(settings.max_age)
         self._verdicts = VerdictWatch()
         self._watch: ForceWatch | None = None
@@ -124,17 +123,7 @@ class ForcePredictor:
     @property
     def memory(self) -> State | None:
         """What the law remembers after the last block, the coil's current last, if it lags."""
-        if self._foreseen is not None:
-            return self._foreseen.memory_after(self._foreseen.count)
         return None if self._stream is None else self._stream.state
-
-    def look_ahead(self) -> None:
-        """Find out what :attr:`memory` will be if the next block comes as foreseen.
-
-        It is found out when it is asked for, too; call it after :meth:`catch_up`.
-        """
-        if self._foreseen is not None and self._sequence.last is not None:
-            self._foreseen.memory_after(self._foreseen.count + self._sequence.last.sample_count)
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
         """Predict with this set from the next block on, unless another is better known here.
@@ -148,7 +137,6 @@ class ForcePredictor:
         self._verdicts.forget()
         if self._known.is_in_use(parameters):
             return
-        self._go_on()
         before, used = self._known.present, self.parameters
         half_cycle = math.nan if self._motion is None else self._motion.half_cycle
         self._known.add(parameters, confirmed_ns, half_cycle)
@@ -172,7 +160,6 @@ class ForcePredictor:
 
     def confirm(self, set_id: str, start_ns: int, stamp_ns: int) -> None:
         """Take note that the set of this name fits the samples of a window, up to the stamp."""
-        self._go_on()
         before = self.parameters
         if self._known.confirm(set_id, stamp_ns, self._current.span(start_ns, stamp_ns)):
             self._fading.leave(self._stream, before)
@@ -210,9 +197,6 @@ class ForcePredictor:
         if self._motion is not None:
             self._learn()
             self._motion.catch_up()
-            if self._foreseen is None or self._foreseen.motion is not self._motion.foreseen:
-                self._go_on()
-                self._foreseen = self._foresee(self._motion)
 
     def _learn(self) -> None:
         unlearned, self._unlearned = self._unlearned, None
@@ -236,55 +220,10 @@ class ForcePredictor:
     def _go_on_with(self, choice: Choice | None, watch: ForceWatch) -> None:
         if choice is None:
             return
-        self._go_on()
         self._fading.leave(self._stream, self.parameters)
         self._stream = self._known.settled_stream(choice.chosen)
         self._known.use(choice.chosen)
         watch.forget_error(choice.error)
-
-    def _foresee(self, follower: MotionFollower) -> Foreseen | None:
-        """Force of the next samples, as far as it can be known already."""
-        last, parameters, stream = self._sequence.last, self.parameters, self._stream
-        motion, first = follower.foreseen, follower.came
-        if motion is None or last is None or parameters is None or stream is None:
-            return None
-        if not self._current.known_from(last.end_ns):
-            return None
-        current = self._current.constant(last.end_ns, last.period, last.sample_count)
-        if current is None or first == motion.displacement.size:
-            return None
-        if self._known.is_elsewhere(current):
-            return None
-        rest = motion.part(slice(first, None))
-        held = parameters.held(rest)
-        ahead = stream.ahead(parameters.values, held, current)
-        if not np.isfinite(ahead.force).all():
-            return None
-        doubt = self._doubt_of_force(rest, True, ahead.current, ahead.force)
-        return Foreseen(motion, first, held, current, ahead, doubt, stream, parameters.values)
-
-    def _came(self, block: SampleBlock) -> bool:
-        """Whether a block came as foreseen."""
-        foreseen, follower = self._foreseen, self._motion
-        if foreseen is None or follower is None or not follower.steady:
-            return False
-        if foreseen.motion is not follower.foreseen:
-            return False
-        current = self._current.constant(block.start_ns, block.period, block.sample_count)
-        return current == foreseen.current
-
-    def _go_on(self) -> None:
-        """Let the model remember what came as foreseen; the rest will not."""
-        foreseen, self._foreseen = self._foreseen, None
-        if foreseen is None or foreseen.count == 0:
-            return
-        assert self._stream is not None
-        assert self.parameters is not None
-        if foreseen.count == foreseen.ahead.force.size:
-            self._stream.take(foreseen.ahead)
-        else:
-            came = foreseen.held.part(slice(0, foreseen.count))
-            self._stream.follow(self.parameters.values, came, foreseen.current)
 
     def _doubt_of_force(
         self, motion: Motion, steady: bool, current: Array, force: Array
@@ -341,21 +280,16 @@ class ForcePredictor:
                 block.period, self._settings.bandwidth, self._settings.centre_memory
             )
             self._stream = None
-            self._foreseen = None
             self._watch = ForceWatch(block.period, self._settings.maximum_error)
             self._fading = FadingForce(block.period)
             self._unlearned = None
             self._known.forget_samples()
         self._learn()
         motion = self._motion.follow(block.displacement)
-        if self._foreseen is not None and self._came(block):
-            reckoned = self._foreseen.use(self._motion.came)
-        else:
-            self._go_on()
-            missing = doubt_of_missing(self.parameters, self._current, block.start_ns)
-            if missing:
-                return self._invalid(block, missing, continuity, motion.velocity)
-            reckoned = self._reckon_block(motion, block)
+        missing = doubt_of_missing(self.parameters, self._current, block.start_ns)
+        if missing:
+            return self._invalid(block, missing, continuity, motion.velocity)
+        reckoned = self._reckon_block(motion, block)
         assert self.parameters is not None
         if not reckoned.finite:
             self._stream = None

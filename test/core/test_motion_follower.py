@@ -86,19 +86,6 @@ def test_a_current_that_steps_in_the_next_block_counts_there() -> None:
     assert (changed[5:] != unchanged[5:]).all()
 
 
-def test_the_motion_of_a_steady_sine_is_foreseen() -> None:
-    follower = MotionFollower(PERIOD, 40.0, 10.0)
-    *before, last = blocks(STEADY, 10)
-    for block in before:
-        follower.follow(block.displacement)
-    follower.catch_up()
-    foreseen, came = follower.foreseen, follower.came
-    assert foreseen is not None
-    velocity = follower.follow(last.displacement).velocity
-    np.testing.assert_array_equal(velocity, foreseen.velocity[came : came + velocity.size])
-    assert follower.steady
-
-
 def test_a_block_that_leaves_the_sine_is_followed_as_it_is() -> None:
     follower = MotionFollower(PERIOD, 40.0, 10.0)
     *before, last = blocks(STEADY, 10)
