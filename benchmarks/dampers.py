@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.published_conditions import CONDITIONS, Condition, is_clean
+from mr_damper_ros.models.published import CONDITIONS, Condition, is_clean
 from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array

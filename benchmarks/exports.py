@@ -15,7 +15,7 @@ from mr_damper_ros.control.export.compiler import compile_library, compiler
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSettings, Vectors
 from mr_damper_ros.control.export.fmu import write_fmu
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published_conditions import CONDITIONS, PUBLISHED_METHODS, parameters
+from mr_damper_ros.models.published import CONDITIONS, PUBLISHED_METHODS, parameters
 from mr_damper_ros.signals.arrays import Array
 
 POINTS = 100_000

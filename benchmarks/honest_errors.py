@@ -15,8 +15,7 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.published_conditions import find, parameters
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, find, parameters
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.rig.emulator import (
     THESIS_FORCE_NOISE,

@@ -34,7 +34,7 @@ from std_msgs.msg import Header
 from benchmarks.figure import Figure
 from benchmarks.three_nodes import ThreeNodes
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_field
 from mr_damper_ros.processes.programs import PATIENCE, resident_bytes

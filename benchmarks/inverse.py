@@ -15,7 +15,7 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
-from mr_damper_ros.models.published_conditions import CONDITIONS, PUBLISHED_METHODS, parameters
+from mr_damper_ros.models.published import CONDITIONS, PUBLISHED_METHODS, parameters
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.study import recordings
 

@@ -14,7 +14,7 @@ from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
-from mr_damper_ros.models import MODELS, published_conditions
+from mr_damper_ros.models import MODELS, published
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import sine_force
@@ -143,11 +143,9 @@ def _force(velocity: Array, truth: Motion, acceleration: Array | None = None) ->
 def stream_nrmse_ratio(runs: int | None = None) -> float:
     """Error of the predicted force on the clean thesis runs, over that with exact kinematics."""
     errors = []
-    for condition in [
-        c for c in published_conditions.CONDITIONS if published_conditions.is_clean(c)
-    ][:runs]:
+    for condition in [c for c in published.CONDITIONS if published.is_clean(c)][:runs]:
         run = published_runs.synthesise(condition)
-        values = published_conditions.parameters(condition)
+        values = published.parameters(condition)
         said = replay(run, ParameterSet(values), identify=False)
         made, valid = said.predicted, said.valid
         time: Array = np.arange(run.force.size, dtype=float) * run.period

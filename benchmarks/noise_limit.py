@@ -10,7 +10,7 @@ from benchmarks.dampers import steady_window
 from benchmarks.figure import Figure
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.published_conditions import Condition, find, parameters
+from mr_damper_ros.models.published import Condition, find, parameters
 from mr_damper_ros.models.sigmoid.law import (
     Coefficients,
     coefficient_jacobian,

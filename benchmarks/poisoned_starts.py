@@ -26,8 +26,7 @@ from rclpy.serialization import serialize_message
 from benchmarks.figure import Figure
 from benchmarks.hostile_input import CURRENT, NUMBERS, PERIOD, T0, motion, spoilt
 from benchmarks.processes import ProfiledDomain, start_node
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force

@@ -9,7 +9,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from benchmarks.figure import Figure
-from mr_damper_ros.models.published_conditions import find
+from mr_damper_ros.models.published import find
 from mr_damper_ros.thesis.de import evolve
 from mr_damper_ros.thesis.facts import SEARCH_HIGH, SEARCH_LOW
 from mr_damper_ros.thesis.runs import cycle

@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.rig.emulator import (
     THESIS_FORCE_NOISE,
     CurrentSchedule,

@@ -22,8 +22,7 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.interface.replay import replay
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper, ThermalModel
 from mr_damper_ros.rig.excitation import Excitation, SineMotion
 from mr_damper_ros.signals.arrays import Array

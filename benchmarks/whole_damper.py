@@ -20,7 +20,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.coefficient_laws import shape_bounds
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 

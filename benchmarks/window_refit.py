@@ -14,7 +14,7 @@ from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.published_conditions import find, parameters
+from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.rig.emulator import scaled
 from mr_damper_ros.signals.arrays import Array

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.models.sigmoid.law import (
+    COEFFICIENT_NAMES,
+    PARAMETER_NAMES,
     Coefficients,
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import COEFFICIENT_NAMES, PARAMETER_NAMES
 
 WIDTH = 5.0
 """Inches; narrow, so that the words can be read on a telephone."""

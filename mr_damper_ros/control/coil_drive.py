@@ -1,9 +1,9 @@
 """From the current that the coil should have to the command of its supply.
 
 The coil's current follows that of the supply with a first-order lag, see
-:mod:`mr_damper_ros.models.coil`. The command is the current that brings the coil to where it should
-be by the end of a horizon: more than that as long as it rises, less as it falls. What the supply
-cannot do it is not asked for.
+:mod:`mr_damper_ros.models.first_order_lag`. The command is the current that brings the coil to
+where it should be by the end of a horizon: more than that as long as it rises, less as it falls.
+What the supply cannot do it is not asked for.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from mr_damper_ros.control.sample_inversion import (
 )
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
-from mr_damper_ros.models.coil import COIL
 from mr_damper_ros.models.current_response import CurrentResponse, SampleResponse
+from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array

@@ -1,23 +1,29 @@
-"""The Bouc-Wen model of an MR damper."""
+"""The Bouc-Wen model of an MR damper and the modified one, integrated stably at any sample period.
+
+Spencer, Dyke, Sain and Carlson, J. Engineering Mechanics 123, 1997; thesis eq. 1-6. The published
+parameters A, beta, gamma and alpha hold one too many: z and alpha can be scaled against each other
+(Ma, Zhang, Bockstedte, Foliente and Paevere, J. Applied Mechanics 71, 2004). Here |z| tends to 1:
+
+    dz/dt = (w - |z|^n (share w + (1 - share) |w| sgn z)) / yield_length,    w the driving velocity
+
+so A = 1/yield_length, beta = share A, gamma = (1 - share) A, and alpha is the force of full yield.
+
+A step is an exponential Rosenbrock-Euler step: exact for an equation linear in z, of second order;
+that |z| never exceeds 1 is kept, so it is stable for any period.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import MutableSequence, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_dependence import Coefficient
-from mr_damper_ros.models.hysteresis import (
-    HYSTERESIS,
-    follow_yield,
-    hysteresis_step,
-    integrated,
-    memory_length,
-    step_derivatives,
-)
+from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel, integrated
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.known_derivatives import (
     DifferentiatedModel,
     accumulated,
@@ -28,6 +34,174 @@ from mr_damper_ros.models.known_derivatives import (
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop
 from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
+
+HYSTERESIS = (
+    Coefficient("alpha", "N", 0.0, degree=2, meaning="force of full yield"),
+    Coefficient("yield_length", "m", 1e-6, 1.0, degree=1, meaning="way to the yield"),
+    Coefficient("share", "1", 0.0, 1.0, meaning="share of the loop that unloads elastically"),
+    Coefficient("n", "1", 1.0, 6.0, meaning="sharpness of the yield"),
+)
+"""The coefficients of the hysteresis; force and width follow the current."""
+
+_YIELDS = 10.0
+"""So many times the way to the yield, and a hysteresis has forgotten where it began."""
+
+_STEEPEST = 60.0
+_SMALL_RATE = 1e-4
+
+
+def memory_length(model: Model, parameters: Array, current: float) -> float:
+    """Way [m] after which a law with a hysteresis has forgotten the past: it knows no time."""
+    place = model.coefficient_names.index("yield_length")
+    return _YIELDS * float(model.coefficients_at(parameters, 0.0, current)[place, 0])
+
+
+def relaxation(rate: float) -> float:
+    """(e^x - 1)/x, 1 at x = 0; growth within a step is bounded."""
+    x = min(max(rate, -_STEEPEST), 1.0)
+    return math.expm1(x) / x if x != 0.0 else 1.0
+
+
+def hysteresis_step(
+    z: float,
+    w: float,
+    back: float,
+    length: float,
+    share: float,
+    power: float,
+    period: float,
+) -> float:
+    """State z after one step at the velocity w; ``back`` is minus the derivative of w by z.
+
+    A run has thousands of steps, so nothing is called here that plain comparisons can do.
+    """
+    size, sign = (z, 1.0) if z > 0.0 else (-z, -1.0) if z < 0.0 else (0.0, 0.0)
+    along = sign if w > 0.0 else -sign if w < 0.0 else 0.0
+    towards = share + (1.0 - share) * along
+    gain = (1.0 - size**power * towards) / length
+    bend = power * size ** (power - 1.0) * sign * towards / length
+    x = -period * (bend * w + gain * back)
+    if x < -_STEEPEST:
+        x = -_STEEPEST
+    elif x > 1.0:
+        x = 1.0
+    moved = z + period * gain * w * (math.expm1(x) / x if x != 0.0 else 1.0)
+    # The exact solution never leaves this range, which a step much longer than the yield could.
+    return 1.0 if moved > 1.0 else -1.0 if moved < -1.0 else moved
+
+
+def follow_yield(
+    velocity: Sequence[float],
+    lengths: Sequence[float],
+    states: MutableSequence[float],
+    period: float,
+    share: float,
+    power: float,
+    z: float,
+    last: float,
+) -> tuple[float, float]:
+    """The last z and the last velocity of a hysteresis that the rod drives; fills z (n,)."""
+    for k in range(len(velocity)):
+        v = velocity[k]
+        if z != z:  # NaN: a start
+            z = 0.0
+        else:
+            z = hysteresis_step(z, 0.5 * (v + last), 0.0, lengths[k], share, power, period)
+        last = v
+        states[k] = z
+    return z, last
+
+
+def follow_inner_point(
+    velocity: Sequence[float],
+    numbers: Sequence[Sequence[float]],
+    inner: MutableSequence[float],
+    period: float,
+    k0: float,
+    share: float,
+    power: float,
+    z: float,
+    s: float,
+    last: float,
+) -> tuple[float, float, float]:
+    """The last z, s and velocity where a hysteresis and a damper are in series with another.
+
+    Fills the velocity (n,) [m/s] of the point between. ``numbers`` (n, 5): damping beside the
+    hysteresis and both dampings [N s/m], force of full yield [N], what half a step of s is to its
+    rate [s], way to the yield [m].
+    """
+    for k in range(len(velocity)):
+        v = velocity[k]
+        c0, both, alpha = numbers[k][0], numbers[k][1], numbers[k][2]
+        easing, length = numbers[k][3], numbers[k][4]
+        if z != z:  # NaN: a start
+            z = s = 0.0
+        else:
+            # Strang's splitting: half a step of s, a step of z, half a step of s.
+            w = 0.5 * (v + last)
+            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
+            slip = w - (alpha * z + c0 * w + k0 * s) / both
+            z = hysteresis_step(z, slip, alpha / both, length, share, power, period)
+            s += easing * (w - (alpha * z + c0 * w + k0 * s) / both)
+        last = v
+        inner[k] = (alpha * z + c0 * v + k0 * s) / both
+    return z, s, last
+
+
+class StepDerivatives(NamedTuple):
+    """What a step keeps of z, and what it adds by the way to the yield, the share and the power.
+
+    Each of shape (n,); the first belongs to the start, which is at rest.
+    """
+
+    kept: Array
+    by_length: Array
+    by_share: Array
+    by_power: Array
+
+
+def step_derivatives(
+    z: Array, velocity: Array, length: Array, share: Array, power: Array, period: float
+) -> StepDerivatives:
+    """Derivatives of :func:`hysteresis_step` along the states z (n,), each after its step.
+
+    The driving velocity is the mean of two samples, and does not depend on z.
+    """
+    before = np.concatenate(([0.0], z[:-1]))
+    w = np.concatenate(([0.0], 0.5 * (velocity[1:] + velocity[:-1])))
+    size, sign = np.abs(before), np.sign(before)
+    along = sign * np.sign(w)
+    towards = share + (1.0 - share) * along
+    # At z = 0 nothing bends; its logarithm would be none.
+    some = np.where(size > 0.0, size, 1.0)
+    here = np.where(size > 0.0, 1.0, 0.0)
+    raised, less, log = size**power, here * some ** (power - 1.0), here * np.log(some)
+    gain = (1.0 - raised * towards) / length
+    slope = power * less * sign / length
+    x = -period * slope * towards * w
+    inside = (x > -_STEEPEST) & (x < 1.0)
+    x = np.clip(x, -_STEEPEST, 1.0)
+    small = np.abs(x) < _SMALL_RATE
+    safe = np.where(small, 1.0, x)
+    eased = np.where(small, 1.0 + 0.5 * x, np.expm1(x) / safe)
+    bends = np.where(small, 0.5 + x / 3.0, (np.exp(x) - eased) / safe) * inside
+
+    def change(of_gain: Array, of_x: Array) -> Array:
+        return np.asarray(period * w * (of_gain * eased + gain * bends * of_x))
+
+    bent = power * (power - 1.0) * here * some ** (power - 2.0) * towards / length
+    kept = 1.0 + change(-slope * towards, -period * w * bent)
+    by_length = change(-gain / length, -x / length)
+    other = 1.0 - along
+    by_share = change(-raised * other / length, -period * w * slope * other)
+    by_power = change(
+        -raised * log * towards / length,
+        -period * w * less * (1.0 + power * log) * sign * towards / length,
+    )
+    # Where the step was held at full yield nothing moves it.
+    moves = np.abs(z) < 1.0
+    moves[0] = False
+    return StepDerivatives(*(moves * part for part in (kept, by_length, by_share, by_power)))
 
 
 class BoucWen(DifferentiatedModel):
@@ -100,3 +274,74 @@ def _yielded(
         follow_yield, (hysteresis_step,), given, 1, period, share, power, *memory
     )
     return states
+
+
+class ModifiedBoucWen(CurrentDependentModel):
+    """A Bouc-Wen model in series with a damper, both in parallel with a spring."""
+
+    name = "modified_bouc_wen"
+    title = "modified Bouc–Wen"
+    source = "Spencer, Dyke, Sain and Carlson, J. Engineering Mechanics 123, 1997; thesis eq. 3-6"
+    equation = (
+        r"F = c_1 \dot y + k_1 u + f_0,\quad"
+        r" \dot y = \frac{\alpha z + c_0 v + k_0 (u - y)}{c_0 + c_1},\quad"
+        r" \dot z = \left(w - |z|^n (s w + (1 - s) |w| \operatorname{sgn} z)\right) / u_y,"
+        r"\quad w = v - \dot y"
+    )
+    at_one_current = (
+        Coefficient("c0", "N s/m", 0.0, degree=1, meaning="damping at high velocity"),
+        Coefficient("k0", "N/m", 0.0, meaning="inner stiffness"),
+        Coefficient("c1", "N s/m", 1e-3, degree=1, meaning="damping in series"),
+        Coefficient("k1", "N/m", meaning="stiffness of the gas"),
+        Coefficient("f0", "N", meaning="constant force"),
+        *HYSTERESIS,
+    )
+    remembers = True
+    memory = 3
+
+    def force_at(
+        self, coefficients: Sequence[Array], motion: Motion, period: float, state: State | None
+    ) -> tuple[Array, State]:
+        """Force [N]; remembered are z, the inner spring's length and the last velocity."""
+        outer_damping, stiffness, offset = coefficients[2:5]
+        inner, kept = integrated(_inner_velocity, coefficients, motion, period, state, self.memory)
+        return np.asarray(outer_damping * inner + stiffness * motion.displacement + offset), kept
+
+    def memory_length(self, parameters: Array, current: float) -> float:
+        """Some ways to the yield."""
+        return memory_length(self, parameters, current)
+
+    def starts_at_one_current(self, reading: LoopReading) -> Array:
+        """Mostly yield, early or late, in series with a soft or a stiff damper."""
+        force, middle, speed, amplitude = reading
+        viscous = force / speed
+        return np.array(
+            [
+                [0.2 * viscous, 0.0, stiff * viscous, 0.0]
+                + [middle, 0.8 * force, part * amplitude, 0.5, 1.5]
+                for stiff in (2.0, 8.0)
+                for part in (0.01, 0.1)
+            ]
+        )
+
+
+def _inner_velocity(
+    coefficients: list[Array], motion: Motion, period: float, memory: list[float]
+) -> Array:
+    """Velocity [m/s] of the inner point, shape (n,).
+
+    The memory holds z, the displacement s of the rod against the inner point, and the velocity of
+    the last sample. Only s enters the equations, so the centre of the motion may move.
+    """
+    # The dampings, the force of full yield and the way to it may follow the current.
+    c0s, c1s, alphas, lengths = (coefficients[place] for place in (0, 2, 5, 6))
+    k0, share, power = (float(coefficients[place][0]) for place in (1, 7, 8))
+    rates = -0.5 * period * k0 / (c0s + c1s)
+    easings = 0.5 * period * np.array([relaxation(rate) for rate in rates.tolist()])
+    each = motion.velocity, c0s, c0s + c1s, alphas, easings, lengths
+    velocity, *numbers = np.broadcast_arrays(*each)
+    given = velocity, np.stack(numbers, axis=-1)
+    (inner,), memory[:] = run_loop(
+        follow_inner_point, (hysteresis_step,), given, 1, period, k0, share, power, *memory
+    )
+    return inner

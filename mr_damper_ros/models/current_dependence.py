@@ -7,13 +7,14 @@ Carlson, 1997; Kwok, Ha, Nguyen, Li and Samali, 2006); where more currents tell 
 saturates, a third power follows. A parameter file with the coefficients of one current alone means
 that they depend on no current.
 
-The current that counts is that of the coil, see :mod:`coil`.
+The current that counts is that of the coil, see :mod:`first_order_lag`.
 """
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -22,7 +23,9 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.coil import (
+from mr_damper_ros.models.current_response import CurrentResponse
+from mr_damper_ros.models.difference_problems import DifferenceProblem, PooledDifferences
+from mr_damper_ros.models.first_order_lag import (
     COIL,
     PLAUSIBLE_COIL,
     coil_current,
@@ -31,8 +34,6 @@ from mr_damper_ros.models.coil import (
     coil_state,
     coil_unsettled,
 )
-from mr_damper_ros.models.current_response import CurrentResponse
-from mr_damper_ros.models.difference_problems import DifferenceProblem, PooledDifferences
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import (
     CoefficientTable,
@@ -354,3 +355,31 @@ class _Response(CurrentResponse):
         every = np.broadcast_to(current, (count, current.shape[-1])).T
         forces = self.model.forces_at(self.parameters, self.motion, every, self.period, self.state)
         return np.broadcast_to(forces, every.shape).T
+
+
+Integrate = Callable[[list[Array], Motion, float, list[float]], Array]
+"""Takes coefficients of one set, each (1 or n), and leaves its last state in the list given."""
+
+
+def integrated(
+    integrate: Integrate,
+    coefficients: Sequence[Array],
+    motion: Motion,
+    period: float,
+    state: State | None,
+    size: int,
+) -> tuple[Array, State]:
+    """Integrate the sets one after the other, which beats arrays up to some thirty of them.
+
+    The coefficients have shape (..., 1 or n); the integrated quantity (..., n) and the state after
+    it are returned. At a start all ``size`` numbers of the state are NaN.
+    """
+    shape = np.broadcast_shapes(*(c.shape[:-1] for c in coefficients))
+    every = [np.broadcast_to(c, (*shape, c.shape[-1])) for c in coefficients]
+    result = np.empty((*shape, motion.velocity.size))
+    kept = np.full((size, *shape), math.nan) if state is None else np.array(state)
+    for place in np.ndindex(shape):
+        memory = kept[(slice(None), *place)].tolist()
+        result[place] = integrate([c[place] for c in every], motion, period, memory)
+        kept[(slice(None), *place)] = memory
+    return result, tuple(kept)

@@ -17,8 +17,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.differences import moved_sets
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import WindowProblem, window_weights, windows_of_samples
-from mr_damper_ros.models.quantities import LoopReading
-from mr_damper_ros.models.search_effort import SearchEffort
+from mr_damper_ros.models.quantities import LoopReading, SearchEffort
 from mr_damper_ros.signals.arrays import Array
 
 

@@ -29,8 +29,7 @@ from mr_damper_ros.models.operating_points import (
     PooledProblem,
     WindowProblem,
 )
-from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity, State
-from mr_damper_ros.models.search_effort import SearchEffort
+from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity, SearchEffort, State
 from mr_damper_ros.signals.arrays import Array, span_of
 
 _FORGOTTEN = 0.01

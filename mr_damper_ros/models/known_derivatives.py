@@ -14,9 +14,9 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.coil import coil_current
 from mr_damper_ros.models.current_dependence import CurrentDependentModel
 from mr_damper_ros.models.difference_problems import DifferenceProblem, PooledDifferences
+from mr_damper_ros.models.first_order_lag import coil_current
 from mr_damper_ros.signals.arrays import Array
 
 _STEP_OF_COIL = 1e-6

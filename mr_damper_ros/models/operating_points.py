@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.search_effort import SearchEffort
+from mr_damper_ros.models.quantities import SearchEffort
 from mr_damper_ros.signals.arrays import Array
 
 _RELATIVE_ERROR = 0.05

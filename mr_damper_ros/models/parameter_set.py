@@ -454,3 +454,21 @@ def _shown(value: Any) -> str:
     shortened = reprlib.Repr()
     shortened.maxlevel = 1
     return shortened.repr(value)
+
+
+def start_set(model: str) -> ParameterSet:
+    """A set of the model to start from.
+
+    Of the sigmoid law it is the one from the literature, of its extension the same without lag,
+    stiffness and offset. Of any other model it is a mere form without any force, valid nowhere:
+    the fit of the first window starts from what it reads off that window.
+    """
+    values, name, speed = MODELS[model].initial_values()
+    return ParameterSet(
+        values,
+        set_id=name,
+        source=name,
+        peak_velocity_range=(speed, speed),
+        current_range=(0.0, 0.0),
+        model=model,
+    )

@@ -1,11 +1,20 @@
-"""Parameter sets published in the thesis, in the order of ``PARAMETER_NAMES``.
+"""Parameter sets published in the thesis: single ones, and those of its 34 conditions.
 
-Source: D. M. D. da Silva, University of Brasília, 2023. All are for a LORD RD-8041-1.
+Source: D. M. D. da Silva, "Comparative study of optimization algorithms for parameter
+identification of the sigmoid model in MR dampers", University of Brasília, 2023. All are for a
+LORD RD-8041-1. Tables 17-40 hold the conditions, each identified by two methods. Arrays are in
+the order of ``PARAMETER_NAMES``.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
 import numpy as np
+
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.signals.arrays import Array
 
 LITERATURE = np.array(
     [
@@ -34,3 +43,127 @@ THESIS_71_CELSIUS = np.array(
 It lies in another basin than the cold set (signs differ): interpolate forces between the two,
 never parameters.
 """
+
+
+PUBLISHED_METHODS = ("nelder_mead", "differential_evolution")
+"""The two methods of the tables; runs are made from the first."""
+
+
+class ConditionError(ValueError):
+    """A condition that the thesis does not have; the message lists those it has."""
+
+
+@dataclass(frozen=True, order=True)
+class Condition:
+    """One test: ``amplitude`` [m], ``frequency`` [Hz], ``current`` [A]."""
+
+    current: float
+    amplitude: float
+    frequency: float
+
+    @property
+    def name(self) -> str:
+        """Such as ``2.5mm_1Hz_0.0A``."""
+        return f"{self.amplitude * 1e3:.1f}mm_{self.frequency:g}Hz_{self.current:.1f}A"
+
+
+def _read_table() -> dict[tuple[Condition, str], Array]:
+    text = Path(__file__).with_name("published_conditions.csv").read_text("utf-8")
+    # Without the module csv, which would be loaded with every law.
+    names, *rows = (line.split(",") for line in text.splitlines() if not line.startswith("#"))
+    table = {}
+    for cells in rows:
+        row = dict(zip(names, cells, strict=True))
+        condition = Condition(
+            amplitude=float(row["amplitude_mm"]) / 1e3,
+            frequency=float(row["frequency_hz"]),
+            current=float(row["current_a"]),
+        )
+        values = np.array([float(row[name]) for name in PARAMETER_NAMES])
+        values.flags.writeable = False
+        table[condition, row["method"]] = values
+    return table
+
+
+_TABLE = _read_table()
+
+CONDITIONS = tuple(dict.fromkeys(condition for condition, _ in _TABLE))
+"""The 34 conditions in the order of the tables."""
+
+
+def _named(name: str) -> Condition:
+    return next(condition for condition in CONDITIONS if condition.name == name)
+
+
+_COPIED = (
+    "tables 31 and 32 (5.0 mm, 1.0 A) repeat tables 19 and 20 (5.0 mm, 0 A) digit for digit: "
+    "these are not data for 1.0 A"
+)
+_MIRRORED = "the loop is the mirror image of the other method's, or far from it: a sign is lost"
+
+ROW_ERRATA = {
+    (_named(name), method): reason
+    for name, method, reason in (
+        *(
+            (f"5.0mm_{f}Hz_1.0A", method, _COPIED)
+            for f in (1, 3, 5)
+            for method in PUBLISHED_METHODS
+        ),
+        (
+            "7.5mm_3Hz_1.5A",
+            "nelder_mead",
+            "k4 is +0.1405 where every other row has it negative",
+        ),
+        ("7.5mm_3Hz_1.5A", "differential_evolution", _MIRRORED),
+        (
+            "2.5mm_5Hz_0.0A",
+            "differential_evolution",
+            "the force peaks at 544 and -727 N against 134 and -170 N by the other method",
+        ),
+        ("7.5mm_5Hz_1.0A", "differential_evolution", _MIRRORED),
+        (
+            "7.5mm_1Hz_1.5A",
+            "differential_evolution",
+            "the offset has the wrong sign: k5 should very likely be -0.1231",
+        ),
+    )
+}
+"""Why a row of the tables must not be used: (condition, method) to the reason."""
+
+ERRATA = {
+    condition: reason
+    for (condition, method), reason in ROW_ERRATA.items()
+    if method == PUBLISHED_METHODS[0]
+}
+"""Conditions whose Nelder-Mead row, from which runs are made, must not be used, and why."""
+
+
+def is_clean(condition: Condition) -> bool:
+    """Whether a run of the condition may be compared with others: 30 of the 34 may.
+
+    One of the four others, 7.5 mm at 3 Hz and 1.5 A, is sound by the criteria of the report, though
+    the sign of its k4 is doubtful: there are 31 sound conditions.
+    """
+    return condition not in ERRATA
+
+
+def parameters(condition: Condition, method: str = PUBLISHED_METHODS[0]) -> Array:
+    """Published parameters (16,) of a condition; read-only. Raises ConditionError."""
+    try:
+        return _TABLE[condition, method]
+    except KeyError as error:
+        raise ConditionError(
+            f"the tables have no row for {condition.name} by {method}: "
+            f"the methods are {' and '.join(PUBLISHED_METHODS)}"
+        ) from error
+
+
+def find(name: str) -> Condition:
+    """Condition by its name; raises ConditionError, which lists all, where there is none."""
+    for condition in CONDITIONS:
+        if condition.name == name:
+            return condition
+    raise ConditionError(
+        f"the thesis has no condition '{name}'; it has "
+        f"{', '.join(condition.name for condition in CONDITIONS)}"
+    )

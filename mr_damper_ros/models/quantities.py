@@ -1,4 +1,4 @@
-"""Parameters and coefficients with their units, and what of them can be read off a record."""
+"""Parameters and coefficients with their units, and what a search of a window starts from."""
 
 from __future__ import annotations
 
@@ -84,3 +84,19 @@ class LoopReading(NamedTuple):
             "s": self.amplitude / self.speed,
         }
         return sizes.get(per_ampere, 1.0)
+
+
+@dataclass(frozen=True)
+class SearchEffort:
+    """How far a window of the model is searched.
+
+    ``tolerance``: relative gain of the sum of squares at which a search ends; ``most_steps`` of it.
+    Starts read off the record, where the given one is poor: the ``polished_starts`` best are
+    polished to ``rough_tolerance`` in ``rough_steps``, and the best of those is taken.
+    """
+
+    tolerance: float = 1e-6
+    most_steps: int = 40
+    polished_starts: int = 4
+    rough_tolerance: float = 1e-3
+    rough_steps: int = 40

@@ -16,8 +16,7 @@ from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
 from mr_damper_ros.models import MODELS, machine_code
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import Diagnostics

@@ -16,10 +16,13 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity, peak_velocity
-from mr_damper_ros.models.coil import coil_current
+from mr_damper_ros.models.first_order_lag import coil_current
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.sigmoid.law import force_from_coefficients, operating_point_coefficients
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
+    force_from_coefficients,
+    operating_point_coefficients,
+)
 from mr_damper_ros.rig.commanded_motion import is_sine
 from mr_damper_ros.rig.excitation import Excitation
 from mr_damper_ros.rig.faults.fault import Fault

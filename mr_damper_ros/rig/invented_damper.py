@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.coil import COIL
+from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 
 HOT_FORCE = 989.0 / 1332.0

@@ -12,8 +12,7 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.interface.replay import replay
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import recordings

@@ -18,8 +18,7 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.study.hysteretic_oscillator import (
     BAND,

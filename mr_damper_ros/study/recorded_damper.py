@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.coil import COIL
+from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 
 _VALUES = {

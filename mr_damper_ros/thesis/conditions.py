@@ -13,15 +13,15 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.interface.figure_style import DASHES, INK, legend_above, panels
 from mr_damper_ros.interface.report_page import Block, Picture, Table, Text, to_error, with_error
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.published_conditions import (
+from mr_damper_ros.models.published import (
     CONDITIONS,
+    LITERATURE,
     PUBLISHED_METHODS,
     Condition,
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.errata import METHOD_TITLES, disagreement, find_errata

@@ -19,17 +19,17 @@ import numpy as np
 
 from mr_damper_ros.interface.figure_style import DASHES, INK, panels
 from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
-from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.published_conditions import (
+from mr_damper_ros.models.published import (
     CONDITIONS,
     PUBLISHED_METHODS,
     ROW_ERRATA,
+    THESIS_28_CELSIUS,
+    THESIS_71_CELSIUS,
     Condition,
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign

@@ -13,7 +13,7 @@ on the displacement, what a laboratory's displacement transducer resolves.
 
 from __future__ import annotations
 
-from mr_damper_ros.models.published_conditions import (
+from mr_damper_ros.models.published import (
     CONDITIONS,
     ERRATA,
     PUBLISHED_METHODS,
@@ -21,7 +21,7 @@ from mr_damper_ros.models.published_conditions import (
     is_clean,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import (
     THESIS_FORCE_NOISE,
     ConstantDamper,

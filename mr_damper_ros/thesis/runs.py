@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.published_conditions import Condition, find
+from mr_damper_ros.models.published import Condition, find
 from mr_damper_ros.models.sigmoid.law import (
     coefficient_jacobian,
     coefficient_parameter_jacobian,

@@ -20,8 +20,7 @@ from mr_damper_ros.interface.figures import save_figures
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.processes.programs import Program
 from mr_damper_ros.processes.ros_domain import RosDomain
 from mr_damper_ros.signals.arrays import Array

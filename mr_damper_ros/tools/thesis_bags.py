@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mr_damper_ros.io.bag_streams import BagError
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.models.published_conditions import CONDITIONS, ERRATA, Condition, find, is_clean
+from mr_damper_ros.models.published import CONDITIONS, ERRATA, Condition, find, is_clean
 from mr_damper_ros.thesis.published_runs import recording_name, synthesise
 from mr_damper_ros.tools.console import run_tool
 

@@ -21,12 +21,12 @@ from mr_damper_ros.models.operating_points import WindowProblem
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
     coefficient_jacobian,
     coefficient_parameter_jacobian,
     operating_point_coefficients,
     sine_force,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.reports import Report

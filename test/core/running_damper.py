@@ -8,7 +8,7 @@ import known
 import numpy as np
 
 from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowSeen
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 
 START = 1_700_000_000.0
 COEFFICIENTS = {"f_t": 620.0, "alpha": 41.0, "k_c": 1.2, "k_e": 1.1, "v_h": -8e-3, "v_d": 2e-4}

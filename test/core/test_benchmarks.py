@@ -45,8 +45,8 @@ from benchmarks.figure import Figure, Pair, table
 from benchmarks.timing import interleaved_medians
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.interface.rig_trouble import Trouble
-from mr_damper_ros.models.published_conditions import find, parameters
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.published import find, parameters
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import scaled
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import recordings

@@ -11,10 +11,9 @@ import pytest
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.coil import COIL, in_coil
+from mr_damper_ros.models.first_order_lag import COIL, in_coil
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
 from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array

@@ -25,7 +25,7 @@ from mr_damper_ros.estimation.observability import (
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 

@@ -29,7 +29,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published_conditions import CONDITIONS, parameters
+from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tools import export
 

@@ -32,8 +32,12 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.operating_points import CoefficientTable
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws
-from mr_damper_ros.models.sigmoid.law import operating_point_coefficients, sine_force
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+    operating_point_coefficients,
+    sine_force,
+)
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 

@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 import mr_damper_ros as mr
-from mr_damper_ros.models.sigmoid.law_formulas import COEFFICIENT_NAMES
+from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
 from mr_damper_ros.tools import identify as program
 
 ROOT = Path(__file__).parents[2]

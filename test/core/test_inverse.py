@@ -16,7 +16,7 @@ from mr_damper_ros.control.inversion import TOLERANCE
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published_conditions import CONDITIONS, PUBLISHED_METHODS, parameters
+from mr_damper_ros.models.published import CONDITIONS, PUBLISHED_METHODS, parameters
 from mr_damper_ros.signals.arrays import Array
 
 PERIOD = 1e-3

@@ -10,8 +10,7 @@ import pytest
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.sine import Sine
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.extension import without_extension
 from mr_damper_ros.tracking.known_sets import KnownSets

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.models import hysteresis, machine_code, spring_path
+from mr_damper_ros.models import bouc_wen, machine_code, series_springs
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop
 
 COUNT = 400
@@ -27,19 +27,20 @@ SPRING = np.array([[600.0, 4e-3, 2500.0, 1e7]])
 CHANGING = SPRING * RNG.uniform(0.5, 2.0, (COUNT, 1))
 INNER = np.array([800.0, 60000.0, 900.0, 4e-4, 3e-4]) * RNG.uniform(0.5, 2.0, (COUNT, 1))
 START = math.nan, math.nan, math.nan
+FLOW = (series_springs.flow_of,)
 LOOPS = [
-    (spring_path.follow_path, (spring_path.flow_of,), (VELOCITY, SPRING), 3, (PERIOD, *START)),
-    (spring_path.follow_path, (spring_path.flow_of,), (VELOCITY, CHANGING), 3, (PERIOD, *START)),
+    (series_springs.follow_path, FLOW, (VELOCITY, SPRING), 3, (PERIOD, *START)),
+    (series_springs.follow_path, FLOW, (VELOCITY, CHANGING), 3, (PERIOD, *START)),
     (
-        hysteresis.follow_yield,
-        (hysteresis.hysteresis_step,),
+        bouc_wen.follow_yield,
+        (bouc_wen.hysteresis_step,),
         (VELOCITY, RNG.uniform(2e-4, 1e-3, COUNT)),
         1,
         (PERIOD, 0.4, 1.5, *START[:2]),
     ),
     (
-        hysteresis.follow_inner_point,
-        (hysteresis.hysteresis_step,),
+        bouc_wen.follow_inner_point,
+        (bouc_wen.hysteresis_step,),
         (VELOCITY, INNER),
         1,
         (PERIOD, 500.0, 0.4, 1.5, *START),
@@ -100,12 +101,12 @@ sys.path[:] = {path!r}
 import numpy as np
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file}, resource.RLIM_INFINITY))
-from mr_damper_ros.models import hysteresis
+from mr_damper_ros.models import bouc_wen
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop
 given = np.linspace(0.0, 0.1, 50), np.full(50, 1e-3)
-called = (hysteresis.hysteresis_step,)
+called = (bouc_wen.hysteresis_step,)
 with as_machine_code():
-    _, (z, _) = run_loop(hysteresis.follow_yield, called, given, 1, 1e-3, 0.4, 1.5, 0.0, 0.0)
+    _, (z, _) = run_loop(bouc_wen.follow_yield, called, given, 1, 1e-3, 0.4, 1.5, 0.0, 0.0)
 assert z > 0.9
 """
 

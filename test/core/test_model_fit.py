@@ -12,7 +12,7 @@ from random_motion import BandLimitedRandom
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.search_effort import SearchEffort
+from mr_damper_ros.models.quantities import SearchEffort
 
 BINGHAM = MODELS["bingham"]
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import LARGEST_FORCE, LARGEST_NRMSE, check_plausible
-from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.models.published_conditions import (
+from mr_damper_ros.models.published import (
     CONDITIONS,
+    LITERATURE,
     PUBLISHED_METHODS,
     ROW_ERRATA,
+    THESIS_28_CELSIUS,
     parameters,
 )
 

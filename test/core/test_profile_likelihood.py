@@ -15,8 +15,11 @@ from mr_damper_ros.estimation.covariance import least_squares_covariance
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.profile_likelihood import ProfileLikelihood
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
+    operating_point_coefficients,
+)
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.models.published_conditions import (
+from mr_damper_ros.models.published import (
     CONDITIONS,
     ERRATA,
     PUBLISHED_METHODS,
@@ -18,8 +18,7 @@ from mr_damper_ros.models.published_conditions import (
     is_clean,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.rig.excitation import SineMotion
 
 PHASE = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mr_damper_ros.models.published_conditions import (
+from mr_damper_ros.models.published import (
     CONDITIONS,
     Condition,
     find,

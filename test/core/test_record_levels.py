@@ -18,7 +18,7 @@ from mr_damper_ros.estimation.profiled_fit import record_levels
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior, counted_samples
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.initial_set import start_set
+from mr_damper_ros.models.parameter_set import start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 

@@ -16,8 +16,7 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_streams import BagError
 from mr_damper_ros.io.raw_table import RecordError
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.published_conditions import ConditionError
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, ConditionError
 from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, SweptSine
 from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, ThermalModel
 from mr_damper_ros.rig.excitation import SineMotion

@@ -12,11 +12,18 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity
-from mr_damper_ros.models import published_conditions as thesis
-from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.published_conditions import Condition
+from mr_damper_ros.models import published as thesis
+from mr_damper_ros.models.published import (
+    LITERATURE,
+    THESIS_28_CELSIUS,
+    THESIS_71_CELSIUS,
+    Condition,
+)
 from mr_damper_ros.models.sigmoid.law import (
+    COEFFICIENT_NAMES,
     DEPENDENCES,
+    PARAMETER_NAMES,
+    SCALE_PARAMETER_NAMES,
     Coefficients,
     coefficient_jacobian,
     coefficient_parameter_jacobian,
@@ -25,11 +32,6 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
     secant_damping,
     sine_force,
-)
-from mr_damper_ros.models.sigmoid.law_formulas import (
-    COEFFICIENT_NAMES,
-    PARAMETER_NAMES,
-    SCALE_PARAMETER_NAMES,
 )
 from mr_damper_ros.signals.arrays import Array
 

@@ -10,7 +10,7 @@ from bag_contents import information, messages, type_hashes
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.models.published_conditions import CONDITIONS, find
+from mr_damper_ros.models.published import CONDITIONS, find
 from mr_damper_ros.thesis.published_runs import synthesise
 from mr_damper_ros.tools import thesis_bags
 

@@ -25,8 +25,8 @@ from mr_damper_ros.interface.report_page import (
     with_error,
     write_report,
 )
-from mr_damper_ros.models.published_conditions import find, parameters
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.published import find, parameters
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import (
     campaign,

@@ -10,15 +10,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from known import fixed
 
-from mr_damper_ros.models.published_conditions import (
+from mr_damper_ros.models.published import (
     CONDITIONS,
     PUBLISHED_METHODS,
     ROW_ERRATA,
     find,
     parameters,
 )
-from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import (
     conditions,

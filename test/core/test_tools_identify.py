@@ -22,14 +22,13 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.published_conditions import CONDITIONS, is_clean, parameters
+from mr_damper_ros.models.published import CONDITIONS, LITERATURE, is_clean, parameters
 from mr_damper_ros.models.sigmoid.extension import without_extension
-from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
-from mr_damper_ros.models.sigmoid.law_formulas import (
+from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
+    operating_point_coefficients,
 )
 from mr_damper_ros.thesis.published_runs import synthesise
 from mr_damper_ros.tools import identify, validate

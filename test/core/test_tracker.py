@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, sine_force
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict

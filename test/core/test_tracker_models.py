@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.initial_set import start_set
-from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterError, ParameterSet
+from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterError, ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report

@@ -16,17 +16,21 @@ from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit, fit_of, fit_window
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models import published_conditions as thesis
-from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.published_conditions import Condition
+from mr_damper_ros.models import published as thesis
+from mr_damper_ros.models.published import (
+    LITERATURE,
+    THESIS_28_CELSIUS,
+    THESIS_71_CELSIUS,
+    Condition,
+)
 from mr_damper_ros.models.sigmoid.law import (
+    COEFFICIENT_NAMES,
     SCALE_INDICES,
     Coefficients,
     coefficient_jacobian,
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import COEFFICIENT_NAMES
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis.published_runs import synthesise

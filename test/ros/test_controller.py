@@ -20,7 +20,7 @@ from support import Listener, assert_one_sentence
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published_conditions import CONDITIONS, parameters
+from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.controller_node import ControllerNode, ControllerParameters
 from mr_damper_ros.nodes.messages import header

@@ -29,7 +29,7 @@ import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.identifier_node import IdentifierParameters
 from mr_damper_ros.nodes.results import parameter_set, parameters_message, report_message

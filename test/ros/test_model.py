@@ -25,7 +25,7 @@ from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models import Model as ForceModel
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published_conditions import CONDITIONS, parameters
+from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
 from mr_damper_ros.nodes.model_node import ModelParameters

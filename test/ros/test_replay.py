@@ -30,7 +30,7 @@ from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.models.published_conditions import find
+from mr_damper_ros.models.published import find
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.thesis import published_runs as thesis

@@ -23,7 +23,7 @@ import numpy as np
 
 from mr_damper_ros.models.formulas import gradient, staged
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
-from mr_damper_ros.models.sigmoid.law_formulas import (
+from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     COEFFICIENTS,
     PARAMETER_NAMES,

@@ -11,9 +11,9 @@ where the force is steep, around a reversal, short where the fluid flows, and ri
 force, that is with the current. The force is F_l + stiffness u + offset: those of the gas (thesis
 3.2; the thesis adds 100 N to its records by hand). doc/extended_law.md tells what else was tried.
 
-The current that counts is that of the coil, see :mod:`coil`. A parameter array of the extended law
-holds the sixteen of the sigmoid law first, then the three of :data:`EXTENSION_NAMES`, last the time
-constant of the coil.
+The current that counts is that of the coil, see :mod:`first_order_lag`. A parameter array of the
+extended law holds the sixteen of the sigmoid law first, then the three of :data:`EXTENSION_NAMES`,
+last the time constant of the coil.
 """
 
 from __future__ import annotations
@@ -24,10 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.kinematics.motion_history import MotionHistory
-from mr_damper_ros.models.coil import COIL
-from mr_damper_ros.models.first_order_lag import FirstOrderLag, next_lagged, one_sample_later
-from mr_damper_ros.models.sigmoid.law import ForceAndDamping
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
+from mr_damper_ros.models.first_order_lag import COIL, FirstOrderLag, next_lagged, one_sample_later
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, ForceAndDamping
 from mr_damper_ros.signals.arrays import Array
 
 EXTENDED_MODEL = "sigmoid_lag"

@@ -23,8 +23,7 @@ from itertools import repeat
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.coil import coil_current, coil_state, few_in_coil
-from mr_damper_ros.models.first_order_lag import lagged
+from mr_damper_ros.models.first_order_lag import coil_current, coil_state, few_in_coil, lagged
 from mr_damper_ros.models.formulas import staged
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.models.sigmoid.extension import (
@@ -36,11 +35,13 @@ from mr_damper_ros.models.sigmoid.extension import (
     late_after,
 )
 from mr_damper_ros.models.sigmoid.law import (
+    LAW,
+    NARROWEST,
+    PARAMETER_NAMES,
     force_and_damping,
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import LAW, NARROWEST, PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 BRANCH_MEMORY = 2

@@ -33,7 +33,7 @@ from mr_damper_ros.models.sigmoid.extension import (
     late_after,
 )
 from mr_damper_ros.models.sigmoid.following import branch_before, lag_before, own_state
-from mr_damper_ros.models.sigmoid.law_formulas import LAW, PARAMETER_NAMES
+from mr_damper_ros.models.sigmoid.law import LAW, PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 _FEW = 32

@@ -10,8 +10,7 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.coil import coil_unsettled, in_coil
-from mr_damper_ros.models.first_order_lag import SETTLING
+from mr_damper_ros.models.first_order_lag import SETTLING, coil_unsettled, in_coil
 from mr_damper_ros.models.operating_points import window_weights, windows_of_samples
 from mr_damper_ros.models.sigmoid.extension import (
     EXTENDED_NAMES,
@@ -21,7 +20,9 @@ from mr_damper_ros.models.sigmoid.extension import (
     is_extended,
 )
 from mr_damper_ros.models.sigmoid.law import (
+    COEFFICIENT_NAMES,
     DEPENDENCES,
+    PARAMETER_NAMES,
     Coefficients,
     ForceAndDamping,
     coefficient_jacobian,
@@ -31,7 +32,6 @@ from mr_damper_ros.models.sigmoid.law import (
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import COEFFICIENT_NAMES, PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 _FORCE_BY = tuple(

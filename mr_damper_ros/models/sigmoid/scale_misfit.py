@@ -16,10 +16,9 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.coil import coil_unsettled, in_coil
 from mr_damper_ros.models.difference_problems import relative_change
-from mr_damper_ros.models.first_order_lag import SETTLING
-from mr_damper_ros.models.search_effort import SearchEffort
+from mr_damper_ros.models.first_order_lag import SETTLING, coil_unsettled, in_coil
+from mr_damper_ros.models.quantities import SearchEffort
 from mr_damper_ros.models.sigmoid.extension import (
     SIGMOID_COUNT,
     LateForce,
@@ -28,6 +27,7 @@ from mr_damper_ros.models.sigmoid.extension import (
     is_extended,
 )
 from mr_damper_ros.models.sigmoid.law import (
+    PARAMETER_NAMES,
     SCALE_INDICES,
     Coefficients,
     ForceAndDamping,
@@ -39,7 +39,6 @@ from mr_damper_ros.models.sigmoid.law import (
     secant_damping,
     sign_of_pair,
 )
-from mr_damper_ros.models.sigmoid.law_formulas import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 _K5 = PARAMETER_NAMES.index("k5")

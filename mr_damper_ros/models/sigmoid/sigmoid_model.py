@@ -12,9 +12,15 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.coil import COIL, PLAUSIBLE_COIL, coil_parameter, coil_unsettled, in_coil
 from mr_damper_ros.models.current_response import SampleResponses, nodes_along
-from mr_damper_ros.models.first_order_lag import SETTLING
+from mr_damper_ros.models.first_order_lag import (
+    COIL,
+    PLAUSIBLE_COIL,
+    SETTLING,
+    coil_parameter,
+    coil_unsettled,
+    in_coil,
+)
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
@@ -33,20 +39,18 @@ from mr_damper_ros.models.sigmoid.extension import (
 )
 from mr_damper_ros.models.sigmoid.following import BRANCH_MEMORY, follow
 from mr_damper_ros.models.sigmoid.law import (
+    COEFFICIENT_NAMES,
+    COEFFICIENTS,
+    FORCE,
+    PARAMETER_NAMES,
     SCALE_INDICES,
+    SCALE_PARAMETER_NAMES,
     coefficient_parameter_jacobian,
     current_gains,
     force_and_damping,
     force_from_coefficients,
     operating_point_coefficients,
     sign_of_pair,
-)
-from mr_damper_ros.models.sigmoid.law_formulas import (
-    COEFFICIENT_NAMES,
-    COEFFICIENTS,
-    FORCE,
-    PARAMETER_NAMES,
-    SCALE_PARAMETER_NAMES,
 )
 from mr_damper_ros.models.sigmoid.over_current import SigmoidResponse, SigmoidSampleResponses
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit

@@ -330,7 +330,7 @@ def _damper(rig: EmulatedOptions) -> Damper:
     if rig.damper.endswith((".yaml", ".yml")):
         given = ParameterSet.from_yaml(Path(rig.damper).read_text(encoding="utf-8"))
         return ModelDamper(given, 1.0 / rig.sample_rate, rig.hot_force)
-    from mr_damper_ros.models.published_conditions import find, parameters
+    from mr_damper_ros.models.published import find, parameters
 
     values = parameters(find(rig.damper))
     return TemperatureDependentDamper(values, scaled(values, rig.hot_force))
