@@ -14,15 +14,16 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.figure import Figure
-from mr_damper_ros.interface.campaign_folder import read_campaign_runs, read_steps
+from mr_damper_ros.campaign.folder import read_campaign_runs, read_steps
 
 _PROGRAM = """
 import sys
 sys.path[:] = {path!r}
 import mr_damper_ros as mr
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.emulation.emulator import ConstantDamper, CurrentSchedule, EmulatedRig
+from mr_damper_ros.emulation.emulator import RigSettings
+from mr_damper_ros.emulation.motions import SineMotion
 
 def perform(run):
     schedule = CurrentSchedule(

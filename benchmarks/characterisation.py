@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks import foreign_dampers, switched_current
 from benchmarks.reversal_jump import raw_records
 from benchmarks.stream_trial import TrialResult
-from mr_damper_ros.interface.replay import Replay, replay
+from mr_damper_ros.api.replay import Replay, replay
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.arrays import Array

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figure import Figure
-from mr_damper_ros.interface.replay import replay
+from mr_damper_ros.api.replay import replay
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import earthquake, recordings

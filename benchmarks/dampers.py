@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import CONDITIONS, Condition, is_clean
-from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.study.recordings import window_of
 from mr_damper_ros.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise

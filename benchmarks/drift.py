@@ -9,11 +9,11 @@ from scipy.optimize import brentq
 
 from benchmarks import following
 from benchmarks.figure import Figure
+from mr_damper_ros.emulation.emulator import TemperatureDependentDamper, ThermalModel
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.rig.emulator import TemperatureDependentDamper, ThermalModel
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 
 from benchmarks.other_dampers import random_motion
-from mr_damper_ros.rig.emulator import CurrentSchedule
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
-from mr_damper_ros.rig.faults.fault import Fault
-from mr_damper_ros.rig.faults.fault_text import faults_of
+from mr_damper_ros.emulation.emulator import CurrentSchedule
+from mr_damper_ros.emulation.faults import Fault, faults_of
+from mr_damper_ros.emulation.motions import Excitation, SineMotion
 
 BEGIN, END = 10.0, 14.0
 """When a fault begins and when it is repaired [s] since the start of the stream."""

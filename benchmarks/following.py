@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mr_damper_ros.emulation.emulator import Damper, EmulatedRig, RigSettings, ThermalModel
+from mr_damper_ros.emulation.faults import Fault
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.rig.emulator import Damper, EmulatedRig, RigSettings, ThermalModel
-from mr_damper_ros.rig.excitation import SineMotion
-from mr_damper_ros.rig.faults.fault import Fault
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recorded_stream import stream_of
 from mr_damper_ros.signals.recording import Recording

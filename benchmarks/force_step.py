@@ -8,10 +8,10 @@ import numpy as np
 
 from benchmarks import following
 from benchmarks.figure import Figure
+from mr_damper_ros.emulation.emulator import ConstantDamper, scaled
+from mr_damper_ros.emulation.faults import ForceLoss
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.rig.emulator import ConstantDamper, scaled
-from mr_damper_ros.rig.faults.machine_faults import ForceLoss
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.trackers import TRACKERS
 

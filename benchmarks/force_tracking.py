@@ -9,12 +9,17 @@ import numpy as np
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import random_motion
 from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
-from mr_damper_ros.rig.commanded_rig import ForceChoice, turned
-from mr_damper_ros.rig.emulator import EmulatedRig, ModelDamper, RigSettings, ThermalModel
-from mr_damper_ros.rig.invented_damper import HIGHEST_CURRENT, HOT_FORCE, invented_damper
-from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.supply_knob import SupplyKnob
+from mr_damper_ros.emulation.commanded_rig import ForceChoice, turned
+from mr_damper_ros.emulation.emulator import (
+    EmulatedRig,
+    ModelDamper,
+    RigSettings,
+    SupplyKnob,
+    ThermalModel,
+)
+from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, HOT_FORCE, invented_damper
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.rig_block import RigBlock
 from mr_damper_ros.tracking.engine import Engine
 
 VALUES = invented_damper(0.01).as_dict()

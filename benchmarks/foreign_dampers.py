@@ -33,12 +33,12 @@ from benchmarks.healthy import at_rest
 from benchmarks.other_dampers import chirp, random_motion, stairs
 from benchmarks.stream_trial import WRONG, StreamTrial, TrialResult, TrialSettings
 from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
+from mr_damper_ros.emulation.emulator import CurrentSchedule, ThermalModel
+from mr_damper_ros.emulation.faults import faults_of
+from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion
 from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.emulator import CurrentSchedule, ThermalModel
-from mr_damper_ros.rig.excitation import Excitation, SampledMotion, SineMotion
-from mr_damper_ros.rig.faults.fault_text import faults_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.study.ground_motion import Shaking
 from mr_damper_ros.tracking.validity import DoubtKind

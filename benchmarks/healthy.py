@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS, chirp, random_motion, stairs, stops
 from benchmarks.stream_trial import StreamTrial, Stretch, TrialResult, TrialSettings
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 
 MODELS = ("sigmoid", "sigmoid_lag")

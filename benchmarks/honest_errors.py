@@ -11,20 +11,20 @@ from scipy.signal import lfilter
 
 from benchmarks import following
 from benchmarks.figure import Figure
-from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS, find, parameters
-from mr_damper_ros.models.quantities import LoopReading
-from mr_damper_ros.rig.emulator import (
+from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
     ConstantDamper,
     EmulatedRig,
     ModelDamper,
     RigSettings,
 )
-from mr_damper_ros.rig.excitation import Excitation, SampledMotion, SineMotion
+from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, find, parameters
+from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.thesis.published_runs import PHASE

@@ -18,12 +18,16 @@ import numpy as np
 import mr_damper_ros as mr
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS, stairs, stops
+from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedRig, ModelDamper, RigSettings
+from mr_damper_ros.emulation.faults import Instruments, faults_of
+from mr_damper_ros.emulation.motions import (
+    BandLimitedMotion,
+    Excitation,
+    SineMotion,
+    chirp,
+    stepped,
+)
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, chirp, stepped
-from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper, RigSettings
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
-from mr_damper_ros.rig.faults.fault import Instruments
-from mr_damper_ros.rig.faults.fault_text import faults_of
 from mr_damper_ros.signals.recording import Recording
 
 _PACKAGE = Path(mr.__file__).parent

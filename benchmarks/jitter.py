@@ -14,15 +14,15 @@ import numpy as np
 
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS, random_motion
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.emulator import (
+from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
     EmulatedRig,
     ModelDamper,
     RigSettings,
 )
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
+from mr_damper_ros.emulation.motions import Excitation, SineMotion
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.engine import Engine, EngineSettings

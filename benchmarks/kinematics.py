@@ -9,7 +9,8 @@ import numpy as np
 from scipy.signal import savgol_coeffs
 
 from benchmarks.figure import Figure
-from mr_damper_ros.interface.replay import replay
+from mr_damper_ros.api.replay import replay
+from mr_damper_ros.emulation.motions import SampledMotion, SineMotion
 from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
@@ -18,7 +19,6 @@ from mr_damper_ros.models import MODELS, published
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.study import recordings
 from mr_damper_ros.study.earthquake import records

@@ -14,8 +14,8 @@ from benchmarks.figure import Figure
 from benchmarks.healthy import CURRENT
 from benchmarks.other_dampers import DAMPERS, random_motion
 from benchmarks.stream_trial import StreamTrial, Stretch
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
-from mr_damper_ros.rig.faults.fault_text import faults_of
+from mr_damper_ros.emulation.faults import faults_of
+from mr_damper_ros.emulation.motions import Excitation, SineMotion
 
 SPIKES = (3000, 8000, 20_000)
 """Sizes of the wild samples [N], five a second for a second."""

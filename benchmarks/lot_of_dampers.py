@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings, scaled
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings, scaled
-from mr_damper_ros.rig.excitation import SineMotion
 
 COLUMNS = "displacement:mm,force:N,current:A"
 _RATE = 500.0

@@ -22,7 +22,7 @@ from benchmarks.lot_of_dampers import READING, write_lot
 _PROGRAM = """
 import sys
 sys.path[:] = {path!r}
-from mr_damper_ros.interface.many_dampers import identify_many
+from mr_damper_ros.lots.many_dampers import identify_many
 
 if __name__ == "__main__":
     identify_many({lot!r}, folder={results!r}, method="least_squares", workers=2, **{reading!r})

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.figure import Figure
 from benchmarks.lot_of_dampers import READING, write_lot
-from mr_damper_ros.interface.many_dampers import identify_many
+from mr_damper_ros.lots.many_dampers import identify_many
 
 _WORKERS = 2
 _PER_DAMPER = 2

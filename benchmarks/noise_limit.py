@@ -8,6 +8,8 @@ import numpy as np
 
 from benchmarks.dampers import steady_window
 from benchmarks.figure import Figure
+from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import Condition, find, parameters
@@ -16,8 +18,6 @@ from mr_damper_ros.models.sigmoid.law import (
     coefficient_jacobian,
     operating_point_coefficients,
 )
-from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis.published_runs import PHASE
 

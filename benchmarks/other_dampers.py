@@ -12,15 +12,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.excitation import (
+from mr_damper_ros.emulation.motions import (
     EnvelopedMotion,
     Excitation,
     SampledMotion,
     SineMotion,
     WarpedMotion,
 )
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
 
 _GRID = 5e-3
 """Period [s] of the samples of a motion of up to some 20 Hz; a spline goes through them."""

@@ -11,16 +11,21 @@ import numpy as np
 
 from benchmarks.figure import Figure
 from benchmarks.random_dampers import KINDS, DamperKind, random_damper
+from mr_damper_ros.campaign.course import planned
+from mr_damper_ros.emulation.emulator import (
+    ConstantDamper,
+    CurrentSchedule,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.motions import RepeatedMotion
 from mr_damper_ros.estimation.force_knowledge import Cycles, ForceGoal, PointErrors
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
 from mr_damper_ros.estimation.run_planner import Plan, PlanState, RunPlanner
-from mr_damper_ros.interface.run_advice import planned
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import RepeatedMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 

@@ -8,15 +8,18 @@ from functools import cache
 import numpy as np
 
 from benchmarks.figure import Figure
-from mr_damper_ros.interface.rig_check import check_rig
-from mr_damper_ros.interface.rig_record import HeardBlock, RigRecord
-from mr_damper_ros.interface.rig_trouble import Trouble
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.emulation.faults import Instruments, faults_of
+from mr_damper_ros.emulation.motions import (
+    BandLimitedMotion,
+    Excitation,
+    SineMotion,
+    chirp,
+    stepped,
+)
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, chirp, stepped
-from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
-from mr_damper_ros.rig.faults.fault import Instruments
-from mr_damper_ros.rig.faults.fault_text import faults_of
+from mr_damper_ros.rig_check.checks import check_rig
+from mr_damper_ros.rig_check.record import HeardBlock, RigRecord, Trouble
 
 SECONDS = 30.0
 RATE = 1000.0

@@ -11,9 +11,9 @@ from benchmarks.figure import Figure
 from benchmarks.other_dampers import random_motion
 from benchmarks.side_by_side import CURRENT, SideBySide, blocks_of, on_cores
 from benchmarks.streaming_load import SETTLED, sine_blocks
+from mr_damper_ros.emulation.emulator import EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.emulator import EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.validity import ValiditySettings
 

@@ -7,13 +7,13 @@ import numpy as np
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS, random_motion
 from benchmarks.timing import cpu_seconds
+from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.signals.recorded_stream import stream_of
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 

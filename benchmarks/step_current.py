@@ -21,8 +21,8 @@ from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS
 from benchmarks.stream_trial import StreamTrial, TrialSettings
 from benchmarks.switched_current import SIXTEEN, excitation
+from mr_damper_ros.emulation.emulator import CurrentSchedule
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.emulator import CurrentSchedule
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import earthquake, recordings

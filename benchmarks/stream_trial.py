@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.rig.emulator import (
+from mr_damper_ros.emulation.emulator import (
     THESIS_FORCE_NOISE,
     CurrentSchedule,
     Damper,
@@ -33,12 +32,13 @@ from mr_damper_ros.rig.emulator import (
     RigSettings,
     ThermalModel,
 )
-from mr_damper_ros.rig.excitation import Excitation
-from mr_damper_ros.rig.faults.fault import Delivery, Fault, Instruments
-from mr_damper_ros.rig.meter import Meter
-from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.emulation.faults import Delivery, Fault, Instruments
+from mr_damper_ros.emulation.motions import Excitation
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
+from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock, check_live
+from mr_damper_ros.signals.rig_block import RigBlock
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report

@@ -17,14 +17,14 @@ import numpy as np
 from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS, random_motion
 from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
+from mr_damper_ros.api.replay import replay
+from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedRig, ModelDamper, ThermalModel
+from mr_damper_ros.emulation.motions import Excitation, SineMotion
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
-from mr_damper_ros.interface.replay import replay
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper, ThermalModel
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording

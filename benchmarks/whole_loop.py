@@ -29,25 +29,30 @@ from benchmarks.other_dampers import random_motion
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
 from mr_damper_ros.control.suspension_control import SuspensionSettings, controller_of
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.commanded_rig import ForceChoice, turned
-from mr_damper_ros.rig.emulator import (
+from mr_damper_ros.emulation.commanded_rig import ForceChoice, turned
+from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
     Damper,
     EmulatedRig,
     ModelDamper,
     RigSettings,
+    SupplyKnob,
     ThermalModel,
 )
-from mr_damper_ros.rig.excitation import Excitation, SineMotion
-from mr_damper_ros.rig.invented_damper import HIGHEST_CURRENT, HOT_FORCE, invented_damper
-from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig
-from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.emulation.motions import Excitation, SineMotion
+from mr_damper_ros.emulation.plant_rig import (
+    HIGHEST_CURRENT,
+    HOT_FORCE,
+    BuiltInDamper,
+    PlantRig,
+    invented_damper,
+)
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.sources.quarter_car_source import moment_of
-from mr_damper_ros.rig.supply_knob import SupplyKnob
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.rig_block import RigBlock
 from mr_damper_ros.tracking.engine import Engine
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind

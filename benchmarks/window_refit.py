@@ -11,12 +11,12 @@ from scipy.optimize import minimize
 from benchmarks.dampers import steady_window
 from benchmarks.figure import Figure
 from benchmarks.timing import interleaved_medians
+from mr_damper_ros.emulation.emulator import scaled
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.rig.emulator import scaled
 from mr_damper_ros.signals.arrays import Array
 
 CONDITIONS = ("2.5mm_1Hz_0.0A", "5.0mm_1Hz_1.5A", "5.0mm_3Hz_0.5A", "7.5mm_1Hz_1.0A")

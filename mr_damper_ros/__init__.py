@@ -18,21 +18,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from mr_damper_ros.api.comparison import Validation, validate
+    from mr_damper_ros.api.identification import Identification, choose_law, identify
+    from mr_damper_ros.api.replay import Replay, follow, replay
+    from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
     from mr_damper_ros.control.inverse_model import InverseModel
     from mr_damper_ros.estimation.force_knowledge import ForceGoal
     from mr_damper_ros.estimation.law_choice import LawChoice
     from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
-    from mr_damper_ros.interface.fit_result import Identification
-    from mr_damper_ros.interface.force_campaign import ForceCampaign, run_campaign
-    from mr_damper_ros.interface.identification import identify
-    from mr_damper_ros.interface.law_comparison import choose_law
-    from mr_damper_ros.interface.many_dampers import ManyDampers, identify_many
-    from mr_damper_ros.interface.recorded_stream import follow
-    from mr_damper_ros.interface.replay import Replay, replay
-    from mr_damper_ros.interface.validation import Validation, validate
     from mr_damper_ros.io.bag_reader import read_bag
     from mr_damper_ros.io.bag_writer import write_bag
     from mr_damper_ros.io.records import read_record, read_runs
+    from mr_damper_ros.lots.many_dampers import ManyDampers, identify_many
     from mr_damper_ros.models import MODELS
     from mr_damper_ros.models.parameter_set import ParameterSet
     from mr_damper_ros.signals.blocks import SampleBlock
@@ -80,33 +77,33 @@ _HOMES = {
     "MODELS": "models",
     "Engine": "tracking.engine",
     "EngineSettings": "tracking.engine",
-    "ForceCampaign": "interface.force_campaign",
+    "ForceCampaign": "campaign.course",
     "ForceGoal": "estimation.force_knowledge",
     "ForcePredictor": "tracking.predictor",
-    "Identification": "interface.fit_result",
+    "Identification": "api.identification",
     "LawChoice": "estimation.law_choice",
     "MachineLimits": "estimation.planned_run",
-    "ManyDampers": "interface.many_dampers",
+    "ManyDampers": "lots.many_dampers",
     "InverseModel": "control.inverse_model",
     "ParameterSet": "models.parameter_set",
     "PlannedRun": "estimation.planned_run",
     "PredictorSettings": "tracking.predictor",
     "Recording": "signals.recording",
-    "Replay": "interface.replay",
+    "Replay": "api.replay",
     "SampleBlock": "signals.blocks",
     "TrackerSettings": "tracking.tracker_settings",
-    "Validation": "interface.validation",
+    "Validation": "api.comparison",
     "WindowTracker": "tracking.tracker",
-    "choose_law": "interface.law_comparison",
-    "follow": "interface.recorded_stream",
-    "identify": "interface.identification",
-    "identify_many": "interface.many_dampers",
+    "choose_law": "api.identification",
+    "follow": "api.replay",
+    "identify": "api.identification",
+    "identify_many": "lots.many_dampers",
     "read_bag": "io.bag_reader",
     "read_record": "io.records",
     "read_runs": "io.records",
-    "replay": "interface.replay",
-    "run_campaign": "interface.force_campaign",
-    "validate": "interface.validation",
+    "replay": "api.replay",
+    "run_campaign": "campaign.course",
+    "validate": "api.comparison",
     "write_bag": "io.bag_writer",
 }
 """The module of each name."""

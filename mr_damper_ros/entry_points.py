@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _WORK = {
     "identifier": "mr_damper_ros.tracking.worker_preload",
-    "campaign": "mr_damper_ros.interface.campaign_preload",
+    "campaign": "mr_damper_ros.campaign.worker_preload",
 }
 """What the worker of a node must load for its tasks."""
 

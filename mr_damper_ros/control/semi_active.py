@@ -18,26 +18,7 @@ import numpy as np
 from mr_damper_ros.control.linear_quadratic import regulator_gain
 from mr_damper_ros.control.quarter_car import QuarterCar
 from mr_damper_ros.signals.arrays import Array
-
-
-class Moment(NamedTuple):
-    """The motion of a suspension, upwards positive.
-
-    Velocities of ``body`` and ``wheel`` [m/s], the body's ``acceleration`` [m/s²], and how far body
-    and wheel are ``apart`` from where they rest [m], the wheel from the road (``tyre``) [m].
-    """
-
-    body: float
-    wheel: float
-    acceleration: float = 0.0
-    apart: float = 0.0
-    tyre: float = 0.0
-
-    @property
-    def extension(self) -> float:
-        """Velocity [m/s] with which the damper extends."""
-        return self.body - self.wheel
-
+from mr_damper_ros.signals.rig_block import Moment
 
 Controller = Callable[[Moment], float]
 

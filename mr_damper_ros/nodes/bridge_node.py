@@ -20,7 +20,7 @@ from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParamete
 from mr_damper_ros.nodes.pacing import Pacer, SendingThread
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.nodes.topic_source import TopicOptions
-from mr_damper_ros.rig.skew_correction import aligned
+from mr_damper_ros.rig.blocks import aligned
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, groups, option
 from mr_damper_ros.signals.blocks import MOST_SAMPLES

@@ -8,7 +8,7 @@ from mr_damper_msgs.action import RunCampaign
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
-from mr_damper_ros.interface.campaign_conductor import CampaignStatus
+from mr_damper_ros.campaign.conductor import CampaignStatus
 from mr_damper_ros.nodes.goal_server import GoalServer
 
 

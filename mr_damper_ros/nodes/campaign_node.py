@@ -17,14 +17,15 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 
-from mr_damper_ros.estimation.planned_run import first_run
-from mr_damper_ros.interface.campaign_conductor import (
+from mr_damper_ros.campaign.conductor import (
     CampaignConductor,
     CampaignEnd,
     CampaignStatus,
 )
-from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome
-from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignTask
+from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
+from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask
+from mr_damper_ros.campaign.runs import REST, MachineCommand
+from mr_damper_ros.estimation.planned_run import first_run
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.campaign_goals import CampaignGoals
 from mr_damper_ros.nodes.campaign_parameters import CampaignParameters, GoalOptions
@@ -37,7 +38,6 @@ from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParamete
 from mr_damper_ros.nodes.results import parameters_message
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.worker import Worker
-from mr_damper_ros.rig.run_driver import REST, MachineCommand
 from mr_damper_ros.signals.blocks import SampleBlock
 
 _ATTENTION_PERIOD = 0.05

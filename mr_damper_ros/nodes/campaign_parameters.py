@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from mr_damper_ros.campaign.conductor import ConductSettings
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
 from mr_damper_ros.estimation.planned_run import MachineLimits, motions_of
-from mr_damper_ros.interface.campaign_conductor import ConductSettings
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL

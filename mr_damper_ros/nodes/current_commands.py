@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from mr_damper_ros.nodes.command_topic import CommandTopic
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
-from mr_damper_ros.rig.supplies.current_commander import CurrentCommander, Origin
+from mr_damper_ros.rig.commander import CurrentCommander, Origin
 
 COMMAND_TOPIC = "supply/current_command"
 

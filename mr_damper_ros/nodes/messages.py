@@ -11,10 +11,9 @@ from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from mr_damper_ros.control.semi_active import Moment
-from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import BlockError, SampleBlock, check_live
+from mr_damper_ros.signals.rig_block import Moment, RigBlock
 from mr_damper_ros.signals.stamps import fits_a_stamp
 
 _SECOND = 1_000_000_000

@@ -9,7 +9,7 @@ from std_msgs.msg import Header
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.nodes.command_topic import CommandTopic
 from mr_damper_ros.nodes.diagnostics import OK, Finding
-from mr_damper_ros.rig.motion_commander import MotionCommander
+from mr_damper_ros.rig.commander import MotionCommander
 
 EXCITATION_TOPIC = "rig/excitation_command"
 

@@ -8,12 +8,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import CurrentCommand, MtsSamples, SupplyCurrent
 from rclpy.node import Node
 
-from mr_damper_ros.interface.rig_record import HeardBlock, RigRecord
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.current_commands import COMMAND_TOPIC
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.rig.sources.daq_source import SATURATED
+from mr_damper_ros.rig_check.record import HeardBlock, RigRecord
 
 
 def record_rig(node: Node, record: RigRecord) -> None:

@@ -20,13 +20,11 @@ from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Findin
 from mr_damper_ros.nodes.messages import current_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.rig.supplies.current_commander import CommandSettings, CurrentCommander
+from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
+from mr_damper_ros.rig.supplies.driver import SupplyDriver, SupplyThread
 from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument, EmulatedLink
 from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, ScpiLink, connect
-from mr_damper_ros.rig.supplies.scpi_supply import ScpiSupply
-from mr_damper_ros.rig.supplies.supply_driver import SupplyDriver
-from mr_damper_ros.rig.supplies.supply_profile import read_profile
-from mr_damper_ros.rig.supplies.supply_thread import SupplyThread
+from mr_damper_ros.rig.supplies.supply import ScpiSupply, read_profile
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 
 _EMULATED = "emulated"

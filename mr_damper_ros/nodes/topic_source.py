@@ -20,10 +20,10 @@ from rclpy.node import Node
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
-from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.channel_join import ChannelJoin, JoinedRun
+from mr_damper_ros.signals.rig_block import RigBlock
 from mr_damper_ros.signals.stamped_channel import StampedChannel
 from mr_damper_ros.signals.stamps import fits_a_stamp
 

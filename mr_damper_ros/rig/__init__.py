@@ -1,1 +1,1 @@
-"""The test rig off line: recordings, the files they come from and go to, an emulated rig."""
+"""A rig: sources of samples, data acquisition, supplies, and commands."""

@@ -1,8 +1,13 @@
-"""When a command holds: a dead man's handle, for all that moves or heats."""
+"""Commands of current and motion with a dead-man timeout."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from enum import Enum
+
+from mr_damper_ros.kinematics.periodic_motion import PeriodicMotion
+from mr_damper_ros.settings.option_table import CheckedSettings, option
 
 STAMP_TOLERANCE = 0.05
 """Seconds that a command may be stamped ahead: what the clocks of two computers may differ."""
@@ -49,3 +54,179 @@ class Commander:
         # One that is stamped ahead must not keep out those that are stamped right.
         self._stamp_ns = stamp_ns + round(1e9 * min(age, 0.0))
         self._until = now + self._timeout - max(age, 0.0)
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Largest ``amplitude`` [m] and ``velocity`` [m/s], and how long a command holds [s]."""
+
+    amplitude: float
+    velocity: float
+    command_timeout: float
+
+
+class MotionCommander(Commander):
+    """A motion that is commanded, each command for a while.
+
+    When the commands stop, the machine comes to rest. ``commanded``: whether there ever was a
+    command; before, it moves by itself.
+    """
+
+    def __init__(self, limits: MotionLimits) -> None:
+        super().__init__(limits.command_timeout)
+        self.limits = limits
+        self.commanded = False
+        self._wanted: PeriodicMotion | None = None
+
+    def command(self, motion: PeriodicMotion | None, stamp_ns: int, age: float, now: float) -> str:
+        """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
+
+        None stands for rest. ``stamp_ns`` is the time of the decision: a command that was
+        overtaken is refused.
+        """
+        objection = self._objection(stamp_ns, age, now) or self._beyond(motion)
+        if objection:
+            return self.refuse(objection)
+        # Another thread may ask in between: what is wanted is there before it holds.
+        self._wanted = motion
+        self._hold(stamp_ns, age, now)
+        self.commanded = True
+        return ""
+
+    def wanted(self, now: float) -> PeriodicMotion | None:
+        """The motion to make now; None for rest."""
+        return self._wanted if now < self._until else None
+
+    def _beyond(self, motion: PeriodicMotion | None) -> str:
+        """Which limit a motion is beyond, in words; empty where it is within."""
+        limits = self.limits
+        if motion is None:
+            return ""
+        if motion.amplitude > limits.amplitude:
+            return f"the amplitude of {motion.amplitude:g} m is beyond {limits.amplitude:g} m"
+        velocity = motion.growing_velocity
+        if velocity > limits.velocity:
+            return f"{motion.sentence} moves at {velocity:.3g} m/s, beyond {limits.velocity:g} m/s"
+        return ""
+
+
+_RAMP_STEP = 0.01
+"""Seconds between two steps of a ramp."""
+
+
+@dataclass(frozen=True)
+class CommandSettings(CheckedSettings):
+    """What a supply makes of commands."""
+
+    largest_current: float = option(
+        2.0,
+        "Largest current [A] that the coil bears: larger commands are cut to it.",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    smallest_current: float = option(
+        0.0,
+        "Smallest current [A], which may be negative for a supply of both polarities.",
+        minimum=-1000.0,
+        maximum=0.0,
+    )
+    slew_rate: float = option(
+        0.0,
+        "Fastest change of the current [A/s]; 0: at once. Whatever makes it safe happens at once.",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    command_timeout: float = option(
+        0.5,
+        "Time [s] that a command holds from its stamp on; after that the current is zero. An "
+        "older command is refused.",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+    stamp_tolerance: float = option(
+        STAMP_TOLERANCE,
+        "Time [s] that a command may be stamped ahead of this computer's clock; one further ahead "
+        "is refused.",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+
+
+class Origin(Enum):
+    """Where the present current comes from."""
+
+    HAND = "set by hand"
+    COMMAND = "commanded"
+    TIMED_OUT = "zero, for the commands have stopped"
+
+
+class CurrentCommander(Commander):
+    """Current [A] from commands, each of which holds for a while, or set by hand, which lasts.
+
+    A command takes the place of what was set by hand; when the commands stop, the current is zero
+    at once, and stays so until another command comes or it is set by hand again. ``cut`` counts the
+    commands that were cut to the limits.
+    """
+
+    def __init__(self, settings: CommandSettings, by_hand: float = 0.0) -> None:
+        super().__init__(settings.command_timeout, settings.stamp_tolerance)
+        self.settings = settings
+        self.cut = 0
+        self._given, self._at = 0.0, 0.0
+        self.set_by_hand(by_hand)
+
+    def set_by_hand(self, current: float) -> None:
+        """Give this current from now on, until a command comes."""
+        # Another thread may step in between: what is wanted is there before it holds.
+        self._wanted, self._stamp_ns = self._within(current), None
+        self._until = math.inf
+
+    def command(self, current: float, stamp_ns: int, age: float, now: float) -> str:
+        """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
+
+        ``stamp_ns`` is the time of the decision: a command that was overtaken is refused.
+        """
+        objection = (
+            self._objection(stamp_ns, age, now)
+            if math.isfinite(current)
+            else "the commanded current is not finite"
+        )
+        if objection:
+            return self.refuse(objection)
+        within = self._within(current)
+        self.cut += within != current
+        # Another thread may step in between: what is wanted is there before it holds.
+        self._wanted = within
+        self._hold(stamp_ns, age, now)
+        return ""
+
+    def origin(self, now: float) -> Origin:
+        """Where the current comes from now."""
+        if math.isinf(self._until):
+            return Origin.HAND
+        return Origin.COMMAND if now < self._until else Origin.TIMED_OUT
+
+    def step(self, now: float) -> float:
+        """The current [A] to give now; within the slew rate of that of the last call."""
+        elapsed, self._at = max(now - self._at, 0.0), now
+        if self.origin(now) is Origin.TIMED_OUT:
+            self._given = 0.0
+        else:
+            rate = self.settings.slew_rate
+            most = rate * elapsed if rate > 0.0 else math.inf
+            self._given += min(max(self._wanted - self._given, -most), most)
+        return self._given
+
+    def wait(self, now: float) -> float:
+        """Seconds until the current changes by itself, in a ramp or at a time-out."""
+        origin = self.origin(now)
+        if origin is Origin.TIMED_OUT:
+            return math.inf
+        return _RAMP_STEP if self._given != self._wanted else max(self._until - now, 0.0)
+
+    def start(self, now: float) -> None:
+        """Begin at zero current: the output has just been switched on."""
+        self._given, self._at = 0.0, now
+
+    def _within(self, current: float) -> float:
+        return min(max(current, self.settings.smallest_current), self.settings.largest_current)

@@ -8,8 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.control.shear_building import BUILDINGS
-from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, legend_above, panels
-from mr_damper_ros.interface.report_page import Chapter, Picture, Table, Text
+from mr_damper_ros.report.document import (
+    DASHES,
+    GREY,
+    INK,
+    Chapter,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+)
 from mr_damper_ros.study.building_runs import (
     BANG_BANG,
     CHOSEN,

@@ -17,12 +17,11 @@ from mr_damper_ros.control.fallback import FallbackSettings
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.control.linear_quadratic import StateEstimator, regulator_gain
 from mr_damper_ros.control.shear_building import BUILDINGS, STOREYS, ShearBuilding
-from mr_damper_ros.rig.commanded_rig import Choice, ForceChoice, commanded
-from mr_damper_ros.rig.emulator import RigSettings
-from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig
-from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.supply_knob import SupplyKnob
+from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
+from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
+from mr_damper_ros.emulation.plant_rig import BuiltInDamper, PlantRig
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.rig_block import RigBlock
 from mr_damper_ros.study.ground_motion import (
     NEAR_FAULT,
     REHEARSAL,

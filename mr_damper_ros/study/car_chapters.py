@@ -7,10 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, MARKS, legend_above, panels
-from mr_damper_ros.interface.report_page import Chapter, Picture, Table, Text
+from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, invented_damper
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.rig.invented_damper import HIGHEST_CURRENT, invented_damper
+from mr_damper_ros.report.document import (
+    DASHES,
+    GREY,
+    INK,
+    MARKS,
+    Chapter,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+)
 from mr_damper_ros.study.car_drives import (
     BUMP,
     BUMP_ROAD,

@@ -25,15 +25,20 @@ from mr_damper_ros.control.semi_active import (
     optimal_gain,
     skyhook,
 )
+from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
+from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
+from mr_damper_ros.emulation.plant_rig import (
+    HIGHEST_CURRENT,
+    HOT_FORCE,
+    BuiltInDamper,
+    PlantRig,
+    Surroundings,
+    invented_damper,
+)
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.commanded_rig import Choice, ForceChoice, commanded
-from mr_damper_ros.rig.emulator import RigSettings, ThermalModel
-from mr_damper_ros.rig.invented_damper import HIGHEST_CURRENT, HOT_FORCE, invented_damper
-from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig, Surroundings
-from mr_damper_ros.rig.rig_block import RigBlock
 from mr_damper_ros.rig.sources.quarter_car_source import moment_of
-from mr_damper_ros.rig.supply_knob import SupplyKnob
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.rig_block import RigBlock
 
 CAR = QuarterCar()
 GRAVITY = 9.80665

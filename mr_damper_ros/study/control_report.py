@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mr_damper_ros.interface.figure_style import styled
-from mr_damper_ros.interface.report_page import Chapter, write_report
 from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.report.document import Chapter, styled, write_report
 from mr_damper_ros.study import building_chapter, car_chapters, hybrid_chapter
 from mr_damper_ros.study.building_runs import WEIGHTED, simulate
 from mr_damper_ros.study.car_chapters import Drives

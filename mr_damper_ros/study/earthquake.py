@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mr_damper_ros.api.replay import replay
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
-from mr_damper_ros.interface.replay import replay
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set

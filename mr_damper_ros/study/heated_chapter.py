@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mr_damper_ros.interface.figure_style import DASHES, INK, legend_above, panels
-from mr_damper_ros.interface.report_page import Chapter, Picture, Table, Text
+from mr_damper_ros.report.document import (
+    DASHES,
+    INK,
+    Chapter,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+)
 from mr_damper_ros.study.heated_drive import DAMPING, STRETCH, HeatedDrive, HeatedResult
 
 FIXED, NEWEST = "set of 28 °C", "identified on line"

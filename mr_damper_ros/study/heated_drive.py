@@ -13,13 +13,12 @@ import numpy as np
 
 from mr_damper_ros.control.quarter_car import IsoRoad
 from mr_damper_ros.control.semi_active import passive
-from mr_damper_ros.rig.commanded_rig import commanded
-from mr_damper_ros.rig.emulator import ThermalModel
-from mr_damper_ros.rig.invented_damper import invented_damper
-from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.supply_knob import SupplyKnob
+from mr_damper_ros.emulation.commanded_rig import commanded
+from mr_damper_ros.emulation.emulator import SupplyKnob, ThermalModel
+from mr_damper_ros.emulation.plant_rig import invented_damper
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.rig_block import RigBlock
 from mr_damper_ros.study.car_drives import (
     BLOCK,
     CAR,

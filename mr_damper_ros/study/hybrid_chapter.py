@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, legend_above, panels
-from mr_damper_ros.interface.report_page import Chapter, Picture, Table, Text
+from mr_damper_ros.report.document import (
+    DASHES,
+    GREY,
+    INK,
+    Chapter,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+)
 from mr_damper_ros.study.building_runs import SCALE
 from mr_damper_ros.study.hybrid_run import (
     BANDWIDTH,

@@ -15,9 +15,9 @@ import numpy as np
 
 from mr_damper_ros.control.linear_plant import DamperMotion, MovingPlant
 from mr_damper_ros.control.shear_building import BUILDINGS
+from mr_damper_ros.emulation.plant_rig import BuiltInDamper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
-from mr_damper_ros.rig.plant_rig import BuiltInDamper
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.study.building_runs import DAMPERS, SCALE
 from mr_damper_ros.study.ground_motion import el_centro

@@ -7,10 +7,20 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mr_damper_ros.interface.estimates import as_json
-from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, legend_above, panels
-from mr_damper_ros.interface.report_page import Chapter, Picture, Table, Text, with_error
+from mr_damper_ros.api.findings import as_json
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.report.document import (
+    DASHES,
+    GREY,
+    INK,
+    Chapter,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+    with_error,
+)
 from mr_damper_ros.study.hysteretic_oscillator import OUTPUT_NOISE, TRUTH
 from mr_damper_ros.study.oscillator_trials import EstimationResult, OscillatorResult
 

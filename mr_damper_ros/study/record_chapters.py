@@ -8,10 +8,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mr_damper_ros.interface.estimates import as_json, parameter_estimates
-from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, MARKS, legend_above, panels
-from mr_damper_ros.interface.report_page import Cell, Chapter, Picture, Table, Text, with_error
+from mr_damper_ros.api.findings import as_json, parameter_estimates
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.report.document import (
+    DASHES,
+    GREY,
+    INK,
+    MARKS,
+    Cell,
+    Chapter,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+    with_error,
+)
 from mr_damper_ros.study.record_trials import EarthquakeResult, RecordResult
 
 _SOURCE = (

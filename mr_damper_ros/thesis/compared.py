@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mr_damper_ros.interface.report_page import Table
+from mr_damper_ros.report.document import Table
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.interface.figure_style import DASHES, INK, legend_above, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text, to_error, with_error
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import (
     CONDITIONS,
@@ -22,6 +20,18 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.report.document import (
+    DASHES,
+    INK,
+    Block,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+    to_error,
+    with_error,
+)
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.errata import METHOD_TITLES, disagreement, find_errata

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.interface.figure_style import DASHES, INK, MARKS, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published import (
     THESIS_28_CELSIUS,
     THESIS_71_CELSIUS,
@@ -19,6 +17,7 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.report.document import DASHES, INK, MARKS, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign

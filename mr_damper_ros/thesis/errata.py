@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.interface.figure_style import DASHES, INK, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published import (
     CONDITIONS,
     PUBLISHED_METHODS,
@@ -30,6 +28,7 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, operating_point_coefficients
+from mr_damper_ros.report.document import DASHES, INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
+from mr_damper_ros.report.document import DASHES, GREY, INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign

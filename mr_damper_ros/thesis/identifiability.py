@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from mr_damper_ros.interface.figure_style import GREY, INK, MARKS, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
+from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, PARAMETER_NAMES
-from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
+from mr_damper_ros.report.document import GREY, INK, MARKS, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts, one_set
 from mr_damper_ros.thesis.campaign import Campaign

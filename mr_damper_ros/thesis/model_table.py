@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.interface.figure_style import GREY, INK, MARKS, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.report.document import GREY, INK, MARKS, Block, Picture, Table, Text, panels
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign, Settings
 from mr_damper_ros.thesis.errata import sound_conditions

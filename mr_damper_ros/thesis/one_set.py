@@ -13,11 +13,22 @@ import numpy as np
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
-from mr_damper_ros.interface.figure_style import DASHES, GREY, INK, legend_above, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text, shown, with_error
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, EXTENDED_NAMES
+from mr_damper_ros.report.document import (
+    DASHES,
+    GREY,
+    INK,
+    Block,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+    shown,
+    with_error,
+)
 from mr_damper_ros.thesis import model_table
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.errata import sound_conditions

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from mr_damper_ros.interface.figure_style import DASHES, INK, MARKS, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published import find, parameters
+from mr_damper_ros.report.document import DASHES, INK, MARKS, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign

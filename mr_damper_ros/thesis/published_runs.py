@@ -13,6 +13,13 @@ on the displacement, what a laboratory's displacement transducer resolves.
 
 from __future__ import annotations
 
+from mr_damper_ros.emulation.emulator import (
+    THESIS_FORCE_NOISE,
+    ConstantDamper,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.published import (
     CONDITIONS,
     ERRATA,
@@ -22,13 +29,6 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.rig.emulator import (
-    THESIS_FORCE_NOISE,
-    ConstantDamper,
-    EmulatedRig,
-    RigSettings,
-)
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.recording import Recording
 
 SAMPLE_COUNT = 7001

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.interface.figure_style import GREY, INK, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     force_from_coefficients,
     operating_point_coefficients,
 )
+from mr_damper_ros.report.document import GREY, INK, Block, Picture, Table, Text, panels
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mr_damper_ros.interface.figure_style import styled
-from mr_damper_ros.interface.report_page import Block, Chapter, write_report
+from mr_damper_ros.report.document import Block, Chapter, styled, write_report
 from mr_damper_ros.thesis import (
     conditions,
     dependency,

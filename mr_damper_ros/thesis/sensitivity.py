@@ -10,10 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.interface.figure_style import DASHES, INK, MARKS, legend_above, panels
-from mr_damper_ros.interface.report_page import Block, Picture, Table, Text
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
+from mr_damper_ros.report.document import (
+    DASHES,
+    INK,
+    MARKS,
+    Block,
+    Picture,
+    Table,
+    Text,
+    legend_above,
+    panels,
+)
 from mr_damper_ros.thesis import facts
 from mr_damper_ros.thesis.campaign import Campaign
 from mr_damper_ros.thesis.compared import Compared, comparison, percent

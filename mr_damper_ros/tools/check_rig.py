@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from mr_damper_ros.interface.rig_check import check_rig
-from mr_damper_ros.interface.rig_record import RigRecord
+from mr_damper_ros.rig_check.checks import check_rig
+from mr_damper_ros.rig_check.record import RigRecord
 from mr_damper_ros.tools.console import run_tool
 
 _WRONG = 1

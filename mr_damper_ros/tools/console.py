@@ -8,8 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from mr_damper_ros.interface.comparison import Comparison
-from mr_damper_ros.interface.figures import FORMATS, save_figures
+from mr_damper_ros.api.comparison import FORMATS, Comparison, save_figures
 
 _ROS = ("rclpy", "ament_index_python")
 

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mr_damper_ros.interface.comparison import Comparison
-from mr_damper_ros.interface.figures import save_figures
+from mr_damper_ros.api.comparison import Comparison, save_figures
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.published import LITERATURE

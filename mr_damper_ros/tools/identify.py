@@ -7,13 +7,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from mr_damper_ros.api.findings import Findings, searches
+from mr_damper_ros.api.identification import MOST_LEFT, choose_law, identify
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES, EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
-from mr_damper_ros.interface.findings import Findings, searches
-from mr_damper_ros.interface.fit_result import MOST_LEFT
-from mr_damper_ros.interface.identification import identify
-from mr_damper_ros.interface.law_comparison import choose_law
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.whole_files import write_text

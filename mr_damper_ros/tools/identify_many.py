@@ -11,8 +11,8 @@ from typing import Any
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
-from mr_damper_ros.interface.many_dampers import ManyDampers, identify_many
-from mr_damper_ros.interface.population_report import (
+from mr_damper_ros.lots.many_dampers import ManyDampers, identify_many
+from mr_damper_ros.lots.report import (
     require_parquet,
     write_csv,
     write_parquet,

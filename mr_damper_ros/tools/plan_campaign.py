@@ -6,15 +6,14 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from mr_damper_ros.interface.campaign_course import (
+from mr_damper_ros.campaign.course import (
     CampaignCourse,
     CampaignOutcome,
     fault_of_run,
 )
-from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignTask, read_task
-from mr_damper_ros.interface.campaign_report import write_campaign_report
-from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run, run_as_made
-from mr_damper_ros.interface.signal_file import write_signal
+from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_task
+from mr_damper_ros.campaign.report import write_campaign_report
+from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, run_as_made, write_signal
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.recording_list import find_recordings
 from mr_damper_ros.signals.recording import Recording

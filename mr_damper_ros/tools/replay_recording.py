@@ -7,8 +7,8 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from mr_damper_ros.interface.figures import FORMATS
-from mr_damper_ros.interface.replay import replay
+from mr_damper_ros.api.comparison import FORMATS
+from mr_damper_ros.api.replay import replay
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.whole_files import write_text

@@ -6,15 +6,20 @@ import known
 import numpy as np
 import pytest
 
+from mr_damper_ros.campaign import course
+from mr_damper_ros.campaign.folder import CampaignTask
+from mr_damper_ros.campaign.runs import signal
+from mr_damper_ros.emulation.emulator import (
+    ConstantDamper,
+    CurrentSchedule,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.motions import SampledMotion, SineMotion
 from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
 from mr_damper_ros.estimation.run_planner import Plan, PlanState
-from mr_damper_ros.interface import campaign_course, force_campaign
-from mr_damper_ros.interface.campaign_folder import CampaignTask
-from mr_damper_ros.interface.signal_file import signal
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import SampledMotion, SineMotion
 from mr_damper_ros.signals.recording import Recording
 
 GOAL = ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
@@ -72,8 +77,7 @@ def plan_quickly(patch: pytest.MonkeyPatch, goal: ForceGoal = GOAL) -> list[int]
         made = max(len(windows) - 1, 1)
         return ParameterSet(known.PLAUSIBLE, set_id="quick"), _plan_of(made, goal)
 
-    patch.setattr(campaign_course, "planned", planned)
-    for module in (campaign_course, force_campaign):
-        patch.setattr(module, "planner_of", lambda _: object())
-    patch.setattr(campaign_course, "first_run", lambda *_: RUNS[0])
+    patch.setattr(course, "planned", planned)
+    patch.setattr(course, "planner_of", lambda _: object())
+    patch.setattr(course, "first_run", lambda *_: RUNS[0])
     return asked

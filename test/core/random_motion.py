@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mr_damper_ros.rig.excitation import Kinematics
+from mr_damper_ros.emulation.motions import Kinematics
 from mr_damper_ros.signals.arrays import Array
 
 TONES = 200

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.adaptive_observer import AdaptiveObserver
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, noise_gains, possible_bandwidths
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 
 AMPLITUDE, NOISE = 5e-3, 1e-6

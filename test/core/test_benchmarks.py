@@ -43,11 +43,11 @@ from benchmarks.dampers import clean_windows, steady_window
 from benchmarks.fault_scenarios import SCENARIOS
 from benchmarks.figure import Figure, Pair, table
 from benchmarks.timing import interleaved_medians
+from mr_damper_ros.emulation.emulator import scaled
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.interface.rig_trouble import Trouble
 from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.rig.emulator import scaled
+from mr_damper_ros.rig_check.record import Trouble
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import recordings
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings

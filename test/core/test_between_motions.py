@@ -7,6 +7,7 @@ import math
 import known
 import numpy as np
 
+from mr_damper_ros.api.findings import Estimate, text_table
 from mr_damper_ros.estimation.covariance import (
     discrepancy_between,
     least_squares_covariance,
@@ -15,7 +16,6 @@ from mr_damper_ros.estimation.covariance import (
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
-from mr_damper_ros.interface.estimates import Estimate, text_table
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit

@@ -14,26 +14,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
-from mr_damper_ros.estimation.run_planner import Plan, PlanState
-from mr_damper_ros.interface import campaign_course
-from mr_damper_ros.interface.campaign_conductor import (
+from mr_damper_ros.campaign import course as campaign_course
+from mr_damper_ros.campaign.conductor import (
     CampaignConductor,
     CampaignEnd,
     CampaignStage,
     ConductSettings,
 )
-from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome
-from mr_damper_ros.interface.campaign_folder import CampaignFolder, CampaignTask, read_campaign_runs
+from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
+from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_campaign_runs
+from mr_damper_ros.campaign.runs import REST, DriveSettings, MachineCommand
+from mr_damper_ros.emulation.emulator import (
+    ConstantDamper,
+    CurrentSchedule,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.motions import CommandedMotion, SineMotion
+from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.run_planner import Plan, PlanState
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.worker import Done, Failed, Outcome
-from mr_damper_ros.rig.commanded_motion import CommandedMotion
-from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import SineMotion
-from mr_damper_ros.rig.run_driver import REST, DriveSettings, MachineCommand
 from mr_damper_ros.signals.blocks import SampleBlock
 
 RATE, BLOCK = 500.0, 10

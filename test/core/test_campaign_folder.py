@@ -11,16 +11,16 @@ import pytest
 from campaign_of_three import GOAL, LIMITS, RUNS, TASK, perform, plan_quickly, played
 
 import mr_damper_ros as mr
-from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
-from mr_damper_ros.interface.campaign_course import CampaignCourse, CampaignOutcome, fault_of_run
-from mr_damper_ros.interface.campaign_folder import (
+from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome, fault_of_run
+from mr_damper_ros.campaign.folder import (
     CampaignFolder,
     read_campaign_runs,
     read_steps,
     read_task,
 )
-from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
+from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run
+from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.recording import Recording

@@ -13,6 +13,15 @@ from campaign_of_three import played
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mr_damper_ros.campaign.course import fault_of_run
+from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, signal
+from mr_damper_ros.emulation.emulator import (
+    ConstantDamper,
+    CurrentSchedule,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.motions import RepeatedMotion
 from mr_damper_ros.estimation.force_knowledge import ForceGoal, window_information
 from mr_damper_ros.estimation.planned_run import (
     CandidateRuns,
@@ -22,12 +31,7 @@ from mr_damper_ros.estimation.planned_run import (
     first_run,
     motions_of,
 )
-from mr_damper_ros.interface.campaign_course import fault_of_run
-from mr_damper_ros.interface.run_cut import RunNotFoundError, cut_run
-from mr_damper_ros.interface.signal_file import signal
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
-from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import RepeatedMotion
 from mr_damper_ros.signals.recording import Recording
 
 EVERY_KIND = tuple(MotionKind)

@@ -8,14 +8,19 @@ import known
 import numpy as np
 import pytest
 
+from mr_damper_ros.emulation.emulator import (
+    ConstantDamper,
+    CurrentSchedule,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import COIL, in_coil
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.current_parts import judge_parts, parts_by_current

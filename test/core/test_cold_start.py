@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.other_dampers import DAMPERS
 from benchmarks.stream_trial import StreamTrial, TrialSettings
-from mr_damper_ros.rig.emulator import CurrentSchedule
-from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.emulation.emulator import CurrentSchedule
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 
 STEP = 5.0

@@ -12,10 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mr_damper_ros.emulation.motions import CommandedMotion, Kinematics, SineMotion, is_sine
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
-from mr_damper_ros.rig.commanded_motion import CommandedMotion, is_sine
-from mr_damper_ros.rig.excitation import Kinematics, SineMotion
-from mr_damper_ros.rig.motion_commander import MotionCommander, MotionLimits
+from mr_damper_ros.rig.commander import MotionCommander, MotionLimits
 from mr_damper_ros.rig.sources.emulated_source import EmulatedOptions, EmulatedSource
 from mr_damper_ros.rig.sources.source import StreamSettings
 

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.rig.acquisition import analog_input
-from mr_damper_ros.rig.acquisition.device_reader import Device
-from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.sources import SOURCES, daq_source
+from mr_damper_ros.rig.sources import SOURCES, analog_input, daq_source
+from mr_damper_ros.rig.sources.device_source import Device
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import build
+from mr_damper_ros.signals.rig_block import RigBlock
 
 START = 1_700_000_000_000_000_000
 PATIENCE = 30.0

@@ -11,12 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.models.sigmoid import law as sigmoid
-from mr_damper_ros.rig.emulator import (
+from mr_damper_ros.emulation.emulator import (
     ConstantDamper,
     CurrentSchedule,
     EmulatedRig,
@@ -27,13 +22,18 @@ from mr_damper_ros.rig.emulator import (
     ThermalModel,
     scaled,
 )
-from mr_damper_ros.rig.excitation import (
+from mr_damper_ros.emulation.faults import ForceLoss
+from mr_damper_ros.emulation.motions import (
     Excitation,
     ExcitationError,
     SampledMotion,
     SineMotion,
 )
-from mr_damper_ros.rig.faults.machine_faults import ForceLoss
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.sigmoid import law as sigmoid
 
 SINE = SineMotion(0.005, 1.0, phase=0.3)
 SILENT = RigSettings(force_noise=0.0)

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from known import PLAUSIBLE
 
-from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import SineMotion
-from mr_damper_ros.rig.faults.fault import CHANNELS, Fault, FaultError, Instruments
-from mr_damper_ros.rig.faults.fault_text import FAULTS, KINDS, fault_of, faults_of
-from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
+from mr_damper_ros.emulation.faults import (
+    CHANNELS,
+    FAULTS,
+    KINDS,
+    Fault,
+    FaultError,
+    Instruments,
+    fault_of,
+    faults_of,
+)
+from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.signals.rig_block import RigBlock
 
 BEGIN, END, DURATION = 0.5, 0.8, 1.2
 SIZE = 10

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.interface.comparison import Comparison
-from mr_damper_ros.interface.figures import comparison_figure, save_figures
+from mr_damper_ros.api.comparison import Comparison, comparison_figure, save_figures
 from mr_damper_ros.tools import identify, validate
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_0.5A"

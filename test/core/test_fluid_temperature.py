@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import SIGMOID
 
+from mr_damper_ros.emulation.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.rig.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.fluid_temperature import (
     TemperatureMap,

@@ -15,8 +15,7 @@ from random_motion import BandLimitedRandom
 from mr_damper_ros.control.fallback import Fallback, FallbackSettings
 from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
 from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.emulator import (
+from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
     Damper,
     EmulatedRig,
@@ -24,7 +23,8 @@ from mr_damper_ros.rig.emulator import (
     RigSettings,
     TemperatureDependentDamper,
 )
-from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.predictor import PredictorSettings

@@ -10,9 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 from benchmarks import honest_errors
+from mr_damper_ros.emulation.emulator import scaled
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.emulator import scaled
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.held_back import Lead, evidence_of, held_back_samples
 from mr_damper_ros.tracking.tasks import FitTask

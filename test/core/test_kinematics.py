@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 from scipy.signal import savgol_filter, sawtooth
 
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.kinematics.sine import fit_sine
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.white_noise import white_noise
 

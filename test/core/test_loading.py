@@ -29,8 +29,8 @@ def test_what_a_source_alone_needs_is_loaded_when_it_is_opened() -> None:
 
 LIVE_RIG = """
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig
-from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig
+from mr_damper_ros.emulation.motions import SineMotion
 rig = EmulatedRig(ConstantDamper(THESIS_28_CELSIUS), SineMotion(5e-3, 1.0), 1.0)
 rig.next_block(20)
 first = set(sys.modules)

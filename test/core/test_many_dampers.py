@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import mr_damper_ros as mr
-from mr_damper_ros.interface.population import KnownDamper, Population
-from mr_damper_ros.interface.population_report import write_parquet
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings, scaled
+from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.lots.population import KnownDamper, Population
+from mr_damper_ros.lots.report import write_parquet
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, RigSettings, scaled
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.tools import identify_many
 
 COLUMNS = "displacement:mm,force:N,current:A"
@@ -180,7 +180,7 @@ def test_what_is_missing_for_an_option_is_said_before_the_work(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("mr_damper_ros.interface.population_report.find_spec", lambda name: None)
+    monkeypatch.setattr("mr_damper_ros.lots.report.find_spec", lambda name: None)
     given = [str(lot), "--columns", COLUMNS, "--output", str(tmp_path / "out"), "--parquet"]
     assert identify_many.main(given) == 2
     assert "needs pyarrow" in capsys.readouterr().err

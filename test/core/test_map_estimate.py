@@ -9,13 +9,13 @@ from known import SIGMOID
 from random_motion import BandLimitedRandom
 
 from benchmarks.other_dampers import DAMPERS
+from mr_damper_ros.emulation.emulator import EmulatedRig, ModelDamper, RigSettings
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.window_fit import WANDER, WindowFit, fit_window, with_prior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, SCALE_INDICES
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
-from mr_damper_ros.rig.emulator import EmulatedRig, ModelDamper, RigSettings
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 
 RUNNING = known.PLAUSIBLE

@@ -11,15 +11,14 @@ from scipy.integrate import solve_ivp
 from mr_damper_ros.control.linear_plant import MovingPlant
 from mr_damper_ros.control.linear_quadratic import StateEstimator, regulator_gain
 from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
-from mr_damper_ros.control.semi_active import Moment, skyhook
+from mr_damper_ros.control.semi_active import skyhook
 from mr_damper_ros.control.shear_building import BUILDINGS, STOREYS
 from mr_damper_ros.control.suspension_control import SuspensionSettings, controller_of
-from mr_damper_ros.rig.commanded_rig import commanded
-from mr_damper_ros.rig.emulator import RigSettings, ThermalModel
-from mr_damper_ros.rig.invented_damper import HOT_FORCE, invented_damper
-from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig
-from mr_damper_ros.rig.supply_knob import SupplyKnob
+from mr_damper_ros.emulation.commanded_rig import commanded
+from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
+from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig, invented_damper
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.rig_block import Moment
 from mr_damper_ros.study.building_runs import reversals
 from mr_damper_ros.study.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION, el_centro
 

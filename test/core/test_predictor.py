@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 
+from mr_damper_ros.emulation.emulator import EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.kinematics.motion_centre import MotionCentre
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import force_from_coefficients, operating_point_coefficients
-from mr_damper_ros.rig.emulator import EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.prediction import Prediction

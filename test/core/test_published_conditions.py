@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.published import (
     CONDITIONS,
     ERRATA,
@@ -19,7 +20,6 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
-from mr_damper_ros.rig.excitation import SineMotion
 
 PHASE = 1.0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.published import (
     CONDITIONS,
     Condition,
@@ -13,7 +14,6 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.thesis.published_runs import PHASE, recording_name, synthesise
 
 

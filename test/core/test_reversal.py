@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.following import branch_along
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 
 PERIOD, CURRENT = 1e-3, 1.0

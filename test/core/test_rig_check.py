@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.rig_troubles import FAULTS, MOTIONS, RATE, record
-from mr_damper_ros.interface.channel_lag import channel_lag
-from mr_damper_ros.interface.rig_check import check_rig
-from mr_damper_ros.interface.rig_record import RigRecord
-from mr_damper_ros.interface.rig_trouble import Trouble
+from mr_damper_ros.rig_check.checks import check_rig
+from mr_damper_ros.rig_check.lag import channel_lag
+from mr_damper_ros.rig_check.record import RigRecord, Trouble
 
 SKEW = 1.2e-3
 """[s]: three standard errors of the method."""

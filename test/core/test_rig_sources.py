@@ -12,21 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, ThermalModel
+from mr_damper_ros.emulation.motions import BandLimitedMotion, SineMotion, SweptSine
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_streams import BagError
 from mr_damper_ros.io.raw_table import RecordError
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, ConditionError
-from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, SweptSine
-from mr_damper_ros.rig.emulator import ConstantDamper, EmulatedRig, ThermalModel
-from mr_damper_ros.rig.excitation import SineMotion
-from mr_damper_ros.rig.meter import Meter
-from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.rig.sources import SOURCES
-from mr_damper_ros.rig.sources.recorded_blocks import recorded_blocks
+from mr_damper_ros.rig.sources.recorded_source import recorded_blocks
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import build
 from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.rig_block import RigBlock
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 START = 1_700_000_000_000_000_000

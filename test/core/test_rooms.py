@@ -11,7 +11,8 @@ PACKAGE = Path(__file__).resolve().parents[2] / "mr_damper_ros"
 
 ROOMS = (
     *("settings", "processes", "signals", "kinematics", "models", "estimation", "tracking"),
-    *("control", "io", "rig", "interface", "study", "live", "nodes", "tools"),
+    *("control", "io", "emulation", "rig", "report", "api", "campaign", "rig_check", "lots"),
+    *("study", "live", "nodes", "tools"),
 )
 """A room knows those before it, and none after it. The first two know nothing of dampers."""
 

@@ -6,8 +6,7 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.interface.measured_runs import measured_runs
-from mr_damper_ros.interface.run_doubts import remarks_on
+from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 

@@ -13,6 +13,16 @@ import numpy as np
 import pytest
 
 import mr_damper_ros as mr
+from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
+from mr_damper_ros.campaign.folder import CampaignStep
+from mr_damper_ros.campaign.runs import signal, write_signal
+from mr_damper_ros.emulation.emulator import (
+    ConstantDamper,
+    CurrentSchedule,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.force_knowledge import (
     Cycles,
     ForceGoal,
@@ -24,13 +34,8 @@ from mr_damper_ros.estimation.force_knowledge import (
 )
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
 from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
-from mr_damper_ros.interface.campaign_folder import CampaignStep
-from mr_damper_ros.interface.force_campaign import ForceCampaign, run_campaign
-from mr_damper_ros.interface.signal_file import signal, write_signal
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.rig.emulator import ConstantDamper, CurrentSchedule, EmulatedRig, RigSettings
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools import plan_run
 

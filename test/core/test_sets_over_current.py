@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from benchmarks.other_dampers import DAMPERS
+from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedRig, ModelDamper
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
-from mr_damper_ros.rig.emulator import CurrentSchedule, EmulatedRig, ModelDamper
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.known_set import KnownSet

@@ -19,18 +19,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mr_damper_ros.rig.acquisition.block_maker import BlockMaker, Measured
-from mr_damper_ros.rig.acquisition.byte_links import parse_address
-from mr_damper_ros.rig.acquisition.device_reader import DeviceReader
-from mr_damper_ros.rig.acquisition.host_clock import HostClock
-from mr_damper_ros.rig.acquisition.row_decoders import CHECKS, LineDecoder, RecordDecoder
-from mr_damper_ros.rig.acquisition.row_format import Row, parse_row_format
-from mr_damper_ros.rig.acquisition.row_times import StampedRows
-from mr_damper_ros.rig.acquisition.simulated_sender import SimulatedSender
-from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources import SOURCES
+from mr_damper_ros.rig.sources.byte_links import parse_address
+from mr_damper_ros.rig.sources.device_source import DeviceReader, HostClock
+from mr_damper_ros.rig.sources.row_times import StampedRows
+from mr_damper_ros.rig.sources.rows import (
+    CHECKS,
+    LineDecoder,
+    RecordDecoder,
+    Row,
+    SimulatedSender,
+    parse_row_format,
+)
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import build
+from mr_damper_ros.signals.rig_block import RigBlock
 
 START = 1_700_000_000_000_000_000
 PATIENCE = 30.0

@@ -12,8 +12,8 @@ from benchmarks import faults, healthy
 from benchmarks.fault_scenarios import SCENARIOS, Scenario
 from benchmarks.other_dampers import DAMPERS, chirp, stairs, stops
 from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
-from mr_damper_ros.rig.excitation import SineMotion
-from mr_damper_ros.rig.faults.fault_text import faults_of
+from mr_damper_ros.emulation.faults import faults_of
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.validity import DoubtKind

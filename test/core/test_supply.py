@@ -16,22 +16,22 @@ import numpy as np
 import pytest
 
 from benchmarks.instrument_server import InstrumentServer
-from mr_damper_ros.rig.supplies.current_commander import (
+from mr_damper_ros.rig.commander import (
     CommandSettings,
     CurrentCommander,
     Origin,
 )
+from mr_damper_ros.rig.supplies.driver import SupplyDriver, SupplyThread
 from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument, EmulatedLink
 from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, connect
-from mr_damper_ros.rig.supplies.scpi_supply import ScpiSupply, SupplyError
-from mr_damper_ros.rig.supplies.supply_driver import SupplyDriver
-from mr_damper_ros.rig.supplies.supply_profile import (
+from mr_damper_ros.rig.supplies.supply import (
     ProfileError,
+    ScpiSupply,
+    SupplyError,
     SupplyProfile,
     read_profile,
     shipped_profiles,
 )
-from mr_damper_ros.rig.supplies.supply_thread import SupplyThread
 
 SECOND = 10**9
 TIMEOUT = 0.2

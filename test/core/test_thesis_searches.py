@@ -15,19 +15,19 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from mr_damper_ros.interface import report_page
-from mr_damper_ros.interface.figure_style import styled
-from mr_damper_ros.interface.report_page import (
+from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
+from mr_damper_ros.models.published import find, parameters
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
+from mr_damper_ros.report import document as report_page
+from mr_damper_ros.report.document import (
     Chapter,
     Table,
     Text,
     shown,
+    styled,
     with_error,
     write_report,
 )
-from mr_damper_ros.models.published import find, parameters
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import (
     campaign,
     facts,

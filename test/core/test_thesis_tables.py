@@ -10,6 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from known import fixed
 
+from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.models.published import (
     CONDITIONS,
     PUBLISHED_METHODS,
@@ -18,7 +19,6 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
-from mr_damper_ros.rig.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.thesis import (
     conditions,
     dependency,

@@ -12,16 +12,16 @@ from typing import Any
 import known
 import pytest
 
-from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.rig.emulator import (
+from mr_damper_ros.emulation.emulator import (
     ConstantDamper,
     EmulatedRig,
     RigSettings,
     TemperatureDependentDamper,
     ThermalModel,
 )
-from mr_damper_ros.rig.excitation import SineMotion
+from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.tools import identify
 
 BAGS = Path(__file__).parents[2] / "bags"

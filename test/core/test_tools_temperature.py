@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from mr_damper_ros.interface.measured_runs import measured_run
-from mr_damper_ros.interface.temperature_map import temperature_maps
+from mr_damper_ros.api.findings import temperature_maps
+from mr_damper_ros.api.measured_runs import measured_run
+from mr_damper_ros.emulation.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.rig.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.signals.recording import Recording
 
 COLD_SET = ParameterSet(THESIS_28_CELSIUS)

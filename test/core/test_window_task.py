@@ -11,12 +11,12 @@ import pytest
 from random_motion import BandLimitedRandom
 
 from benchmarks.other_dampers import DAMPERS
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.rig.excitation import SineMotion
 from mr_damper_ros.tracking import global_task, window_task
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.tracker import WindowTracker

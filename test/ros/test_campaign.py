@@ -16,7 +16,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
-from mr_damper_ros.interface.campaign_folder import read_campaign_runs, read_steps
+from mr_damper_ros.campaign.folder import read_campaign_runs, read_steps
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.nodes.campaign_parameters import CampaignParameters

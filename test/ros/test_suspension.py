@@ -9,9 +9,9 @@ from mr_damper_msgs.msg import CurrentCommand, DesiredForce, SupplyCurrent
 from sensor_msgs.msg import JointState
 from support import Listener
 
+from mr_damper_ros.emulation.plant_rig import invented_damper
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import header
-from mr_damper_ros.rig.invented_damper import invented_damper
 
 OWN = """
 def floor(now):

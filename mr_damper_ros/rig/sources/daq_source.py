@@ -10,25 +10,24 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mr_damper_ros.rig.acquisition.analog_input import AnalogChannels, Readings
-from mr_damper_ros.rig.acquisition.block_maker import Measured
-from mr_damper_ros.rig.acquisition.device_reader import Portion
-from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.sources.device_source import DeviceSource
+from mr_damper_ros.rig.blocks import Measured
+from mr_damper_ros.rig.sources.analog_input import AnalogChannels, Readings
+from mr_damper_ros.rig.sources.device_source import DeviceSource, Portion
 from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.rig_block import RigBlock
 
 if TYPE_CHECKING:
-    from mr_damper_ros.rig.acquisition.row_times import TimedSample
+    from mr_damper_ros.rig.sources.row_times import TimedSample
 
 DRIVERS = {
-    "simulated": "mr_damper_ros.rig.acquisition.simulated_input",
-    "nidaqmx": "mr_damper_ros.rig.acquisition.nidaqmx_input",
-    "labjack": "mr_damper_ros.rig.acquisition.labjack_input",
-    "mcc": "mr_damper_ros.rig.acquisition.mcc_input",
-    "lsl": "mr_damper_ros.rig.acquisition.lsl_input",
+    "simulated": "mr_damper_ros.rig.sources.analog_input",
+    "nidaqmx": "mr_damper_ros.rig.sources.nidaqmx_input",
+    "labjack": "mr_damper_ros.rig.sources.labjack_input",
+    "mcc": "mr_damper_ros.rig.sources.mcc_input",
+    "lsl": "mr_damper_ros.rig.sources.lsl_input",
 }
 """The module of each, whose ``connector`` imports the library."""
 
@@ -188,8 +187,8 @@ class DaqSource(DeviceSource[Readings]):
 
     def _samples(self, portion: Portion[Readings], *, begins: bool) -> Iterator[TimedSample | None]:
         """Bring readings to their units and times; the last of them was taken just now."""
-        from mr_damper_ros.rig.acquisition.row_format import Row
-        from mr_damper_ros.rig.acquisition.row_times import CountedRows, StampedRows
+        from mr_damper_ros.rig.sources.row_times import CountedRows, StampedRows
+        from mr_damper_ros.rig.sources.rows import Row
 
         values, rate, stamps = portion.data
         if self._times is None:

@@ -7,33 +7,39 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
-from mr_damper_ros.rig.broadband_motion import BandLimitedMotion, chirp, stepped
-from mr_damper_ros.rig.commanded_motion import CommandedMotion
-from mr_damper_ros.rig.emulator import (
+from mr_damper_ros.emulation.emulator import (
     CHUNK,
     Damper,
     EmulatedRig,
     ModelDamper,
     RigSettings,
+    SupplyKnob,
     TemperatureDependentDamper,
     ThermalModel,
     scaled,
 )
-from mr_damper_ros.rig.excitation import Excitation, SampledMotion, SineMotion
-from mr_damper_ros.rig.faults.fault import FaultError, Instruments
-from mr_damper_ros.rig.faults.fault_text import faults_of
-from mr_damper_ros.rig.motion_commander import MotionCommander, MotionLimits
-from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
-from mr_damper_ros.rig.supplies.current_commander import (
+from mr_damper_ros.emulation.faults import FaultError, Instruments, faults_of
+from mr_damper_ros.emulation.motions import (
+    BandLimitedMotion,
+    CommandedMotion,
+    Excitation,
+    SampledMotion,
+    SineMotion,
+    chirp,
+    stepped,
+)
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.rig.commander import (
     CommandSettings,
     CurrentCommander,
+    MotionCommander,
+    MotionLimits,
     Origin,
 )
-from mr_damper_ros.rig.supply_knob import CommandedKnob
+from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.rig_block import RigBlock
 
 _THESIS_TEMPERATURES = "thesis_temperatures"
 
@@ -262,7 +268,7 @@ class EmulatedSource(Source):
         )
         faults = faults_of(given.faults.split(), given.seed)
         instruments = Instruments(faults)
-        knob = CommandedKnob(commander, time.monotonic())
+        knob = SupplyKnob(commander.step(time.monotonic()))
         rig = EmulatedRig(
             self._damper,
             self._excitation,
@@ -281,7 +287,7 @@ class EmulatedSource(Source):
         taken = 0
         while True:
             now = time.monotonic()
-            knob.follow(taken * settings.period, now)
+            knob.turn(taken * settings.period, commander.step(now))
             rig.surround(self.settings.ambient_temperature)
             rig.live = commander.origin(now) is not Origin.HAND or mover.commanded
             if mover.commanded:

@@ -8,16 +8,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mr_damper_ros.control.quarter_car import ROUGHNESS, Bump, IsoRoad, QuarterCar
-from mr_damper_ros.control.semi_active import Moment
+from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
+from mr_damper_ros.emulation.plant_rig import (
+    HOT_FORCE,
+    BuiltInDamper,
+    PlantRig,
+    Surroundings,
+    invented_damper,
+)
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.emulator import RigSettings, ThermalModel
-from mr_damper_ros.rig.invented_damper import HOT_FORCE, invented_damper
-from mr_damper_ros.rig.plant_rig import BuiltInDamper, PlantRig, Surroundings
-from mr_damper_ros.rig.rig_block import RigBlock
+from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
-from mr_damper_ros.rig.supplies.current_commander import CommandSettings, CurrentCommander
-from mr_damper_ros.rig.supply_knob import CommandedKnob
 from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.rig_block import Moment, RigBlock
 
 _BUMP = "bump"
 _INVENTED = "invented"
@@ -140,7 +143,7 @@ class QuarterCarSource(Source):
         assert self._damper is not None
         assert self.commander is not None
         given = self.settings
-        knob = CommandedKnob(self.commander, time.monotonic())
+        knob = SupplyKnob(self.commander.step(time.monotonic()))
         rig = PlantRig(
             self._damper,
             _CAR.plant,
@@ -159,7 +162,7 @@ class QuarterCarSource(Source):
         )
         taken = 0
         while True:
-            knob.follow(taken / given.sample_rate, time.monotonic())
+            knob.turn(taken / given.sample_rate, self.commander.step(time.monotonic()))
             made = rig.next_block(self.stream.block_size)
             taken += self.stream.block_size
             yield replace(made, suspension=moment_of(rig))

@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-from mr_damper_ros.rig.motion_commander import MotionCommander
-from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.supplies.current_commander import CurrentCommander
+from mr_damper_ros.rig.commander import CurrentCommander, MotionCommander
 from mr_damper_ros.settings.option_table import ParameterTable
+from mr_damper_ros.signals.rig_block import RigBlock
 
 
 @dataclass(frozen=True)

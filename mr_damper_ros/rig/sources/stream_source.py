@@ -7,18 +7,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mr_damper_ros.rig.acquisition.byte_links import connector, parse_address
-from mr_damper_ros.rig.acquisition.device_reader import Device, Portion
-from mr_damper_ros.rig.rig_block import RigBlock
-from mr_damper_ros.rig.sources.device_source import DeviceSource
+from mr_damper_ros.rig.sources.byte_links import connector, parse_address
+from mr_damper_ros.rig.sources.device_source import Device, DeviceSource, Portion
 from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.counted_times import CountedTimes
+from mr_damper_ros.signals.rig_block import RigBlock
 
 if TYPE_CHECKING:
-    from mr_damper_ros.rig.acquisition.row_decoders import RowDecoder
-    from mr_damper_ros.rig.acquisition.row_format import RowFormat
-    from mr_damper_ros.rig.acquisition.row_times import RowTimes, TimedSample
+    from mr_damper_ros.rig.sources.row_times import RowTimes, TimedSample
+    from mr_damper_ros.rig.sources.rows import RowDecoder, RowFormat
 
 _RATES = (1.0, 1e5)
 
@@ -99,8 +97,7 @@ class StreamOptions(ParameterTable):
 
     def row_format(self) -> RowFormat:
         """The format of the rows; raises ValueError, with a sentence."""
-        from mr_damper_ros.rig.acquisition.row_decoders import check_layout
-        from mr_damper_ros.rig.acquisition.row_format import parse_row_format
+        from mr_damper_ros.rig.sources.rows import check_layout, parse_row_format
 
         form = parse_row_format(self.columns)
         if self.layout:
@@ -171,13 +168,13 @@ class StreamSource(DeviceSource[bytes]):
         given: StreamOptions = self.settings
         if self._address.kind != "simulated":
             return connector(self._address, given.baud)
-        from mr_damper_ros.rig.acquisition.simulated_sender import SimulatedSender
+        from mr_damper_ros.rig.sources.rows import SimulatedSender
 
         mark = bytes.fromhex(given.mark)
         return lambda: SimulatedSender(self._form, given.rate, given.layout, mark, given.check)
 
     def _new_decoder(self) -> RowDecoder:
-        from mr_damper_ros.rig.acquisition.row_decoders import LineDecoder, RecordDecoder
+        from mr_damper_ros.rig.sources.rows import LineDecoder, RecordDecoder
 
         given: StreamOptions = self.settings
         if not given.layout:
@@ -185,7 +182,7 @@ class StreamSource(DeviceSource[bytes]):
         return RecordDecoder(self._form, given.layout, bytes.fromhex(given.mark), given.check)
 
     def _new_times(self) -> RowTimes:
-        from mr_damper_ros.rig.acquisition.row_times import CountedRows, StampedRows
+        from mr_damper_ros.rig.sources.row_times import CountedRows, StampedRows
 
         unit = self._form.time_unit
         if unit is not None:

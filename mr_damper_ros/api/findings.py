@@ -1,0 +1,338 @@
+"""What is said of an identified set: numbers with their errors, findings, and tables of them."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from mr_damper_ros.api.measured_runs import MeasuredRun
+from mr_damper_ros.estimation.experiment_design import ExtraRun, RigRange, extra_runs
+from mr_damper_ros.estimation.global_fit import GlobalFit
+from mr_damper_ros.estimation.multi_start import MultiStart
+from mr_damper_ros.estimation.observability import (
+    Determination,
+    determination,
+    noise_level,
+    parameter_ranges,
+    parameter_spans,
+)
+from mr_damper_ros.estimation.profile_likelihood import Profile
+from mr_damper_ros.estimation.profiled_fit import search_misfit
+from mr_damper_ros.estimation.window_fit import fit_window
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.fluid_temperature import TemperatureMap, TemperatureMaps
+from mr_damper_ros.tracking.force_scale import Baselines, force_scale
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its standard error, both in ``unit``; NaN where the error is unknown.
+
+    ``observable``: whether the data determined it; else it kept the value of the start.
+    ``discrepancy``: the part of the standard error that comes from what the law cannot follow, and
+    that only another motion shows; NaN where it is unknown.
+    """
+
+    value: float
+    standard_error: float
+    unit: str
+    observable: bool = True
+    meaning: str = ""
+    discrepancy: float = math.nan
+
+    def __str__(self) -> str:
+        if not self.observable:
+            return f"{self.value:.6g} {self.unit}, not observable"
+        return f"{self.value:.6g} ± {self.standard_error:.2g} {self.unit}"
+
+
+Estimates = Mapping[str, Estimate]
+
+
+def parameter_estimates(found: ParameterSet) -> dict[str, Estimate]:
+    """The parameters of a set by name."""
+    return {
+        parameter.name: Estimate(
+            value, error, parameter.unit, bool(observable), discrepancy=discrepancy
+        )
+        for parameter, value, error, observable, discrepancy in zip(
+            found.law.parameters,
+            found.values.tolist(),
+            found.standard_errors.tolist(),
+            found.observable,
+            found.discrepancies.tolist(),
+            strict=True,
+        )
+    }
+
+
+def text_table(heading: str, estimates: Estimates) -> str:
+    """A table for a terminal: name, value, standard error, discrepancy in it, unit, meaning."""
+    width = max(map(len, (heading, *estimates)))
+    lines = [f"{heading:>{width}} {'value':>12}  standard error  discrepancy  unit"]
+    lines += [
+        f"{name:>{width}} {entry.value:12.6g}  {_error(entry):>14}  {_discrepancy(entry):>11}  "
+        f"{entry.unit:<4}  "
+        f"{entry.meaning}".rstrip()
+        for name, entry in estimates.items()
+    ]
+    return "\n".join(lines)
+
+
+def html_table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table for a notebook; all cells are text."""
+    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in heading)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def html_estimates(heading: str, estimates: Estimates) -> str:
+    """The table of :func:`text_table` for a notebook."""
+    rows = [
+        (name, f"{entry.value:.6g}", _error(entry), _discrepancy(entry), entry.unit, entry.meaning)
+        for name, entry in estimates.items()
+    ]
+    return html_table((heading, "value", "standard error", "discrepancy", "unit", ""), rows)
+
+
+def _error(entry: Estimate) -> str:
+    if not entry.observable:
+        return "not observable"
+    return f"{entry.standard_error:.3g}" if math.isfinite(entry.standard_error) else "unknown"
+
+
+def _discrepancy(entry: Estimate) -> str:
+    if not entry.observable:
+        return ""
+    return f"{entry.discrepancy:.3g}" if math.isfinite(entry.discrepancy) else "unknown"
+
+
+def as_json(value: float) -> float | None:
+    """The value as JSON can hold it: null where it is infinite or unknown."""
+    return value if math.isfinite(value) else None
+
+
+_CYCLES = 2.0
+"""Cycles of a piece; of a motion that is no sine a piece takes ``_DURATION`` seconds."""
+
+_DURATION = 4.0
+_MOST_PIECES = 300
+_SAMPLES = 500
+"""Samples of a piece are thinned to about so many."""
+
+_STEADY_CURRENT = 0.02
+"""Change [A] of the current that a piece may have."""
+
+
+def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> TemperatureMaps:
+    """Maps from all runs together; ``found`` is the set identified from them.
+
+    Each run is cut into pieces of a few cycles, whose fitted scales give the force scale. Pieces
+    whose force cannot be fitted are left out.
+    """
+    maps, baselines = TemperatureMaps(), Baselines()
+    for run in runs:
+        for window, celsius in zip(run.windows, run.temperatures, strict=True):
+            if celsius is None:
+                continue
+            for piece, mean in _pieces(window, celsius):
+                try:
+                    fit = fit_window(found.law, piece, found.values, method="least_squares")
+                except ValueError:
+                    continue
+                baselines.add(fit)
+                maps.add(fit.operating_point, mean, force_scale(found.law, piece, fit, baselines))
+    return maps
+
+
+def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
+    """Pieces of a window with their mean temperature [°C]."""
+    frequency = window.motion.frequency
+    duration = _CYCLES / frequency if np.isfinite(frequency) else _DURATION
+    count = int(window.sample_count * window.period / duration)
+    edges = np.linspace(0, window.sample_count, min(max(count, 1), _MOST_PIECES) + 1).astype(int)
+    for first, last in pairwise(edges):
+        place = slice(int(first), int(last))
+        if float(np.ptp(window.current[place])) <= _STEADY_CURRENT:
+            yield window.part(place).thinned(_SAMPLES), float(np.mean(celsius[place]))
+
+
+_MEASURE = "in residuals of the runs fitted one by one"
+"""What a search leaves: the root of its cost."""
+
+_POINTS = 9
+"""Temperatures at which a map is written out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What there is to say of a set besides the set.
+
+    ``lines`` are for a reader, one finding each; ``document`` holds the same for JSON.
+    """
+
+    lines: list[str]
+    document: dict[str, Any]
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    def __add__(self, other: Findings) -> Findings:
+        return Findings(self.lines + other.lines, self.document | other.document)
+
+
+def determined(fit: GlobalFit, windows: Sequence[Window], rig: RigRange) -> Findings:
+    """What the windows determine, and the runs within the range of the rig that would do more."""
+    found = fit.parameter_set
+    misfit = search_misfit(fit, windows)
+    jacobian = misfit.jacobian(found.values) / noise_level(misfit, found.values)
+    spans = parameter_spans(found.law, jacobian, found.values, parameter_ranges(found.law, windows))
+    result = determination(found.law, jacobian, spans, found.values)
+    noise = float(np.median(fit.noise))
+    runs = extra_runs(found.law, misfit, noise, found.values, found.observable, rig)
+    lines = [
+        f"the data determine {result.rank} of {len(result.names)} combinations of the parameters",
+        *(f"not determined: {combination.words}" for combination in result.open),
+        *_advice(found.observable, runs, rig),
+    ]
+    entry = _determination_entry(result)
+    advice = [
+        {
+            "amplitude": run.amplitude,
+            "frequency": run.frequency,
+            "current": run.current,
+            "determines": list(run.determines),
+            "worst_error": run.worst_error,
+            "sentence": run.sentence,
+        }
+        for run in runs
+    ]
+    return Findings(lines, {"determination": entry, "advice": advice})
+
+
+def _advice(observable: np.ndarray, runs: Sequence[ExtraRun], rig: RigRange) -> list[str]:
+    if np.all(observable):
+        return []
+    if runs:
+        return [run.sentence for run in runs]
+    return [
+        f"no run up to {rig.peak_velocity:.3g} m/s and {rig.current:.3g} A would determine more: "
+        "give --top-velocity or --top-current if the rig may do more"
+    ]
+
+
+def _determination_entry(result: Determination) -> dict[str, Any]:
+    return {
+        "rank": result.rank,
+        "condition": as_json(result.condition),
+        "singular_values": result.singular_values.tolist(),
+        "open": [
+            {
+                "words": combination.words,
+                "weights": dict(combination.weights),
+                "standard_error": as_json(combination.standard_error),
+            }
+            for combination in result.open
+        ],
+    }
+
+
+def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
+    """What the profiles of a fit say."""
+    values = fit.parameter_set.as_dict()
+    lines = [
+        f"profile of {p.name}: least at {p.best:.6g}, 95 % interval "
+        f"{p.interval[0]:.6g} to {p.interval[1]:.6g}"
+        + ("" if p.contains(values[p.name]) else f", WITHOUT THE VALUE FOUND, {values[p.name]:.6g}")
+        for p in found
+    ]
+    document = {
+        p.name: {
+            "values": p.values.tolist(),
+            "ratio": p.ratio.tolist(),
+            "best": p.best,
+            "interval": [as_json(end) for end in p.interval],
+        }
+        for p in found
+    }
+    return Findings(lines, {"profiles": document})
+
+
+def searches(found: MultiStart) -> Findings:
+    """Costs of the searches and of their candidates, and how far they agree."""
+    best = found.best
+    names = best.parameter_set.law.parameter_names
+    lines = []
+    if best.candidates:
+        costs = "; ".join(f"{math.sqrt(c.cost):.3g} ({c.origin})" for c in best.candidates)
+        lines.append(f"local searches left, {_MEASURE}: {costs}")
+    if len(found.fits) > 1:
+        spread, places = found.spread, [fit.cost for fit in found.fits.values()]
+        lines.append(
+            f"{len(found.fits)} searches left {math.sqrt(min(places)):.6g} to "
+            f"{math.sqrt(max(places)):.6g}, {_MEASURE}; {len(found.as_good)} of them are as good "
+            "as the best"
+        )
+        if len(found.as_good) > 1:
+            widest = int(np.argmax(spread))
+            lines.append(
+                f"these differ by up to {spread[widest]:.2g} standard errors ({names[widest]})"
+            )
+    entries = [
+        {
+            "seed": seed,
+            "cost": fit.cost,
+            "parameters": fit.parameter_set.as_dict(),
+            "evaluations": fit.evaluations,
+            "message": fit.message,
+            "candidates": [
+                {
+                    "origin": c.origin,
+                    "cost": c.cost,
+                    "parameters": dict(zip(names, c.parameters.tolist(), strict=True)),
+                }
+                for c in fit.candidates
+            ],
+        }
+        for seed, fit in found.fits.items()
+    ]
+    of_each = {name: as_json(x) for name, x in zip(names, found.spread.tolist(), strict=True)}
+    return Findings(lines, {"searches": entries, "spread": of_each})
+
+
+def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
+    """How the force falls with temperature, and how well it tells the temperature."""
+    lines, entries = [], []
+    for found in maps:
+        speed, current = found.operating_point
+        middle = 0.5 * (found.low + found.high)
+        kelvin = found.temperature(found.scale(middle)).standard_error
+        lines.append(
+            f"at {speed:.3g} m/s and {current:.3g} A the force changes by "
+            f"{found.slope(middle):+.2%} per kelvin, from {found.low:.3g} to {found.high:.3g} °C; "
+            f"it tells the temperature to {kelvin:.2g} K"
+        )
+        points = [(c, found.scale(c)) for c in np.linspace(found.low, found.high, _POINTS).tolist()]
+        entries.append(
+            {
+                "operating_point": {"peak_velocity": speed, "current": current},
+                "range": [found.low, found.high],
+                "windows": found.windows,
+                "coefficients": found.coefficients.tolist(),
+                "covariance": found.covariance.tolist(),
+                "temperature": [celsius for celsius, _ in points],
+                "force_scale": [scale.value for _, scale in points],
+                "force_scale_standard_error": [scale.standard_error for _, scale in points],
+            }
+        )
+    return Findings(lines, {"temperature_maps": entries})

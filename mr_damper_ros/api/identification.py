@@ -1,0 +1,598 @@
+"""One parameter set for all runs given, and the force law that they support."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from mr_damper_ros.api import findings
+from mr_damper_ros.api.comparison import Comparison, compare, error_entry, error_over
+from mr_damper_ros.api.findings import (
+    Estimate,
+    Findings,
+    as_json,
+    html_estimates,
+    html_table,
+    parameter_estimates,
+    temperature_maps,
+    text_table,
+)
+from mr_damper_ros.api.measured_runs import (
+    MeasuredRun,
+    RunSource,
+    all_windows,
+    measured_runs,
+    remarks_on,
+)
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, Report
+from mr_damper_ros.estimation.experiment_design import RigRange
+from mr_damper_ros.estimation.law_choice import LawChoice, cross_validate
+from mr_damper_ros.estimation.multi_start import (
+    MultiStart,
+    SearchRecord,
+    SearchRecordError,
+    identify_from_seeds,
+)
+from mr_damper_ros.estimation.profiled_fit import profiled, profiles_of, record_levels
+from mr_damper_ros.estimation.record_levels import Level, LevelPrior
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
+from mr_damper_ros.processes.blas_threads import one_thread
+from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.error_sums import ErrorSums
+from mr_damper_ros.tracking.state_directory import read_parameter_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_LEFT = 0.3
+"""A set that leaves more than this part of the force's standard deviation explains too little."""
+
+
+_GIVEN_THE_REST = (
+    "parameters (those with an error hold only together with the others, which one run cannot "
+    "tell and which are those of the start):"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedRun:
+    """What the identified set makes of one run.
+
+    ``operating_point``: peak velocity [m/s] and current [A] that stand for the run;
+    ``coefficients``: those of the law there, by name; ``level``: force scale and zero of the run's
+    own, None where none were asked for. The ``error`` is that of the set without them.
+    """
+
+    measured: MeasuredRun
+    comparison: Comparison
+    operating_point: tuple[float, float]
+    coefficients: dict[str, Estimate]
+    level: Level | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the run: the path of its bag, or that of the recording."""
+        return self.measured.name
+
+    @property
+    def error(self) -> ErrorSums:
+        """RMSE, NRMSE and R² of the set on this run."""
+        return self.comparison.error
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Outcome of :func:`identify`.
+
+    ``parameter_set`` is what was found, ``runs`` how it fits each run, in the order given;
+    ``searches`` holds every search that was made; ``duration`` [s] is what they took; ``remarks``
+    say what seems wrong with the runs. ``profiles`` are those that were asked for.
+    """
+
+    parameter_set: ParameterSet
+    runs: tuple[FittedRun, ...]
+    searches: MultiStart
+    method: str
+    duration: float
+    remarks: tuple[str, ...] = ()
+    profiles: Findings = field(default_factory=lambda: Findings([], {}))
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        """Value, standard error, unit and whether the data determined it, by name."""
+        return parameter_estimates(self.parameter_set)
+
+    @property
+    def coefficients(self) -> dict[str, Estimate]:
+        """The operating-point coefficients of the first run, by name.
+
+        Those of the others are in ``runs[k].coefficients``.
+        """
+        return self.runs[0].coefficients
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (p, p) of the parameters, zero where one was held."""
+        return self.searches.best.covariance
+
+    @property
+    def error(self) -> ErrorSums:
+        """RMSE, NRMSE and R² of the set on the samples of all runs together."""
+        return error_over(run.comparison for run in self.runs)
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error of the force over all runs [N]."""
+        return self.error.rmse
+
+    @property
+    def nrmse(self) -> float:
+        """RMSE over the standard deviation of the force [1], all runs together."""
+        return self.error.nrmse
+
+    @property
+    def evaluations(self) -> int:
+        """Evaluations of the force law, or of its cheaper stand-ins, by the best search."""
+        return self.searches.best.evaluations
+
+    @property
+    def explains(self) -> bool:
+        """Whether the set leaves no more than 30 % of the force's standard deviation, in each run.
+
+        With the level of each run, where the runs have any.
+        """
+        return not self._unexplained
+
+    @property
+    def _unexplained(self) -> list[tuple[float, str]]:
+        """NRMSE and name of the runs of which the set leaves too much, the worst first."""
+        left = [((run.level or run.error).nrmse, run.name) for run in self.runs]
+        return sorted((entry for entry in left if entry[0] > MOST_LEFT), reverse=True)
+
+    @property
+    def success(self) -> bool:
+        """Whether the search came to its end and the set explains the force."""
+        return self.searches.best.success and self.explains
+
+    @property
+    def message(self) -> str:
+        """How it ended, in words."""
+        ended = self.searches.best.message
+        if self.explains:
+            return ended
+        (worst, name), *others = self._unexplained
+        where = f"{name} and {len(others)} more" if others else name
+        return (
+            f"{ended}, but THE SET EXPLAINS TOO LITTLE OF THE FORCE of {where}: NRMSE {worst:.1%}, "
+            f"where {MOST_LEFT:.0%} is the most; are columns, units, signs and currents right, and "
+            "are all runs of one damper?"
+        )
+
+    @one_thread()
+    def determination(
+        self, *, top_velocity: float | None = None, top_current: float | None = None
+    ) -> Findings:
+        """What the runs determine, and which further runs would determine the rest.
+
+        ``top_velocity`` [m/s] and ``top_current`` [A]: the most that a run may ask of the rig;
+        without them no more than was done already.
+        """
+        windows = all_windows([run.measured for run in self.runs])
+        done = RigRange.of_windows(windows)
+        rig = RigRange(
+            amplitude=done.amplitude,
+            peak_velocity=done.peak_velocity if top_velocity is None else top_velocity,
+            current=done.current if top_current is None else top_current,
+        )
+        return findings.determined(self.searches.best, windows, rig)
+
+    @one_thread()
+    def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Findings:
+        """Profile likelihood of the named parameters, with 95 % intervals.
+
+        An interval may lie off the value found: then there is a lower minimum, from which
+        ``identify(..., profile=names)`` searches again. Raises ValueError for a name that the model
+        does not have.
+        """
+        windows, fit = all_windows([run.measured for run in self.runs]), self.searches.best
+        with ProcessPool(workers) as processes:
+            found = profiles_of(fit, windows, names, processes, report)
+        return findings.profiles(fit, found)
+
+    @one_thread()
+    def temperature_maps(self) -> Findings:
+        """How the force falls with temperature, from runs in which it was measured."""
+        measured = [run.measured for run in self.runs]
+        if all(celsius is None for run in measured for celsius in run.temperatures):
+            return Findings([], {})
+        found = temperature_maps(measured, self.parameter_set)
+        return findings.temperatures(found.identified)
+
+    def plot(self, run: int = 0) -> Figure:
+        """Figure of one run: both loops, the force and the residual over time, its histogram."""
+        from mr_damper_ros.api.comparison import comparison_figure
+
+        return comparison_figure(self.runs[run].comparison)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the parameter set as YAML, for ``ParameterSet.load``, ``validate`` and the nodes.
+
+        Raises OSError where the file cannot be written.
+        """
+        self.parameter_set.save(path)
+
+    def document(self) -> dict[str, Any]:
+        """The result as JSON can hold it."""
+        return {
+            "model": self.parameter_set.model,
+            "parameters": self.parameter_set.as_dict(),
+            "standard_errors": {n: as_json(e.standard_error) for n, e in self.parameters.items()},
+            "discrepancies": {n: as_json(e.discrepancy) for n, e in self.parameters.items()},
+            "observable": {n: e.observable for n, e in self.parameters.items()},
+            "metrics": error_entry(self.error),
+            "evaluations": self.evaluations,
+            "duration_s": self.duration,
+            "method": self.method,
+            "success": self.success,
+            "message": self.message,
+            "remarks": list(self.remarks),
+            "bags": [_entry(run) for run in self.runs],
+        }
+
+    def __str__(self) -> str:
+        parts = []
+        if len(self.runs) == 1 and self.coefficients:
+            parts += [self._at_point, text_table("coefficient", self.coefficients), ""]
+            if not all(entry.observable for entry in self.parameters.values()):
+                parts.append(_GIVEN_THE_REST)
+        parts += [text_table("parameter", self.parameters), ""]
+        parts += [_line(run) for run in self.runs]
+        parts.append(
+            f"{self.method}: {self.evaluations} evaluations in {self.duration:.2f} s, "
+            f"{self.message}"
+        )
+        parts += [f"WARNING: {remark}" for remark in self.remarks]
+        return "\n".join(parts)
+
+    def _repr_html_(self) -> str:
+        parts = []
+        if len(self.runs) == 1 and self.coefficients:
+            parts += [f"<p>{self._at_point}</p>", html_estimates("coefficient", self.coefficients)]
+        parts.append(html_estimates("parameter", self.parameters))
+        rows = [(run.name, f"{run.error.rmse:.4g}", f"{run.error.nrmse:.2%}") for run in self.runs]
+        parts += [html_table(("run", "RMSE [N]", "NRMSE"), rows), f"<p>{self.message}</p>"]
+        parts += [f"<p>WARNING: {html.escape(remark)}</p>" for remark in self.remarks]
+        return "".join(parts)
+
+    @property
+    def _at_point(self) -> str:
+        speed, current = self.runs[0].operating_point
+        return f"the loop at a peak velocity of {speed:.4g} m/s and {current:.4g} A:"
+
+
+def _entry(run: FittedRun) -> dict[str, Any]:
+    speed, current = run.operating_point
+    return {
+        "bag": run.name,
+        "metrics": error_entry(run.error),
+        "operating_point": {"peak_velocity": speed, "current": current},
+        "coefficients": {name: entry.value for name, entry in run.coefficients.items()},
+        "coefficient_standard_errors": {
+            name: as_json(entry.standard_error) for name, entry in run.coefficients.items()
+        },
+        "coefficient_discrepancies": {
+            name: as_json(entry.discrepancy) for name, entry in run.coefficients.items()
+        },
+        **({} if run.level is None else {"level": run.level._asdict()}),
+    }
+
+
+def _line(run: FittedRun) -> str:
+    error, level = run.error, run.level
+    line = f"{run.name}: RMSE {error.rmse:.4g} N, NRMSE {error.nrmse:.2%} ({error.count} samples)"
+    if level is None:
+        return line
+    return (
+        f"{line}; at its level {level.nrmse:.2%}: force scale {level.scale:.4f} ± "
+        f"{level.scale_error:.4f}, zero {level.zero:.1f} ± {level.zero_error:.1f} N"
+    )
+
+
+_EVOLUTION = EvolutionSettings()
+
+
+@one_thread()
+def identify(
+    *runs: RunSource,
+    displacement: ArrayLike | None = None,
+    force: ArrayLike | None = None,
+    current: ArrayLike | None = None,
+    period: float | None = None,
+    model: str = DEFAULT_MODEL,
+    method: str = "global",
+    start: ParameterSet | str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    strategy: str = _EVOLUTION.strategy,
+    generations: int = _EVOLUTION.generations,
+    starts: int = 1,
+    workers: int = 1,
+    accept_doubtful: bool = False,
+    resume: str | os.PathLike[str] | None = None,
+    profile: Sequence[str] = (),
+    level_per_record: float = 0.0,
+    report: Report | None = None,
+) -> Identification:
+    """Fit one parameter set to all runs given.
+
+    Parameters
+    ----------
+    *runs
+        Paths of bags, recordings (:func:`read_bag`, :func:`read_record`), or lists of these.
+    displacement, force, current, period
+        A run as arrays of shape (n,): displacement [m], extension positive; force [N], tension
+        positive; current [A], a number where it is constant; and the time between samples [s].
+    model
+        Name of the force law, a key of ``MODELS``.
+    method
+        "global": the laws of the coefficients by differential evolution, then least squares on the
+        samples; "nelder_mead" or "least_squares": local search on the samples;
+        "differential_evolution": over all free parameters at once.
+    start
+        Parameter set, or its file, whose values undetermined parameters keep; without it the
+        model's own initial values, which are the literature's set for the sigmoid law.
+    seed, strategy, generations
+        Of differential evolution; ``generations`` at most.
+    starts
+        Search from so many seeds; the best is the result.
+    workers
+        Processes; the result does not depend on it. A script that asks for more than one needs the
+        usual ``if __name__ == "__main__":``.
+    accept_doubtful
+        Take runs that would be refused as clipped, driven by the force, or in wrong units; what
+        seems wrong is then a remark.
+    resume
+        File that keeps what each search has found, to go on from.
+    profile
+        Names of parameters whose profile likelihood is wanted. Where one has its minimum far from
+        the value found, the search starts again from there.
+    level_per_record
+        Spread, such as 0.1, of a force scale that each run has for itself, drawn to 1, besides a
+        force zero: temperature, filling and the load cell's zero then do not bend the law. 0: none.
+    report
+        Called with the progress; where it returns False, the best so far is the result.
+
+    Returns
+    -------
+    Identification
+        ``success`` is False where the search was stopped, or where the set leaves more than 30 %
+        of the force's standard deviation; ``remarks`` say what seems wrong with the runs.
+
+    Raises
+    ------
+    ValueError
+        In one sentence that says what to change, where a run or an option cannot be used.
+    OSError
+        Where a file cannot be read or written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mr_damper_ros as mr
+    >>> time = np.arange(2000) * 1e-3
+    >>> displacement, velocity = 5e-3 * np.sin(20 * time), 0.1 * np.cos(20 * time)
+    >>> force = 900 * np.tanh(velocity / 0.02) + 1500 * velocity
+    >>> result = mr.identify(displacement=displacement, force=force, current=1.0, period=1e-3)
+    >>> result.success
+    True
+    >>> result.coefficients["alpha"].unit
+    's/m'
+    """
+    start_values = start_values_of(start, model)
+    settings = EvolutionSettings(strategy=strategy, generations=generations, seed=seed)
+    with ProcessPool(workers) as processes:
+        measured = measured_runs(
+            runs,
+            displacement=displacement,
+            force=force,
+            current=current,
+            period=period,
+            accept_doubtful=accept_doubtful,
+            processes=processes,
+        )
+        return identify_measured(
+            measured,
+            model=model,
+            method=method,
+            start_values=start_values,
+            settings=settings,
+            starts=starts,
+            processes=processes,
+            resume=None if resume is None else Path(resume),
+            profile=profile,
+            level_per_record=level_per_record,
+            report=report,
+        )
+
+
+def identify_measured(
+    measured: Sequence[MeasuredRun],
+    *,
+    model: str,
+    method: str,
+    start_values: Array,
+    settings: EvolutionSettings,
+    starts: int = 1,
+    processes: ProcessPool,
+    resume: Path | None = None,
+    profile: Sequence[str] = (),
+    level_per_record: float = 0.0,
+    report: Report | None = None,
+) -> Identification:
+    """:func:`identify` for runs that are read already, from values (p,) to start with."""
+    windows = all_windows(measured)
+    law = MODELS[model]
+    levels = _levels_of(measured, level_per_record) if level_per_record else None
+    record = SearchRecord(law, windows, start_values, settings, method, levels)
+    if resume is not None and resume.exists():
+        _take(record, resume)
+    began = time.monotonic()
+    searches = identify_from_seeds(
+        law,
+        windows,
+        start_values,
+        settings,
+        starts,
+        report,
+        method=method,
+        levels=levels,
+        processes=processes,
+        record=record,
+        keep=None if resume is None else partial(_keep, resume),
+    )
+    profiles = Findings([], {})
+    if profile and not searches.best.stopped:
+        fit, found = profiled(searches.best, windows, profile, settings, processes, report)
+        searches, profiles = searches.replaced(fit), findings.profiles(fit, found)
+    duration = time.monotonic() - began
+    fitted = _fitted(searches, measured)
+    nrmse = error_over(run.comparison for run in fitted).nrmse
+    return Identification(
+        parameter_set=replace(searches.best.parameter_set, nrmse=nrmse),
+        runs=fitted,
+        searches=searches,
+        method=method,
+        duration=duration,
+        remarks=remarks_on(measured),
+        profiles=profiles,
+    )
+
+
+def start_values_of(source: ParameterSet | str | os.PathLike[str] | None, model: str) -> Array:
+    """Values (p,) that a search of the model starts from; the model's own where there is None."""
+    law = known_model(model)
+    if source is None:
+        return law.initial_values()[0]
+    found = source if isinstance(source, ParameterSet) else read_parameter_file(Path(source))
+    return found.start_of(model)
+
+
+def _levels_of(measured: Sequence[MeasuredRun], spread: float) -> LevelPrior:
+    records = [place for place, run in enumerate(measured) for _ in run.windows]
+    return LevelPrior(tuple(records), spread)
+
+
+def _take(record: SearchRecord, path: Path) -> None:
+    try:
+        record.take(json.loads(path.read_text(encoding="utf-8")))
+    except ValueError as error:
+        detail = (
+            error if isinstance(error, SearchRecordError) else "it is not the record of a search"
+        )
+        raise ValueError(f"cannot resume from {path}: {detail}") from error
+
+
+def _keep(path: Path, record: SearchRecord) -> None:
+    write_text(path, json.dumps(record.document()) + "\n")
+
+
+def _fitted(searches: MultiStart, runs: Sequence[MeasuredRun]) -> tuple[FittedRun, ...]:
+    fit = searches.best
+    quantities = fit.parameter_set.law.coefficient_quantities
+    levels = dict(enumerate(record_levels(fit, all_windows(runs))))
+    fitted = []
+    for place, run in enumerate(runs):
+        point = run.longest.operating_point
+        coefficients = {
+            name: Estimate(
+                value,
+                error if error > 0.0 else math.nan,
+                unit,
+                meaning=meaning,
+                discrepancy=discrepancy,
+            )
+            for (name, unit, meaning), value, error, discrepancy in zip(
+                quantities, *(each.tolist() for each in fit.coefficients(point)), strict=True
+            )
+        }
+        comparison = compare(fit.parameter_set, run)
+        fitted.append(FittedRun(run, comparison, point, coefficients, levels.get(place)))
+    return tuple(fitted)
+
+
+@one_thread()
+def choose_law(
+    *runs: RunSource,
+    displacement: ArrayLike | None = None,
+    force: ArrayLike | None = None,
+    current: ArrayLike | None = None,
+    period: float | None = None,
+    models: Sequence[str] = tuple(MODELS),
+    seed: int = 0,
+    workers: int = 1,
+    accept_doubtful: bool = False,
+    report: Report | None = None,
+) -> LawChoice:
+    """Compare force laws on motions that they were not fitted to, and choose the simplest good one.
+
+    Parameters
+    ----------
+    *runs, displacement, force, current, period, workers, accept_doubtful, report
+        As in :func:`identify`. Where ``report`` stops it, the laws that are finished are compared.
+    models
+        Names of the laws, keys of ``MODELS``.
+    seed
+        Of the identifications' random numbers.
+
+    Returns
+    -------
+    LawChoice
+        ``chosen`` is the law, ``trials`` what was left by each, and its text a table of them.
+
+    Raises
+    ------
+    ValueError
+        In one sentence that says what to change, where a run cannot be used, a law is unknown, or
+        there is too little to leave a part out.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mr_damper_ros as mr
+    >>> time = np.arange(2000) * 1e-3
+    >>> displacement, velocity = 5e-3 * np.sin(20 * time), 0.1 * np.cos(20 * time)
+    >>> force = 900 * np.tanh(velocity / 0.02) + 1500 * velocity
+    >>> choice = mr.choose_law(displacement=displacement, force=force, current=1.0, period=1e-3,
+    ...                        models=("bingham", "hyperbolic_tangent"))
+    >>> choice.chosen.model
+    'hyperbolic_tangent'
+    """
+    with ProcessPool(workers) as processes:
+        measured = measured_runs(
+            runs,
+            displacement=displacement,
+            force=force,
+            current=current,
+            period=period,
+            accept_doubtful=accept_doubtful,
+            processes=processes,
+        )
+        return cross_validate(
+            [run.windows for run in measured],
+            models,
+            EvolutionSettings(seed=seed),
+            report,
+            processes,
+        )

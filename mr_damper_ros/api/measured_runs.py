@@ -1,0 +1,316 @@
+"""Runs of a damper, from whatever users have: bags, recordings, arrays."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mr_damper_ros.io.recording_list import RECORD_ENDINGS
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.processes.process_pool import ProcessPool, Tell
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.moving_average import find_average
+from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
+from mr_damper_ros.tracking.screening import (
+    LARGEST_CURRENT,
+    Screening,
+    fault_of_samples,
+    fault_of_sign,
+    lack_of_motion,
+)
+
+RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
+"""A bag's path, a recording, or any number of these."""
+
+_WAY_OUT = "accept_doubtful, --accept-doubtful: take it all the same"
+
+_LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredRun:
+    """One run of a damper, checked and ready to be identified from.
+
+    ``windows``: one for each stretch without a gap, which begins at ``starts`` [s] from the first
+    sample. ``temperatures``: of each window that of its samples (n,) [°C], None where it was not
+    measured. ``provenance``: what the recording says of where it comes from, in words; ``remarks``:
+    what seems wrong with it.
+    """
+
+    name: str
+    windows: tuple[Window, ...]
+    starts: tuple[float, ...]
+    temperatures: tuple[Array | None, ...]
+    provenance: str = ""
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def longest(self) -> Window:
+        """The window that stands for the run: the one with the most samples."""
+        return max(self.windows, key=lambda window: window.sample_count)
+
+
+def measured_run(
+    source: str | os.PathLike[str] | Recording, accept_doubtful: bool = False
+) -> MeasuredRun:
+    """A run from a bag or a recording; ValueError with a sentence where it cannot be used.
+
+    Where ``accept_doubtful``, what would be refused is a remark, as long as there is any motion and
+    force.
+    """
+    if isinstance(source, Recording):
+        name, recordings = source.name, [source]
+    else:
+        name, recordings = os.fspath(source), _recordings(Path(source))
+    windows, remarks = [], []
+
+    def doubt(fault: str, recording: Recording) -> None:
+        lifeless = not (np.ptp(recording.displacement) > 0.0 and np.ptp(recording.force) > 0.0)
+        if fault and (lifeless or not accept_doubtful):
+            way_out = "" if lifeless else f" ({_WAY_OUT})"
+            raise ValueError(f"{name}: {fault}{way_out}")
+        if fault:
+            remarks.append(f"{name}: {fault} (taken all the same)")
+
+    for recording in recordings:
+        fault = fault_of_samples(
+            recording.displacement, recording.force, recording.current, _LIMITS
+        ) or lack_of_motion(recording.displacement, _LIMITS)
+        doubt(fault, recording)
+        window = Window.from_samples(
+            recording.displacement, recording.force, recording.current, recording.period
+        )
+        doubt(fault_of_sign(window.motion.velocity, window.force), recording)
+        windows.append(window)
+    first_ns = recordings[0].start_ns
+    return MeasuredRun(
+        name=name,
+        windows=tuple(windows),
+        starts=tuple((recording.start_ns - first_ns) / NANOSECONDS for recording in recordings),
+        temperatures=tuple(recording.temperature for recording in recordings),
+        provenance=recordings[0].details.get("provenance", ""),
+        remarks=tuple(dict.fromkeys(remarks)),
+    )
+
+
+def measured_runs(
+    sources: Iterable[RunSource],
+    *,
+    displacement: ArrayLike | None = None,
+    force: ArrayLike | None = None,
+    current: ArrayLike | None = None,
+    period: float | None = None,
+    accept_doubtful: bool = False,
+    processes: ProcessPool | None = None,
+) -> tuple[MeasuredRun, ...]:
+    """All runs given, in their order; that of the four arrays, if they are given, is the last.
+
+    Raises ValueError, in one sentence, where there are none or one cannot be used.
+    """
+    flat = _flat(sources)
+    arrays = (displacement, force, current, period)
+    if any(given is not None for given in arrays):
+        flat.append(_from_arrays(displacement, force, current, period))
+    if not flat:
+        raise ValueError(
+            "there are no runs: give paths of bags, recordings, or displacement, force, current "
+            "and period"
+        )
+    tasks = [(source, accept_doubtful) for source in flat]
+    found = (processes or ProcessPool()).map(_task, tasks)
+    return tuple(run for run in found if run is not None)
+
+
+def all_windows(runs: Sequence[MeasuredRun]) -> list[Window]:
+    """The windows of all runs."""
+    return [window for run in runs for window in run.windows]
+
+
+def _task(task: tuple[str | Recording, bool], tell: Tell) -> MeasuredRun:
+    return measured_run(*task)
+
+
+def _flat(sources: Iterable[RunSource]) -> list[str | Recording]:
+    flat: list[str | Recording] = []
+    for source in sources:
+        if isinstance(source, Recording):
+            flat.append(source)
+        elif isinstance(source, (str, os.PathLike)):
+            flat.append(os.fspath(source))
+        elif isinstance(source, Iterable) and not isinstance(source, (np.ndarray, dict)):
+            flat += _flat(source)
+        else:
+            raise ValueError(
+                f"a run cannot be of type {type(source).__name__}: give the path of a bag or a "
+                "recording, or name the arrays (displacement=, force=, current=, period=)"
+            )
+    return flat
+
+
+def _recordings(path: Path) -> list[Recording]:
+    if path.suffix.lower() in RECORD_ENDINGS and path.is_file():
+        raise ValueError(
+            f"{path} is no bag: its columns and units must be told, to read_record in Python or "
+            "to import_record, which makes a bag of it"
+        )
+    from mr_damper_ros.io.bag_reader import read_bag  # here: only bags need it
+
+    return read_bag(path)
+
+
+def _from_arrays(
+    displacement: ArrayLike | None,
+    force: ArrayLike | None,
+    current: ArrayLike | None,
+    period: float | None,
+) -> Recording:
+    given = {"displacement": displacement, "force": force, "current": current, "period": period}
+    missing = [name for name, value in given.items() if value is None]
+    if missing or displacement is None or current is None or force is None or period is None:
+        raise ValueError(
+            f"{' and '.join(missing)} missing: arrays take displacement [m], force [N], "
+            "current [A] and period [s] together"
+        )
+    count = np.size(displacement)
+    return Recording(
+        name="arrays",
+        start_ns=DEFAULT_START_NS,
+        period=period,
+        displacement=np.asarray(displacement, dtype=float),
+        force=np.asarray(force, dtype=float),
+        current=np.full(count, current) if np.ndim(current) == 0 else np.asarray(current, float),
+    )
+
+
+_FULL_SPEED = 0.85
+"""Cycles are compared that reach this part of the fastest one's peak velocity."""
+
+_SAME_SPEED = 0.2
+"""Runs are compared whose peak velocities differ by less, in parts of the larger one."""
+
+_SAME_CURRENT = 0.05
+"""Currents [A] that count as the same."""
+
+_TURNED = 0.1
+"""Part of the peak velocity at which a stroke has begun."""
+
+_CONTRADICTING = 1.5
+"""Loops at one current that differ in height by this factor: heating to 70 °C takes 1.35."""
+
+_MOST = 3
+"""Pairs of runs that are named."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Cycles:
+    """Peak velocity [m/s], current [A] and loop height [N] of the cycles of a run, shape (n,)."""
+
+    speed: Array
+    current: Array
+    height: Array
+
+    def fast(self) -> _Cycles:
+        chosen = self.speed >= _FULL_SPEED * self.speed.max(initial=0.0)
+        return _Cycles(self.speed[chosen], self.current[chosen], self.height[chosen])
+
+
+def remarks_on(runs: Sequence[MeasuredRun]) -> tuple[str, ...]:
+    """All that seems wrong with runs: with each of them, their currents and their making."""
+    return (
+        *(remark for run in runs for remark in run.remarks),
+        *doubts_of_currents(runs),
+        *_averages(runs),
+    )
+
+
+def _averages(runs: Sequence[MeasuredRun]) -> list[str]:
+    """A sentence on the runs whose makers have averaged the force."""
+    counts = {run.name: find_average(run.longest.force) for run in runs}
+    named = [f"{name} ({count} samples)" for name, count in counts.items() if count > 1]
+    if not named:
+        return []
+    listed = ", ".join(named[:_MOST]) + (
+        f" and {len(named) - _MOST} more runs" if len(named) > _MOST else ""
+    )
+    return [
+        f"a moving average shows in the force of {listed}: no law holds between averages of a fast "
+        "motion; import_record --undo-moving-average N brings back what was averaged, where the "
+        "record begins at rest"
+    ]
+
+
+def doubts_of_currents(runs: Sequence[MeasuredRun]) -> list[str]:
+    """Sentences on currents that the heights of the loops contradict.
+
+    The force rises with the current, and it is the same at the same current and speed, but for the
+    temperature.
+    """
+    fast = [_cycles(run.windows).fast() for run in runs]
+    doubts = [text for run, cycles in zip(runs, fast, strict=True) for text in _within(run, cycles)]
+    known = [(run, cycles) for run, cycles in zip(runs, fast, strict=True) if cycles.speed.size]
+    pairs = [text for one, two in combinations(known, 2) for text in _between(*one, *two)]
+    if len(pairs) > _MOST:
+        pairs = [*pairs[:_MOST], f"{len(pairs) - _MOST} more pairs of runs contradict each other"]
+    return doubts + pairs
+
+
+def _cycles(windows: Sequence[Window]) -> _Cycles:
+    found = []
+    for window in windows:
+        velocity = window.motion.velocity
+        strokes = _strokes(velocity)
+        for (first, _), (_, last) in pairwise(strokes):
+            cycle = slice(first, last)
+            current = window.current[cycle]
+            if float(np.ptp(current)) <= _SAME_CURRENT:
+                speed = float(np.max(np.abs(velocity[cycle])))
+                height = 0.5 * float(np.ptp(window.force[cycle]))
+                found.append((speed, float(np.mean(current)), height))
+    table = np.array(found).reshape(-1, 3)
+    return _Cycles(table[:, 0], table[:, 1], table[:, 2])
+
+
+def _strokes(velocity: Array) -> list[tuple[int, int]]:
+    """First index and last + 1 of each stretch of a motion in one direction."""
+    limit = _TURNED * float(np.max(np.abs(velocity)))
+    moving = np.flatnonzero(np.abs(velocity) > limit)
+    turns = moving[1:][np.diff(np.sign(velocity[moving])) != 0.0]
+    return list(pairwise([int(moving[0]), *turns.tolist(), int(moving[-1]) + 1]))
+
+
+def _within(run: MeasuredRun, cycles: _Cycles) -> list[str]:
+    """Heights at one current that differ, two cycles of each: a single jolt says nothing."""
+    doubts = []
+    for current in np.unique(np.round(cycles.current / _SAME_CURRENT)) * _SAME_CURRENT:
+        heights = np.sort(cycles.height[np.abs(cycles.current - current) <= _SAME_CURRENT])
+        if heights.size >= 4 and heights[-2] > _CONTRADICTING * heights[1]:
+            doubts.append(
+                f"{run.name}: at {current:.3g} A and the same speed the force reaches "
+                f"{heights[1]:.3g} N in some cycles and {heights[-2]:.3g} N in others: does the "
+                "record hold several currents? (import_record --split cuts it into its runs)"
+            )
+    return doubts[:1]
+
+
+def _between(one: MeasuredRun, a: _Cycles, two: MeasuredRun, b: _Cycles) -> list[str]:
+    speeds = float(np.median(a.speed)), float(np.median(b.speed))
+    if max(speeds) - min(speeds) > _SAME_SPEED * max(speeds):
+        return []
+    currents = float(np.median(a.current)), float(np.median(b.current))
+    heights = float(np.median(a.height)), float(np.median(b.height))
+    ratio = heights[0] / heights[1] if currents[0] < currents[1] else heights[1] / heights[0]
+    if abs(currents[0] - currents[1]) <= _SAME_CURRENT:
+        ratio = max(heights) / min(heights)
+    if ratio <= _CONTRADICTING:
+        return []
+    return [
+        f"{one.name} and {two.name}: the force reaches {heights[0]:.3g} N at {currents[0]:.3g} A "
+        f"and {heights[1]:.3g} N at {currents[1]:.3g} A, at the same speed: is a current wrong?"
+    ]

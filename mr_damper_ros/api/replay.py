@@ -1,0 +1,304 @@
+"""A recording or a bag replayed through the engine: what the nodes would have said of it."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mr_damper_ros.api.findings import as_json, html_table
+from mr_damper_ros.io.bag_reader import bag_stream
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.error_sums import ErrorSums
+from mr_damper_ros.signals.recorded_stream import BLOCK_SIZE, CurrentReading, StreamItem, stream_of
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.engine import Engine, EngineSettings
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.state_directory import read_parameter_file
+from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.validity import DoubtKind
+from mr_damper_ros.tracking.window_assembler import WindowAssembler
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What identifier and model would have said of a recording, sample by sample.
+
+    Arrays of shape (n,): ``time`` [s] from the first sample, by the stamps; ``displacement`` [m];
+    ``measured`` and ``predicted`` force [N], NaN where none was predicted; ``doubts``: why the
+    prediction is not valid, the codes of :class:`DoubtKind`, 0 where it is valid. ``reports``: the
+    verdicts on windows and global identifications; ``sets``: those that were accepted. Both are in
+    the order in which they took effect. ``start_ns`` is the stamp of the first sample.
+    """
+
+    name: str
+    start_ns: int
+    time: Array
+    displacement: Array
+    measured: Array
+    predicted: Array
+    doubts: np.ndarray
+    reports: tuple[Report, ...]
+    sets: tuple[ParameterSet, ...]
+
+    @property
+    def valid(self) -> np.ndarray:
+        """Whether the predicted force of each sample is valid, shape (n,)."""
+        return np.asarray(self.doubts == DoubtKind.NONE)
+
+    @property
+    def error(self) -> ErrorSums:
+        """RMSE, NRMSE and R² of the valid force."""
+        return ErrorSums.of(self.predicted[self.valid], self.measured[self.valid])
+
+    @property
+    def parameter_set(self) -> ParameterSet | None:
+        """The newest accepted set; None where none was accepted."""
+        return self.sets[-1] if self.sets else None
+
+    def invalid_share(self) -> dict[DoubtKind, float]:
+        """Share of the samples that each reason made invalid, largest first."""
+        kinds, counts = np.unique(self.doubts[~self.valid], return_counts=True)
+        order = np.argsort(-counts)
+        return {DoubtKind(kinds[k]): float(counts[k] / self.doubts.size) for k in order}
+
+    def plot(self) -> Figure:
+        """Figure: measured and predicted force, the error of the valid force, the force scale."""
+        from mr_damper_ros.report.document import GREY, INK, panels, styled
+
+        with styled():
+            figure, axes = panels(3, 1, 7.2, 6.0, sharex=True)
+            force, error, scale = axes[:, 0]
+            shown = np.where(self.valid, self.predicted, np.nan)
+            force.plot(self.time, self.measured, color=GREY, label="measured")
+            force.plot(self.time, shown, color=INK[1], label="predicted, valid")
+            force.set_ylabel("Force [N]")
+            error.plot(self.time, shown - self.measured, color=INK[0], linewidth=0.6)
+            error.set_ylabel("Error of the\nvalid force [N]")
+            for each in (force, error):
+                low, high = each.get_ylim()
+                each.fill_between(
+                    self.time, low, high, where=~self.valid, color="0.92", linewidth=0, zorder=0
+                )
+                each.set_ylim(low, high)
+            known = [each for each in self.reports if math.isfinite(each.scale.value)]
+            scale.errorbar(
+                [self.time_of(each) for each in known],
+                [each.scale.value for each in known],
+                [each.scale.standard_error for each in known],
+                color=INK[2],
+                marker=".",
+            )
+            for each in self.reports:
+                if each.accepted:
+                    scale.axvline(self.time_of(each), color=GREY, linewidth=0.6)
+            scale.set_ylabel("Force scale [1]")
+            scale.set_xlabel("Time [s]; grey: not valid, vertical lines: sets accepted")
+            force.legend(loc="lower right", ncols=2, bbox_to_anchor=(1.0, 1.0))
+            scale.ticklabel_format(useOffset=False)
+            figure.suptitle("\n".join(self._summary()[:2]), fontsize="medium")
+        return figure
+
+    def document(self) -> dict[str, Any]:
+        """The result as JSON can hold it, without the samples."""
+        error = self.error
+        return {
+            "recording": self.name,
+            "samples": int(self.time.size),
+            "valid": float(np.mean(self.valid)),
+            "nrmse": as_json(error.nrmse),
+            "rmse": as_json(error.rmse),
+            "invalid": {kind.name: share for kind, share in self.invalid_share().items()},
+            "reports": [
+                {
+                    "time": self.time_of(report),
+                    "verdict": report.verdict.name,
+                    "reason": report.reason,
+                    "set": report.set_id,
+                    "nrmse_before": as_json(report.nrmse_before),
+                    "nrmse_after": as_json(report.nrmse_after),
+                    "force_scale": as_json(report.scale.value),
+                    "force_scale_standard_error": as_json(report.scale.standard_error),
+                }
+                for report in self.reports
+            ],
+        }
+
+    def time_of(self, report: Report) -> float:
+        """Time [s] of the last sample of a report's window."""
+        return (report.stamp_ns - self.start_ns) / NANOSECONDS
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        return [
+            (
+                f"{self.time_of(report):.2f}",
+                report.verdict.name.lower().replace("_", " "),
+                _percent(report.nrmse_before),
+                _percent(report.nrmse_after),
+                _number(report.scale.value),
+                report.set_id,
+                report.reason,
+            )
+            for report in self.reports
+        ]
+
+    def _summary(self) -> list[str]:
+        accepted = sum(report.verdict is Verdict.ACCEPTED for report in self.reports)
+        error = self.error
+        lines = [
+            f"{self.name}: {self.time.size} samples, {len(self.reports)} reports, "
+            f"{accepted} accepted",
+            f"predicted force: valid for {np.mean(self.valid):.1%} of the samples"
+            + (f", NRMSE {error.nrmse:.2%} there" if error.count else ""),
+        ]
+        return lines + [
+            f"  not valid for {share:.1%}: {kind.name.lower().replace('_', ' ')}"
+            for kind, share in self.invalid_share().items()
+        ]
+
+    def __str__(self) -> str:
+        head = ("t [s]", "verdict", "before", "after", "scale", "set in use", "reason")
+        rows = [head, *self._rows()]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(head) - 1)]
+        lines = ["  ".join([*map(str.ljust, row[:-1], widths), row[-1]]).rstrip() for row in rows]
+        return "\n".join([*lines, *self._summary()])
+
+    def _repr_html_(self) -> str:
+        head = ("t [s]", "verdict", "before", "after", "scale", "set in use", "reason")
+        return html_table(head, self._rows())
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2%}" if math.isfinite(value) else "-"
+
+
+def _number(value: float) -> str:
+    return f"{value:.3f}" if math.isfinite(value) else "-"
+
+
+def replay(
+    source: Recording | str | os.PathLike[str],
+    parameters: ParameterSet | str | os.PathLike[str] | None = None,
+    *,
+    identify: bool = True,
+    settings: EngineSettings | None = None,
+    block_size: int = BLOCK_SIZE,
+) -> Replay:
+    """Replay a recording, or the messages of a bag, through the engine of the nodes.
+
+    ``parameters``: the set, or its file, to begin with, as the launch argument of that name;
+    without one the identification begins from nothing. ``identify``: false for what the model node
+    says by itself, with ``parameters`` alone. ``settings``: those of the nodes. ``block_size``:
+    samples at a time of a recording; a bag is replayed in its own blocks.
+
+    Raises BagError, StateError and ParameterError where the bag or the parameters cannot be used,
+    ValueError for a block size below 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mr_damper_ros as mr
+    >>> time = np.arange(8000) * 1e-3
+    >>> velocity = 0.1 * np.cos(20 * time)
+    >>> force = 900 * np.tanh(velocity / 0.02) + 1500 * velocity
+    >>> run = mr.Recording("run", 0, 1e-3, 5e-3 * np.sin(20 * time), force, 0.0 * time)
+    >>> said = mr.replay(run)
+    >>> said.reports[0].verdict.name, f"{said.valid[-1000:].mean():.0%}"
+    ('ACCEPTED', '100%')
+    """
+    start = parameters
+    if start is not None and not isinstance(start, ParameterSet):
+        start = read_parameter_file(Path(start))
+    engine = Engine(settings, start, identify=identify)
+    if isinstance(source, Recording):
+        return _replayed(source.name, stream_of(source, block_size), engine)
+    return _replayed(os.fspath(source), bag_stream(Path(source)), engine)
+
+
+def _replayed(name: str, stream: Iterable[StreamItem], engine: Engine) -> Replay:
+    parts: list[Array] = []
+    start_ns: int | None = None
+    for block, prediction in engine.follow(stream):
+        start_ns = block.start_ns if start_ns is None else start_ns
+        count = prediction.force.size
+        arrived = slice(block.sample_count - count, None)
+        begin = (prediction.start_ns - start_ns) / NANOSECONDS
+        parts.append(
+            np.stack(
+                [
+                    begin + np.arange(count) * prediction.period,
+                    block.displacement[arrived],
+                    block.force[arrived],
+                    prediction.force,
+                    prediction.doubts,
+                ]
+            )
+        )
+    if start_ns is None:
+        raise ValueError(f"{name} holds no samples")
+    time, displacement, measured, predicted, doubts = np.concatenate(parts, axis=1)
+    published = engine.take_publications()
+    return Replay(
+        name=name,
+        start_ns=start_ns,
+        time=time,
+        displacement=displacement,
+        measured=measured,
+        predicted=predicted,
+        doubts=doubts.astype(np.uint8),
+        reports=tuple(each.report for each in published),
+        sets=tuple(each.parameters for each in published if each.parameters is not None),
+    )
+
+
+_BLOCK = 100
+"""Samples that come at once; the windows do not depend on it."""
+
+
+def follow(
+    tracker: WindowTracker, recording: Recording, *, window: float = 2.0, hop: float = 1.0
+) -> Iterator[Report]:
+    """Let a tracker follow a recording, window by window; a report for each, as it comes.
+
+    ``window`` [s] is the length of a window, ``hop`` [s] the time from one to the next. The set in
+    use is ``tracker.parameters``; ``tracker.identify()`` identifies globally from the windows kept.
+
+    Raises ValueError where window or hop is not positive, or the hop is longer than the window.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import mr_damper_ros as mr
+    >>> time = np.arange(6000) * 1e-3
+    >>> velocity = 0.1 * np.cos(20 * time)
+    >>> weaker = np.where(time < 3, 1.0, 0.9)
+    >>> force = weaker * (900 * np.tanh(velocity / 0.02) + 1500 * velocity)
+    >>> run = mr.Recording("run", 0, 1e-3, 5e-3 * np.sin(20 * time), force, 0.0 * time)
+    >>> tracker = mr.WindowTracker(mr.TrackerSettings(), mr.identify(run).parameter_set)
+    >>> scales = [report.scale.value for report in mr.follow(tracker, run, window=1.0)]
+    >>> [round(scale, 2) for scale in scales]
+    [nan, 1.0, 1.0, 0.9, 0.9, 0.9]
+    """
+    assembler = WindowAssembler(window, hop)
+    for item in stream_of(recording, _BLOCK):
+        if isinstance(item, CurrentReading):
+            ready = assembler.add_current(*item)
+        elif isinstance(item, SampleBlock):
+            ready = assembler.add_block(item)
+        else:
+            continue
+        for raw in ready:
+            report = tracker.follow(raw)
+            if report is not None:
+                yield report

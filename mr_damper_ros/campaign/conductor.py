@@ -1,0 +1,314 @@
+"""Conducts a campaign on a machine: samples in, commands out, identification in a worker.
+
+Nothing here knows ROS, nor any clock but the stamps of the samples. All that is finished is on disk
+before anything else is done, so that the program may end at any moment.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Protocol
+
+from mr_damper_ros.campaign.course import (
+    CampaignCourse,
+    CampaignOutcome,
+    RunWork,
+    find_step,
+    judge_run,
+    report_campaign,
+)
+from mr_damper_ros.campaign.folder import CampaignFolder, CampaignStep
+from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver
+from mr_damper_ros.processes.worker import Done, Failed, Outcome
+from mr_damper_ros.settings.option_table import CheckedSettings, group, option
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.uniform_grid import GridSettings, UniformGrid
+
+_COLDEST, _HOTTEST = -60.0, 250.0
+"""[°C]: a reading beyond comes from a thermometer without its sensor."""
+
+
+class Working(Protocol):
+    """What computes: a :class:`mr_damper_ros.processes.worker.Worker`."""
+
+    def submit(self, function: Any, *args: Any) -> int:
+        """Start a task."""
+
+    def poll(self) -> list[Outcome]:
+        """What has come of it."""
+
+    def cancel(self) -> None:
+        """Ask the task to end."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether there is a task."""
+
+
+class CampaignStage(IntEnum):
+    """What is under way; the numbers are those of RunCampaign.action."""
+
+    WAITING = 0
+    SETTLING = 1
+    RECORDING = 2
+    IDENTIFYING = 3
+    PAUSED = 4
+
+
+@dataclass(frozen=True)
+class ConductSettings(CheckedSettings):
+    """How a campaign is conducted."""
+
+    manual: bool = option(
+        False,
+        "A person sets the press and the supply: nothing is commanded, the node says what to set, "
+        "and takes the samples once they are as wanted. The current stays the same within a run.",
+    )
+    rest_time: float = option(
+        0.0,
+        "Time [s] that the damper rests before each run, to cool: a force that drifts is no law's.",
+        minimum=0.0,
+        maximum=86400.0,
+    )
+    drive: DriveSettings = group(DriveSettings, flat=True)
+    grid: GridSettings = group(GridSettings, flat=True)
+
+
+@dataclass(frozen=True)
+class CampaignStatus:
+    """How a campaign stands: see the feedback of RunCampaign.action; ``runs_left`` None: unknown.
+
+    ``state`` says in words what is waited for.
+    """
+
+    stage: CampaignStage
+    run: int
+    sentence: str
+    state: str
+    worst_error: float
+    runs_left: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignEnd:
+    """How a campaign ended, why in words, and its last step, if there is one."""
+
+    outcome: CampaignOutcome
+    reason: str
+    steps: tuple[CampaignStep, ...]
+
+
+class CampaignConductor:
+    """One campaign after the other, on one machine."""
+
+    def __init__(self, worker: Working, settings: ConductSettings) -> None:
+        self._worker = worker
+        self._settings = settings
+        self._course: CampaignCourse | None = None
+        self._folder: CampaignFolder | None = None
+        self._driver: RunDriver | None = None
+        self._made: RunWork | None = None
+        self._celsius: tuple[int, float] | None = None
+        self._paused = False
+        self._reporting = False
+        self._rested_ns: int | None = None
+        self._newest_ns = 0
+        self._notices: list[str] = []
+        self.sequence = UniformGrid(settings.grid)
+        """How the samples followed each other."""
+
+    @property
+    def running(self) -> bool:
+        """Whether there is a campaign."""
+        return self._course is not None
+
+    def begin(self, course: CampaignCourse, folder: CampaignFolder) -> None:
+        """Conduct this campaign, which keeps its runs in ``folder``; there must be no other."""
+        assert self._course is None
+        self._course, self._folder = course, folder
+        self._paused = self._reporting = False
+        self._driver, self._rested_ns, self._made = None, None, None
+        if course.runs:
+            self._notices.append(f"going on after run {len(course.runs)}, which was kept")
+
+    def pause(self) -> None:
+        """Let the machine rest; a run that is under way is made anew later."""
+        self._paused, self._driver = True, None
+
+    def resume(self) -> None:
+        """Go on after a pause."""
+        self._paused = False
+
+    def stop(self, reason: str = "it was stopped") -> None:
+        """End the campaign; the same goal goes on with it later."""
+        if self._course is not None and self._course.outcome is None:
+            self._driver = None
+            self._course.end(reason)
+            if self._worker.busy:
+                self._worker.cancel()
+
+    def lose_contact(self) -> None:
+        """No samples come: the run that is under way is made anew when they do."""
+        self._driver = None
+
+    # --- what comes in --------------------------------------------------------------------------
+
+    def add_current(self, stamp_ns: int, current: float) -> None:
+        """Take in a reading of the current [A]; raises CurrentError for one that cannot be used."""
+        if self._driver is not None:
+            self._driver.add_current(stamp_ns, current)
+
+    def add_temperature(self, stamp_ns: int, celsius: float) -> None:
+        """Take in a reading of the damper's temperature [°C], unless none can be as that."""
+        if not _COLDEST <= celsius <= _HOTTEST:
+            return
+        self._celsius = (stamp_ns, celsius)
+        if self._driver is not None:
+            self._driver.add_temperature(stamp_ns, celsius)
+
+    def add_block(self, block: SampleBlock) -> None:
+        """Take in samples."""
+        for placed in self.sequence.follow(block):
+            self._newest_ns = placed.block.end_ns
+            driver = self._driver or self._new_driver()
+            if driver is not None:
+                self._driver = driver
+                driver.add_block(placed)
+                self._look_at(driver)
+
+    def _look_at(self, driver: RunDriver) -> None:
+        if driver.stage is DriveStage.DONE:
+            self._take(driver)
+        elif driver.stage is DriveStage.BROKEN:
+            self._driver = None
+            assert self._course is not None
+            self._course.fail(f"run {self._course.number} could not be made: {driver.fault}")
+
+    def _new_driver(self) -> RunDriver | None:
+        course, settings = self._course, self._settings
+        if course is None or self._paused or self._made is not None or course.next_run is None:
+            return None
+        if self._rested_ns is None:
+            self._rested_ns = self._newest_ns + round(settings.rest_time * NANOSECONDS)
+        if self._newest_ns < self._rested_ns:
+            return None
+        driver = RunDriver(
+            course.next_run,
+            course.task.limits,
+            settings.drive,
+            by_hand=settings.manual,
+        )
+        if self._celsius is not None:
+            driver.add_temperature(*self._celsius)
+        return driver
+
+    def _take(self, driver: RunDriver) -> None:
+        assert self._course is not None
+        assert driver.recording is not None
+        self._driver, self._rested_ns = None, None
+        # A bag is written in the worker: commands must not wait for a disk.
+        self._made = self._course.run_work(driver.recording)
+
+    # --- what goes out --------------------------------------------------------------------------
+
+    @property
+    def command(self) -> MachineCommand | None:
+        """What the machine is to do; None where it is nobody's business, or a person's."""
+        if self._course is None or self._settings.manual:
+            return None
+        return REST if self._driver is None else self._driver.command
+
+    def status(self) -> CampaignStatus | None:
+        """How it stands; None where there is no campaign."""
+        course = self._course
+        if course is None:
+            return None
+        plan = course.steps[-1].plan if course.steps else None
+        stage, state = self._stage(course)
+        return CampaignStatus(
+            stage,
+            course.number,
+            course.next_run.sentence if course.next_run else "",
+            state,
+            plan.now.worst if plan else math.nan,
+            plan.runs_left if plan else None,
+        )
+
+    def _stage(self, course: CampaignCourse) -> tuple[CampaignStage, str]:
+        if self._made is not None:
+            return CampaignStage.IDENTIFYING, "the run is judged and kept"
+        if self._worker.busy or course.work is not None or course.outcome is not None:
+            return CampaignStage.IDENTIFYING, "the set is identified from all runs"
+        if self._paused:
+            return CampaignStage.PAUSED, "paused: the machine rests until it is resumed"
+        if self._driver is None:
+            if self._rested_ns is not None and self._newest_ns < self._rested_ns:
+                return CampaignStage.WAITING, "the damper rests"
+            return CampaignStage.WAITING, "waiting for samples"
+        if self._driver.stage is DriveStage.RECORDING:
+            return CampaignStage.RECORDING, self._driver.state
+        wanted = f"set {self._driver.run.sentence}; " if self._settings.manual else ""
+        return CampaignStage.SETTLING, wanted + self._driver.state
+
+    def take_notices(self) -> list[str]:
+        """Sentences on what has happened since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def poll(self) -> CampaignEnd | None:
+        """Take what the worker has found, and give it what is to be found; how it has ended."""
+        outcomes = self._worker.poll()
+        course, folder = self._course, self._folder
+        if course is None or folder is None:
+            return None
+        for outcome in outcomes:
+            self._hear(course, outcome)
+        if self._worker.busy:
+            return None
+        if self._made is not None:
+            self._worker.submit(judge_run, self._made)
+            return None
+        if course.outcome is None:
+            self._work(course)
+            return None
+        if course.steps and not self._reporting:
+            self._reporting = True
+            self._worker.submit(report_campaign, folder.path, course.reason)
+            return None
+        outcome_of = course.outcome
+        folder.close()
+        self._course = self._folder = None
+        return CampaignEnd(outcome_of, course.reason, tuple(course.steps))
+
+    def _work(self, course: CampaignCourse) -> None:
+        work = course.work
+        if work is not None:
+            self._worker.submit(find_step, work)
+
+    def _hear(self, course: CampaignCourse, outcome: Outcome) -> None:
+        made, self._made = self._made, None
+        if made is not None:
+            self._take_judgement(course, made, outcome)
+        elif isinstance(outcome, Failed):
+            if self._reporting:
+                self._notices.append(f"the report could not be written: {outcome.reason}")
+            elif course.outcome is None:
+                course.fail(f"run {course.number} could not be identified: {outcome.reason}")
+        elif isinstance(outcome, Done) and not self._reporting and course.outcome is None:
+            try:
+                course.conclude(outcome.result)
+            except OSError as error:
+                course.fail(f"what was found could not be kept: {error.strerror or error}")
+                return
+            self._notices.append(f"the force is known to {course.steps[-1].plan.now.sentence}")
+
+    def _take_judgement(self, course: CampaignCourse, made: RunWork, outcome: Outcome) -> None:
+        if isinstance(outcome, Failed):
+            course.fail(f"run {made.number} could not be kept: {outcome.reason}")
+        elif isinstance(outcome, Done):
+            refusal = str(outcome.result)
+            said = f"is refused: {refusal}" if refusal else f"is kept: {made.run.sentence}"
+            self._notices.append(f"run {made.number} {said}")
+            course.judged(made, refusal)

@@ -1,0 +1,367 @@
+"""The next run of a test machine, from the recordings of those that were made."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+
+from mr_damper_ros.api.measured_runs import RunSource, all_windows, measured_run, measured_runs
+from mr_damper_ros.campaign.folder import (
+    CampaignFolder,
+    CampaignStep,
+    CampaignTask,
+    keep_run,
+    read_campaign_runs,
+    read_steps,
+)
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
+from mr_damper_ros.estimation.run_planner import Plan, PlanState, RunPlanner
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
+from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
+from mr_damper_ros.processes.blas_threads import one_thread
+from mr_damper_ros.processes.worker import Control
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+
+
+@one_thread()
+def advise_run(
+    runs: Iterable[RunSource],
+    goal: ForceGoal,
+    limits: MachineLimits,
+    model: str = DEFAULT_MODEL,
+) -> Plan:
+    """How well the force is known from the runs made so far, and which run comes next.
+
+    Raises ValueError, in one sentence, where a run cannot be used.
+    """
+    windows = all_windows(measured_runs(runs))
+    return planned(RunPlanner(known_model(model), goal, limits), windows)[1]
+
+
+def planned(
+    planner: RunPlanner,
+    windows: list[Window],
+    before: Array | None = None,
+    evolution: EvolutionSettings | None = None,
+) -> tuple[ParameterSet, Plan]:
+    """The most probable set of windows, searched from the set (p,) of before, and the plan."""
+    start = planner.model.initial_values()[0] if before is None else before
+    fit = identify_global(
+        planner.model, windows, start, evolution or EvolutionSettings(), known=before
+    )
+    found = fit.parameter_set
+    values = planner.most_probable(windows, found.values)
+    found = replace(found, values=values)
+    return found, planner.next(windows, values, found.observable)
+
+
+_TRIES = 2
+"""A run that cannot be used is made once more."""
+
+_CURRENT_TOLERANCE = 0.05
+"""The median current of a stretch may differ so much [A] from the one wanted, or"""
+
+_CURRENT_SHARE = 0.05
+"""by this part of it where that is more."""
+
+_AMPLITUDE_SHARE = 0.3
+"""The amplitude of a run may differ by this part of the one wanted."""
+
+_MOTION_SHARE = 0.5
+"""A motion that is no sine leaves no more of that measured than this (root mean square)."""
+
+
+class CampaignOutcome(IntEnum):
+    """How a campaign ended; the numbers are those of RunCampaign.action."""
+
+    MET = 0
+    OUT_OF_REACH = 1
+    ENDED = 2
+    FAILED = 3
+
+
+@one_thread()
+def planner_of(task: CampaignTask) -> RunPlanner:
+    """What plans the runs of a campaign."""
+    return RunPlanner(known_model(task.model), task.goal, task.limits)
+
+
+@dataclass(frozen=True, eq=False)
+class StepWork:
+    """What is to be found from the runs so far; it can go to another process.
+
+    ``before``: the set found from all but the last run.
+    """
+
+    task: CampaignTask
+    runs: tuple[tuple[PlannedRun, Recording], ...]
+    before: np.ndarray | None
+    evolution: EvolutionSettings
+
+    @one_thread()
+    def carry_out(self, planner: RunPlanner | None = None) -> CampaignStep:
+        """Identify from all runs, and plan the next; ``planner`` is that of the same task."""
+        planner = planner or planner_of(self.task)
+        windows = [window for run, recording in self.runs for window in run.windows(recording)]
+        found, plan = planned(planner, windows, self.before, self.evolution)
+        return CampaignStep(self.runs[-1][0], found, plan)
+
+
+@dataclass(frozen=True, eq=False)
+class RunWork:
+    """A run that was made is to be judged and kept; it can go to another process.
+
+    ``folder`` None: it is not kept.
+    """
+
+    number: int
+    run: PlannedRun
+    recording: Recording
+    folder: Path | None
+
+    def carry_out(self) -> str:
+        """Why the run is refused, empty where it is not; it is kept either way. Raises OSError."""
+        refusal = fault_of_run(self.run, self.recording)
+        if self.folder is not None:
+            keep_run(self.folder, self.number, self.run, self.recording, refusal)
+        return refusal
+
+
+class CampaignCourse:
+    """A campaign from its beginning, or from where what is kept in ``folder`` leaves off.
+
+    ``next_run`` is the run to be made now, None where ``work`` is to be done first or the campaign
+    is over, which ``outcome`` tells. ``most_runs`` may be made in all.
+
+    Raises ValueError where the machine cannot make the first run, or what is kept is damaged.
+    """
+
+    def __init__(
+        self,
+        task: CampaignTask,
+        *,
+        folder: CampaignFolder | None = None,
+        most_runs: int = 20,
+        evolution: EvolutionSettings | None = None,
+    ) -> None:
+        self.task = task
+        self.runs: list[tuple[PlannedRun, Recording]] = []
+        self.steps: list[CampaignStep] = []
+        self.refusals: list[str] = []
+        self.reason = ""
+        self._folder = folder
+        self._most_runs = most_runs
+        self._evolution = evolution or EvolutionSettings()
+        self._first = first_run(task.goal, task.limits)
+        self._ended: CampaignOutcome | None = None
+        if folder is not None:
+            self.runs = read_campaign_runs(folder.path)
+            self.steps = read_steps(folder.path)[: len(self.runs)]
+
+    @property
+    def number(self) -> int:
+        """Number of the run that is made, or was made last, from 1."""
+        return len(self.runs) + (self.next_run is not None)
+
+    @property
+    def outcome(self) -> CampaignOutcome | None:
+        """How it ended; None while it goes on. ``reason`` says why, in words."""
+        if self._ended is not None:
+            return self._ended
+        if not self.steps or len(self.steps) < len(self.runs):
+            return None
+        plan = self.steps[-1].plan
+        if plan.state is PlanState.MET:
+            self.reason = plan.reason
+            return CampaignOutcome.MET
+        if plan.state is PlanState.OUT_OF_REACH:
+            self.reason = plan.reason
+            return CampaignOutcome.OUT_OF_REACH
+        if len(self.steps) >= self._most_runs:
+            self.reason = f"{self._most_runs} runs were made, and more were not allowed"
+            return CampaignOutcome.ENDED
+        return None
+
+    @property
+    def next_run(self) -> PlannedRun | None:
+        """The run to be made now."""
+        if self.outcome is not None or len(self.steps) < len(self.runs):
+            return None
+        return self.steps[-1].plan.run if self.steps else self._first
+
+    @property
+    def work(self) -> StepWork | None:
+        """What is to be found before the next run."""
+        if self._ended is not None or len(self.steps) == len(self.runs):
+            return None
+        before = self.steps[-1].parameter_set.values if self.steps else None
+        runs = tuple(self.runs[: len(self.steps) + 1])
+        return StepWork(self.task, runs, before, self._evolution)
+
+    def take(self, recording: Recording, made: PlannedRun | None = None) -> str:
+        """Take in a recording of the next run; why it is refused, empty where it is not.
+
+        ``made``: the run that it is, where it is another. A run that is refused twice ends the
+        campaign; nothing is lost. Raises OSError.
+        """
+        work = self.run_work(recording, made)
+        refusal = work.carry_out()
+        self.judged(work, refusal)
+        return refusal
+
+    def run_work(self, recording: Recording, made: PlannedRun | None = None) -> RunWork:
+        """The work on a recording of the next run, or of another one that was made."""
+        run = made or self.next_run
+        if run is None:
+            raise RuntimeError("no run is wanted now")
+        folder = None if self._folder is None else self._folder.path
+        return RunWork(len(self.runs) + 1, run, recording, folder)
+
+    def judged(self, work: RunWork, refusal: str) -> None:
+        """Take in what came of the work on a run."""
+        if not refusal:
+            self.refusals = []
+            self.runs.append((work.run, work.recording))
+            return
+        self.refusals.append(refusal)
+        if len(self.refusals) >= _TRIES:
+            self.fail(f"run {self.number} was refused {_TRIES} times: {refusal}")
+
+    def conclude(self, step: CampaignStep) -> None:
+        """Take in what was found by the work. Raises OSError."""
+        if self._folder is not None:
+            self._folder.keep_step(len(self.steps) + 1, step)
+        self.steps.append(step)
+
+    def end(self, reason: str) -> None:
+        """Be over, because somebody wants it so."""
+        self.reason, self._ended = reason, CampaignOutcome.ENDED
+
+    def fail(self, reason: str) -> None:
+        """Be over, because something does not work."""
+        self.reason, self._ended = reason, CampaignOutcome.FAILED
+
+
+def fault_of_run(run: PlannedRun, recording: Recording) -> str:
+    """Why a recording cannot be used as one of this run, in words; empty where it can."""
+    try:
+        measured_run(recording)
+    except ValueError as error:
+        return str(error)
+    needed = round(run.duration / recording.period)
+    if recording.sample_count < needed:
+        return f"the recording lasts {recording.duration:.3g} s, the run {run.duration:.3g} s"
+    parts = run.parts(recording.period)
+    # Of a motion that is no sine a part may be any part.
+    for part in parts if run.kind is MotionKind.SINE else [slice(needed)]:
+        amplitude = 0.5 * float(np.ptp(recording.displacement[part]))
+        if abs(amplitude - run.span) > _AMPLITUDE_SHARE * run.span:
+            return (
+                f"the amplitude is {1e3 * amplitude:.3g} mm, where {1e3 * run.span:.3g} mm "
+                "were wanted: does the machine follow?"
+            )
+    if run.kind is not MotionKind.SINE:
+        left = RepeatedMatch(run.motion, recording.period).left_of(recording.displacement[:needed])
+        if left > _MOTION_SHARE:
+            return (
+                f"the motion differs by {left:.0%} from {run.kind.description} as wanted: can the "
+                "machine make it?"
+            )
+    for place, (current, part) in enumerate(zip(run.currents, parts, strict=True)):
+        measured = float(np.median(recording.current[part]))
+        if abs(measured - current) > max(_CURRENT_TOLERANCE, _CURRENT_SHARE * current):
+            return (
+                f"the current is {measured:.3g} A in part {place + 1} of the run, where "
+                f"{current:.3g} A were wanted: is the supply on?"
+            )
+    return ""
+
+
+Perform = Callable[[PlannedRun], Recording]
+"""Makes a run on a machine; the recording begins when the motion is steady, with the first current.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class ForceCampaign:
+    """Outcome of :func:`run_campaign`: its steps, and why it ended, in words.
+
+    ``reached``: whether the goal is met.
+    """
+
+    steps: tuple[CampaignStep, ...]
+    reached: bool
+    reason: str
+
+    @property
+    def parameter_set(self) -> ParameterSet:
+        """What is known of the damper at the end."""
+        return self.steps[-1].parameter_set
+
+
+def run_campaign(
+    goal: ForceGoal,
+    limits: MachineLimits,
+    perform: Perform,
+    *,
+    model: str = DEFAULT_MODEL,
+    most_runs: int = 20,
+    evolution: EvolutionSettings | None = None,
+    report: Callable[[CampaignStep], bool] | None = None,
+    folder: str | os.PathLike[str] | None = None,
+) -> ForceCampaign:
+    """Choose, make and identify runs until the force is known to the goal, or cannot be.
+
+    ``perform`` makes a run; ``report`` hears of each step, and ends the campaign with False. A run
+    whose samples make no sense is made once more. In a ``folder`` every run is kept as a bag, and
+    what was found from it; called again with the same goal, it goes on where it was, however it
+    ended. Raises ValueError where a run still makes no sense, the goal cannot be meant, the machine
+    cannot make the first run, or the folder holds another campaign.
+    """
+    task = CampaignTask(goal, limits, model)
+    planner: RunPlanner | None = None
+    kept = None if folder is None else CampaignFolder(Path(folder), task)
+    try:
+        course = CampaignCourse(task, folder=kept, most_runs=most_runs, evolution=evolution)
+        while course.outcome is None:
+            if course.work is not None:
+                planner = planner or planner_of(task)
+                course.conclude(course.work.carry_out(planner))
+                if report is not None and not report(course.steps[-1]):
+                    course.end("it was ended")
+            elif course.next_run is not None:
+                course.take(perform(course.next_run))
+    finally:
+        if kept is not None:
+            kept.close()
+    if course.outcome is CampaignOutcome.FAILED:
+        raise ValueError(course.reason)
+    return ForceCampaign(tuple(course.steps), course.outcome is CampaignOutcome.MET, course.reason)
+
+
+def judge_run(work: RunWork, control: Control) -> str:
+    """Judge and keep a run; returns why it is refused, empty where it is not."""
+    return work.carry_out()
+
+
+def find_step(work: StepWork, control: Control) -> CampaignStep:
+    """Identify from the runs so far, and plan the next."""
+    return work.carry_out()
+
+
+def report_campaign(folder: Path, reason: str, control: Control) -> Path:
+    """Write the report of a campaign; returns its page."""
+    from mr_damper_ros.campaign.report import write_campaign_report
+
+    return write_campaign_report(folder, reason)

@@ -1,0 +1,452 @@
+"""One run on a machine: driven, played from a file, or cut out of a recording."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.settings.option_table import CheckedSettings, option
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.uniform_grid import Placed
+from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+
+_CYCLE_SAMPLES = 64
+"""Samples of a cycle that are looked at, at most."""
+
+STEADY = 0.02
+"""Part of the amplitude by which two cycles of a steady motion differ at most."""
+
+_SINE = 0.1
+"""Part of the amplitude that a sine leaves of a cycle at most (root mean square)."""
+
+_LATE = 1.0
+"""Seconds that the readings of the current may be behind the samples."""
+
+_REACH = 1.05
+"""Part of the largest amplitude at which the run is broken off: what is measured has noise."""
+
+
+@dataclass(frozen=True)
+class DriveSettings(CheckedSettings):
+    """When a machine makes the run that is wanted of it."""
+
+    settle_timeout: float = option(
+        60.0,
+        "Longest time [s] until the machine moves steadily as commanded, besides ten cycles of "
+        "a sine or ten times the length of another motion; a machine that is set by hand is waited "
+        "for without end.",
+        minimum=1.0,
+        maximum=3600.0,
+    )
+    amplitude_tolerance: float = option(
+        0.1,
+        "How far amplitude and frequency may be off those commanded, relative; the samples are "
+        "used as they were measured.",
+        minimum=0.001,
+        maximum=0.3,
+    )
+    current_tolerance: float = option(
+        0.05,
+        "How far the measured current may be off the one commanded [A].",
+        minimum=0.001,
+        maximum=10.0,
+    )
+
+
+class MachineCommand(NamedTuple):
+    """A motion, None for rest, at a ``current`` [A]."""
+
+    motion: PeriodicMotion | None
+    current: float
+
+
+REST = MachineCommand(None, 0.0)
+
+
+class DriveStage(IntEnum):
+    """How far a run is."""
+
+    SETTLING = 0
+    RECORDING = 1
+    DONE = 2
+    BROKEN = 3
+
+
+class RunDriver:
+    """One run: give it all that is measured, and have the machine do what ``command`` says.
+
+    Once the ``stage`` is DONE there is a ``recording``; BROKEN, the ``fault`` says why in words.
+    ``state`` says in words what is waited for.
+    """
+
+    def __init__(
+        self,
+        run: PlannedRun,
+        limits: MachineLimits,
+        settings: DriveSettings,
+        *,
+        by_hand: bool = False,
+    ) -> None:
+        self.run = run
+        self.stage = DriveStage.SETTLING
+        self.fault = ""
+        self.state = "the motion grows"
+        self.recording: Recording | None = None
+        self._limits = limits
+        self._settings = settings
+        self._motion = run.motion
+        self._match: RepeatedMatch | None = None
+        length = 10.0 * self._motion.length
+        self._patience = math.inf if by_hand else settings.settle_timeout + length
+        self._current = ZeroOrderHold(60.0 + 2.0 * run.duration)
+        self._celsius = ZeroOrderHold(60.0 + 2.0 * run.duration)
+        self._blocks: list[SampleBlock] = []
+        self._passed = 0.0
+        self._since_ns: int | None = None
+        self._next_look_ns = 0
+
+    @property
+    def command(self) -> MachineCommand:
+        """What the machine is to do now."""
+        if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
+            return REST
+        passed = self._passed if self.stage is DriveStage.RECORDING else 0.0
+        current = float(self.run.current_at(np.array([passed]))[0])
+        return MachineCommand(self._motion, current)
+
+    def add_current(self, stamp_ns: int, current: float) -> None:
+        """Take in a reading of the current [A]; raises CurrentError for one that cannot be used."""
+        self._current.add(stamp_ns, current)
+
+    def add_temperature(self, stamp_ns: int, celsius: float) -> None:
+        """Take in a reading of the damper's temperature [°C]."""
+        self._celsius.add(stamp_ns, celsius)
+
+    def add_block(self, placed: Placed) -> None:
+        """Take in samples that were put on the grid of all samples."""
+        if placed.continuity.restarts:
+            self._begin_anew("samples were lost")
+        if placed.continuity.kind == "jump_back":
+            self._current.follow_jump()
+            self._celsius.follow_jump()
+        if placed.continuity.kind != "repeat":
+            self._follow(placed.block)
+
+    def _begin_anew(self, why: str) -> None:
+        self._blocks = []
+        if self.stage is DriveStage.RECORDING:
+            self.stage, self.state = DriveStage.SETTLING, f"{why}: the run begins anew"
+
+    def _follow(self, block: SampleBlock) -> None:
+        if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
+            return
+        if self._since_ns is None:
+            self._since_ns = self._next_look_ns = block.start_ns
+        if self._beyond(block):
+            return
+        self._blocks.append(block)
+        if self.stage is DriveStage.RECORDING:
+            self._passed += block.sample_count * block.period
+            self._finish()
+        elif block.end_ns >= self._next_look_ns:
+            self._next_look_ns = block.end_ns + round(0.25 * NANOSECONDS / self.run.frequency)
+            self._settle(block)
+
+    def _beyond(self, block: SampleBlock) -> bool:
+        """Whether the force is beyond the limit of the machine, which breaks the run off."""
+        force = float(np.max(np.abs(block.force)))
+        if force <= self._limits.force:
+            return False
+        self._break(f"the force reached {force:.4g} N, above {self._limits.force:.4g} N")
+        return True
+
+    def _break(self, fault: str) -> None:
+        self.stage, self.fault, self.state = DriveStage.BROKEN, fault, fault
+        self._blocks = []
+
+    def _settle(self, block: SampleBlock) -> None:
+        assert self._since_ns is not None
+        cycle = self._motion.length
+        # Of what is past only what is looked at is kept.
+        self._blocks = _last(self._blocks, 2.0 * cycle)
+        unsettled = self._unsettled(block, cycle)
+        if not unsettled:
+            self._blocks, self._passed = [], 0.0
+            self.stage, self.state = DriveStage.RECORDING, "the run is made"
+        elif (block.end_ns - self._since_ns) / NANOSECONDS > self._patience:
+            self._break(f"the machine does not do what is wanted: {unsettled}")
+        else:
+            self.state = unsettled
+
+    def _unsettled(self, block: SampleBlock, cycle: float) -> str:
+        """Why the run cannot begin yet, in words; empty where it can."""
+        displacement = np.concatenate([one.displacement for one in self._blocks])
+        count = round(cycle / block.period)
+        if displacement.size < self._looked_at(count):
+            return "the motion grows"
+        span = 0.5 * float(np.ptp(displacement))
+        if span > _REACH * self._limits.amplitude:
+            self._break(
+                f"the amplitude reached {1e3 * span:.3g} mm, above "
+                f"{1e3 * self._limits.amplitude:.3g} mm"
+            )
+            return self.fault
+        if self.run.kind is not MotionKind.SINE:
+            return self._off_motion(displacement, block.period) or self._unsettled_current(block)
+        wanted, tolerance = self.run.amplitude, self._settings.amplitude_tolerance
+        before = sine_of_cycle(displacement[-2 * count : -count])
+        now = sine_of_cycle(displacement[-count:])
+        if abs(now.size - wanted) > tolerance * wanted:
+            return f"the amplitude is {1e3 * now.size:.3g} mm, not {1e3 * wanted:.3g} mm"
+        slip = (now.phase - before.phase + math.pi) % (2.0 * math.pi) - math.pi
+        off = slip / (2.0 * math.pi)
+        if abs(off) > tolerance:
+            return f"the frequency is {(1.0 + off) / cycle:.3g} Hz, not {1.0 / cycle:.3g} Hz"
+        if abs(now.size - before.size) > STEADY * now.size or now.rest > _SINE * now.size:
+            return "the motion is not steady yet"
+        return self._unsettled_current(block)
+
+    def _looked_at(self, count: int) -> int:
+        """Samples to be looked at, of a motion that lasts so many."""
+        return 2 * count if self.run.kind is MotionKind.SINE else count + 1
+
+    def _off_motion(self, displacement: Array, period: float) -> str:
+        """How a motion that is no sine differs from the one wanted; empty where it does not."""
+        if self._match is None:
+            self._match = RepeatedMatch(self._motion, period)
+        left = self._match.left_of(displacement[-self._match.count :])
+        if left <= self._settings.amplitude_tolerance:
+            return ""
+        return f"the motion differs by {left:.0%} from {self.run.kind.description} as wanted"
+
+    def _unsettled_current(self, block: SampleBlock) -> str:
+        if not self._current.known_from(block.start_ns):
+            return "no reading of the current has come"
+        current = float(self._current.at(block.end_ns, block.period, 1)[0])
+        wanted = self.run.currents[0]
+        if abs(current - wanted) > self._settings.current_tolerance:
+            return f"the current is {current:.3g} A, not {wanted:.3g} A"
+        return ""
+
+    def _finish(self) -> None:
+        """Make the recording where all samples and their current are there."""
+        first, last = self._blocks[0], self._blocks[-1]
+        count = round(self.run.duration / first.period)
+        if self._passed < (count - 0.5) * first.period:
+            return
+        known = self._current.last_stamp_ns
+        needed_ns = first.start_ns + round(count * first.period * NANOSECONDS)
+        late = (last.end_ns - needed_ns) / NANOSECONDS
+        if (known is None or known < needed_ns) and late < _LATE:
+            return
+        displacement, force = (
+            np.concatenate([getattr(block, name) for block in self._blocks])[:count]
+            for name in ("displacement", "force")
+        )
+        self.recording = Recording(
+            "run",
+            first.start_ns,
+            first.period,
+            displacement,
+            force,
+            self._current.at(first.start_ns, first.period, count),
+            self._celsius.at(first.start_ns, first.period, count)
+            if self._celsius.known_from(last.end_ns)
+            else None,
+        )
+        self.stage, self.state = DriveStage.DONE, "the run is made"
+
+
+class CycleSine(NamedTuple):
+    """A sine through one cycle: its ``size`` [m] and ``phase`` [rad], and the ``rest`` [m]."""
+
+    size: float
+    phase: float
+    rest: float
+
+
+def sine_of_cycle(displacement: Array) -> CycleSine:
+    """The sine of one cycle in samples (n,) that hold just that cycle."""
+    angle = 2.0 * math.pi * np.arange(displacement.size) / displacement.size
+    centred = displacement - displacement.mean()
+    sine, cosine = (2.0 * float(np.mean(centred * wave(angle))) for wave in (np.sin, np.cos))
+    rest = centred - sine * np.sin(angle) - cosine * np.cos(angle)
+    size, phase = math.hypot(sine, cosine), math.atan2(cosine, sine)
+    return CycleSine(size, phase, float(np.sqrt(np.mean(rest**2))))
+
+
+def _last(blocks: list[SampleBlock], duration: float) -> list[SampleBlock]:
+    """The newest blocks, that hold so much time [s] or a block more."""
+    kept, held = [], 0.0
+    for block in reversed(blocks):
+        kept.append(block)
+        held += block.sample_count * block.period
+        if held > duration:
+            break
+    return kept[::-1]
+
+
+COLUMNS = ("time:s", "displacement:m", "current:A")
+"""Head of the file, as ``import_record`` takes it."""
+
+
+def signal(run: PlannedRun, sample_rate: float) -> tuple[Array, Array, Array]:
+    """Time [s], displacement [m] and current [A] of a run, each of shape (n,).
+
+    It starts and ends at rest: the motion grows smoothly within two cycles, or a length of a motion
+    that is no sine, at the first current, then comes the run itself, and it fades as it grew.
+    """
+    motion = run.motion
+    grow = motion.growth
+    count = round((run.duration + 2.0 * grow) * sample_rate) + 1
+    time = np.arange(count) / sample_rate
+    within = np.clip(np.minimum(time, run.duration + 2.0 * grow - time) / grow, 0.0, 1.0)
+    envelope = within**3 * (10.0 - 15.0 * within + 6.0 * within**2)
+    displacement, _, _ = motion.at(time - grow)
+    return time, envelope * displacement, run.current_at(time - grow)
+
+
+def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> None:
+    """Write the samples of a run as CSV, units in the head. Raises OSError."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in zip(*signal(run, sample_rate), strict=True):
+        writer.writerow([f"{value:.9g}" for value in row])
+    write_text(path, text.getvalue())
+
+
+_PLACES = 8
+"""In every cycle, the run may begin at so many places."""
+
+_MOST_PLACES = 2000
+"""No more places are looked at in a long recording."""
+
+_SETTINGS = DriveSettings()
+"""A run is as wanted where it would be on a machine that is driven."""
+
+
+class RunNotFoundError(ValueError):
+    """A recording does not hold the run; the message says why."""
+
+
+def cut_run(run: PlannedRun, recording: Recording) -> Recording:
+    """The part of a recording in which a run was made, without what was before and after.
+
+    Where the current is stepped, its first step tells where the run begins; else it is the part in
+    which the motion is steadiest, or most as wanted. Raises RunNotFoundError where there is none.
+    """
+    if len(run.currents) == 1 and run.kind is not MotionKind.SINE:
+        return _most_as_wanted(run, recording)
+    return _from_step(run, recording) if len(run.currents) > 1 else _steadiest(run, recording)
+
+
+def run_as_made(recording: Recording) -> PlannedRun:
+    """The run that a recording is, which nobody has planned: a steady sine at one current.
+
+    Raises RunNotFoundError where it is none.
+    """
+    sine = Window.from_samples(
+        recording.displacement, recording.force, recording.current, recording.period
+    ).motion.sine
+    current = float(np.median(recording.current))
+    if sine is None or np.ptp(recording.current) > 2.0 * _SETTINGS.current_tolerance:
+        raise RunNotFoundError(f"{recording.name} is no steady sine at one current")
+    cycles = math.floor(recording.duration * sine.frequency)
+    return PlannedRun(sine.amplitude, sine.frequency, (current,), cycles / sine.frequency)
+
+
+def _steadiest(run: PlannedRun, recording: Recording) -> Recording:
+    period = recording.period
+    count, cycle = round(run.duration / period), round(1.0 / (run.frequency * period))
+    best, least = None, STEADY
+    for begin in range(0, recording.sample_count - count + 1, max(cycle // _PLACES, 1)):
+        first, last = (
+            sine_of_cycle(recording.displacement[place : place + cycle])
+            for place in (begin, begin + count - cycle)
+        )
+        current = float(np.median(recording.current[begin : begin + count]))
+        off = max(abs(one.size - run.amplitude) for one in (first, last)) / run.amplitude
+        change = abs(first.size - last.size) / run.amplitude
+        as_wanted = (
+            off <= _SETTINGS.amplitude_tolerance
+            and abs(current - run.currents[0]) <= _SETTINGS.current_tolerance
+        )
+        if as_wanted and change < least:
+            best, least = begin, change
+    if best is None:
+        raise RunNotFoundError(
+            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of "
+            f"{run.motion.sentence} at {run.currents[0]:g} A; its motion reaches "
+            f"{500.0 * np.ptp(recording.displacement):.3g} mm within {recording.duration:.3g} s at "
+            f"{np.median(recording.current):.3g} A"
+        )
+    return _part(recording, best, count)
+
+
+def _most_as_wanted(run: PlannedRun, recording: Recording) -> Recording:
+    match = RepeatedMatch(run.motion, recording.period)
+    count = max(round(run.duration / recording.period), match.count)
+    stride = max(round(1.0 / (_PLACES * run.highest_frequency * recording.period)), 1)
+    stride = max(stride, recording.sample_count // _MOST_PLACES)
+    best, least, seen = None, _SETTINGS.amplitude_tolerance, math.inf
+    for begin in range(0, recording.sample_count - count + 1, stride):
+        part = slice(begin, begin + count)
+        left = match.left_of(recording.displacement[part])
+        seen = min(seen, left)
+        off = abs(float(np.median(recording.current[part])) - run.currents[0])
+        if off <= _SETTINGS.current_tolerance and left < least:
+            best, least = begin, left
+    if best is None:
+        nearest = (
+            f"the nearest leaves {seen:.0%} of it" if math.isfinite(seen) else "it is too short"
+        )
+        raise RunNotFoundError(
+            f"{recording.name} does not hold the run: it needs {run.duration:.3g} s of "
+            f"{run.kind.description} as wanted at {run.currents[0]:g} A, and {nearest}, or the "
+            "current is another"
+        )
+    return _part(recording, best, count)
+
+
+def _from_step(run: PlannedRun, recording: Recording) -> Recording:
+    first, second = run.currents[:2]
+    beyond = (recording.current - 0.5 * (first + second)) * np.sign(second - first) > 0.0
+    steps = np.flatnonzero(np.diff(beyond.astype(np.int8)) > 0) + 1
+    stretch = round(run.stretch / recording.period)
+    count = round(run.duration / recording.period)
+    for step in steps.tolist():
+        begin = step - stretch
+        if begin >= 0 and begin + count <= recording.sample_count:
+            return _part(recording, begin, count)
+    raise RunNotFoundError(
+        f"{recording.name} does not hold the run: the current does not go from {first:g} to "
+        f"{second:g} A with {run.stretch:.3g} s before that"
+    )
+
+
+def _part(recording: Recording, begin: int, count: int) -> Recording:
+    part = slice(begin, begin + count)
+    celsius = recording.temperature
+    return replace(
+        recording,
+        start_ns=recording.stamp_ns(begin),
+        displacement=recording.displacement[part],
+        force=recording.force[part],
+        current=recording.current[part],
+        temperature=None if celsius is None else celsius[part],
+    )

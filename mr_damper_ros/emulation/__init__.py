@@ -1,0 +1,1 @@
+"""An emulated rig: motions, dampers, plants, and faults."""

@@ -1,0 +1,433 @@
+"""Motions of an emulated test machine, with their exact velocity and acceleration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
+from mr_damper_ros.signals.arrays import Array
+
+
+class ExcitationError(ValueError):
+    """A motion that cannot be made; the message says what to change."""
+
+
+class Kinematics(NamedTuple):
+    """Displacement [m], velocity [m/s] and acceleration [m/s²], each of shape (n,)."""
+
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+
+
+class Excitation(Protocol):
+    """A motion as a function of time; ``centre`` [m] is the displacement it moves about."""
+
+    @property
+    def centre(self) -> float:
+        """Displacement [m] that the motion is about."""
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+
+
+def _require_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise ExcitationError(f"the {name.replace('_', ' ')} is {value}: it must be positive")
+
+
+@dataclass(frozen=True)
+class SineMotion:
+    """offset + A sin(2 pi f t + phase), or, with ``triangularity`` above 0, a rounded triangle.
+
+    ``amplitude`` [m], ``frequency`` [Hz], ``phase`` [rad], ``offset`` [m]. ``triangularity`` lies
+    in 0 to below 1: a test machine that cannot follow a sine (above about 3 Hz in the thesis)
+    makes a motion of nearly constant speed with short turns.
+
+    Raises ExcitationError where a value is out of range.
+    """
+
+    amplitude: float
+    frequency: float
+    phase: float = 0.0
+    offset: float = 0.0
+    triangularity: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_positive(amplitude=self.amplitude, frequency=self.frequency)
+        if not 0.0 <= self.triangularity < 1.0:
+            raise ExcitationError(
+                f"the triangularity is {self.triangularity}: it must lie in 0 (sine) to below 1"
+            )
+
+    @property
+    def centre(self) -> float:
+        """Displacement [m] that the motion is about."""
+        return self.offset
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        rate = 2.0 * np.pi * self.frequency
+        angle = rate * time + self.phase
+        sine, cosine = np.sin(angle), np.cos(angle)
+        s = self.triangularity
+        if s == 0.0:
+            scale = self.amplitude
+            return Kinematics(
+                self.offset + scale * sine, scale * rate * cosine, -scale * rate**2 * sine
+            )
+        # asin(s sin x) / asin(s) goes from the sine (s = 0) to the triangle (s = 1).
+        scale = self.amplitude / math.asin(s)
+        root = np.sqrt(1.0 - (s * sine) ** 2)
+        return Kinematics(
+            self.offset + scale * np.arcsin(s * sine),
+            scale * rate * s * cosine / root,
+            -scale * rate**2 * s * (1.0 - s * s) * sine / root**3,
+        )
+
+
+@dataclass(frozen=True)
+class RepeatedMotion:
+    """A motion that repeats, about ``centre`` [m]."""
+
+    motion: PeriodicMotion
+    centre: float = 0.0
+
+    @property
+    def is_sine(self) -> bool:
+        """Whether it is a plain sine."""
+        return self.motion.kind is MotionKind.SINE
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        displacement, velocity, acceleration = self.motion.at(time)
+        return Kinematics(self.centre + displacement, velocity, acceleration)
+
+
+class SampledMotion:
+    """Any motion given by samples, such as an earthquake; a cubic spline goes through them.
+
+    After the last sample (and before the first) it stands still at the value there, for which the
+    spline starts and ends at rest.
+    """
+
+    def __init__(self, displacement: Array, period: float) -> None:
+        """Samples [m] of shape (n,), n >= 4, ``period`` [s] apart; raises ExcitationError."""
+        from scipy.interpolate import CubicSpline  # here: see mr_damper_ros.entry_points
+
+        _require_positive(period=period)
+        samples = np.array(displacement, dtype=np.float64)
+        if samples.ndim != 1 or samples.size < 4 or not np.isfinite(samples).all():
+            raise ExcitationError("the motion needs at least four finite samples of displacement")
+        self.centre = float(np.mean(samples))
+        self._end = (samples.size - 1) * period
+        self._spline = CubicSpline(np.arange(samples.size) * period, samples, bc_type="clamped")
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        moving = (time >= 0.0) & (time <= self._end)
+        within = np.clip(time, 0.0, self._end)
+        return Kinematics(
+            np.asarray(self._spline(within)),
+            np.where(moving, self._spline(within, 1), 0.0),
+            np.where(moving, self._spline(within, 2), 0.0),
+        )
+
+
+class _Ramp(NamedTuple):
+    """A smooth step, its derivative and its second derivative, each of shape (n,)."""
+
+    value: Array
+    rate: Array
+    bend: Array
+
+
+def _ramp(time: Array, begin: float, duration: float) -> _Ramp:
+    """From 0 before ``begin`` to 1 ``duration`` [s] later, twice continuously differentiable."""
+    x = np.clip((time - begin) / duration, 0.0, 1.0)
+    return _Ramp(
+        x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
+        30.0 * x**2 * (1.0 - x) ** 2 / duration,
+        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration**2,
+    )
+
+
+def _ramp_integral(time: Array, begin: float, duration: float) -> Array:
+    """Integral of :func:`_ramp` over the time [s]."""
+    x = np.clip((time - begin) / duration, 0.0, 1.0)
+    within = duration * x**4 * (2.5 - 3.0 * x + x**2)
+    return np.asarray(within + np.maximum(time - begin - duration, 0.0))
+
+
+@dataclass(frozen=True)
+class EnvelopedMotion:
+    """A motion that is ``factor`` times as large about its centre from ``begin`` to ``end`` [s].
+
+    It changes smoothly within ``duration`` [s], and back again after the end, which may be
+    infinite.
+    """
+
+    motion: Excitation
+    factor: float
+    begin: float
+    end: float
+    duration: float
+
+    @property
+    def centre(self) -> float:
+        """Displacement [m] that the motion is about."""
+        return self.motion.centre
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        up, down = (_ramp(time, start, self.duration) for start in (self.begin, self.end))
+        value, rate, bend = (
+            (self.factor - 1.0) * (one - other) for one, other in zip(up, down, strict=True)
+        )
+        value = 1.0 + value
+        u, v, a = self.motion.at(time)
+        u = u - self.centre
+        return Kinematics(
+            self.centre + value * u, value * v + rate * u, value * a + 2.0 * rate * v + bend * u
+        )
+
+
+@dataclass(frozen=True)
+class WarpedMotion:
+    """A motion that goes on ``tempo`` times as fast from ``begin`` to ``end`` [s]; 0: it stands.
+
+    The tempo changes smoothly within ``duration`` [s], and back again after the end, which may be
+    infinite.
+    """
+
+    motion: Excitation
+    tempo: float
+    begin: float
+    end: float
+    duration: float
+
+    @property
+    def centre(self) -> float:
+        """Displacement [m] that the motion is about."""
+        return self.motion.centre
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        up, down = (_ramp(time, start, self.duration) for start in (self.begin, self.end))
+        passed = _ramp_integral(time, self.begin, self.duration) - _ramp_integral(
+            time, self.end, self.duration
+        )
+        change = self.tempo - 1.0
+        tempo = 1.0 + change * (up.value - down.value)
+        bend = change * (up.rate - down.rate)
+        u, v, a = self.motion.at(time + change * passed)
+        return Kinematics(u, v * tempo, a * tempo**2 + v * bend)
+
+
+_SINES = 48
+"""Sines that a random motion is made of."""
+
+_CREST = 3.0
+"""Amplitude of a random motion over its standard deviation."""
+
+_TURN = 0.1
+"""Part of a step in which the frequency goes over to the next one."""
+
+
+class SweptSine:
+    """A sin(2 pi phi(t)) with a frequency that goes on straight lines between ``times`` [s].
+
+    ``frequencies`` [Hz] has as many values; the last time begins again with the first. Raises
+    ExcitationError where times do not rise from 0, or a frequency is not positive.
+    """
+
+    centre = 0.0
+
+    def __init__(
+        self, amplitude: float, times: Sequence[float], frequencies: Sequence[float]
+    ) -> None:
+        self._amplitude = amplitude
+        self._times = np.asarray(times, dtype=np.float64)
+        self._frequencies = np.asarray(frequencies, dtype=np.float64)
+        if not (
+            self._times.size == self._frequencies.size >= 2
+            and self._times[0] == 0.0
+            and (np.diff(self._times) > 0.0).all()
+        ):
+            raise ExcitationError("the times of a swept sine must rise from 0, one a frequency")
+        if not (np.isfinite(self._frequencies).all() and (self._frequencies > 0.0).all()):
+            raise ExcitationError("the frequencies of a swept sine must be positive")
+        lengths = np.diff(self._times)
+        self._slopes = np.diff(self._frequencies) / lengths
+        means = 0.5 * (self._frequencies[1:] + self._frequencies[:-1])
+        self._cycles = np.concatenate([[0.0], np.cumsum(means * lengths)])
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        turns, within = np.divmod(time, self._times[-1])
+        place = np.searchsorted(self._times, within, side="right") - 1
+        place = np.clip(place, 0, self._slopes.size - 1)
+        since = within - self._times[place]
+        slope = self._slopes[place]
+        frequency = self._frequencies[place] + slope * since
+        cycles = self._cycles[place] + (self._frequencies[place] + 0.5 * slope * since) * since
+        # Whole cycles leave the sine as it is: the phase of the turns stays small.
+        angle = 2.0 * np.pi * (cycles + np.mod(turns * self._cycles[-1], 1.0))
+        rate, bend = 2.0 * np.pi * frequency, 2.0 * np.pi * slope
+        sine, cosine = np.sin(angle), np.cos(angle)
+        a = self._amplitude
+        return Kinematics(a * sine, a * rate * cosine, a * (bend * cosine - rate**2 * sine))
+
+
+def chirp(amplitude: float, low: float, high: float, duration: float) -> SweptSine:
+    """A sine that goes from ``low`` to ``high`` [Hz] and back within ``duration`` [s]."""
+    return SweptSine(amplitude, (0.0, 0.5 * duration, duration), (low, high, low))
+
+
+def stepped(amplitude: float, low: float, high: float, duration: float) -> SweptSine:
+    """A sine at four frequencies from ``low`` to ``high`` [Hz], each for a part of ``duration``."""
+    length = duration / 4.0
+    times, frequencies = [], []
+    for step, frequency in enumerate(np.geomspace(low, high, 4).tolist()):
+        times += [step * length, (step + 1.0 - _TURN) * length]
+        frequencies += [frequency, frequency]
+    return SweptSine(amplitude, [*times, duration], [*frequencies, low])
+
+
+class BandLimitedMotion:
+    """Random motion from ``low`` to ``high`` [Hz], seldom beyond ``amplitude`` [m]: many sines.
+
+    Raises ExcitationError where the band is empty.
+    """
+
+    centre = 0.0
+
+    def __init__(self, amplitude: float, low: float, high: float, seed: int) -> None:
+        if not 0.0 < low < high < math.inf:
+            raise ExcitationError(
+                f"random motion from {low:g} to {high:g} Hz: the highest frequency must be above "
+                "the lowest"
+            )
+        rng = np.random.default_rng(seed)
+        edges = np.geomspace(low, high, _SINES + 1)
+        self._rates = 2.0 * np.pi * rng.uniform(edges[:-1], edges[1:])
+        self._phases = rng.uniform(0.0, 2.0 * np.pi, _SINES)
+        # As much speed from each part of the band.
+        sizes = 1.0 / self._rates
+        spread = float(np.sqrt(0.5 * np.sum(sizes**2)))
+        self._sizes = sizes * amplitude / (_CREST * spread)
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        angles = np.multiply.outer(time, self._rates) + self._phases
+        sines, cosines = np.sin(angles), np.cos(angles)
+        return Kinematics(
+            sines @ self._sizes,
+            cosines @ (self._sizes * self._rates),
+            -sines @ (self._sizes * self._rates**2),
+        )
+
+
+_SURRENDER = 2.0
+"""Seconds within which a motion that is no sine fades when the first command comes."""
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A motion that begins to grow and to fade at these times [s]."""
+
+    motion: PeriodicMotion
+    begin: float
+    end: float = math.inf
+
+    @property
+    def change(self) -> float:
+        """Time [s] in which it grows, and fades."""
+        return self.motion.growth
+
+    @property
+    def over(self) -> float:
+        """When it has faded [s]."""
+        return self.end + self.change
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,), zero before the beginning."""
+        # It has been let fade for ever, and comes back at the beginning.
+        whole = RepeatedMotion(self.motion)
+        grown = EnvelopedMotion(whole, 0.0, -math.inf, self.begin, self.change)
+        return _faded(grown, self.end, self.change).at(time)
+
+
+def _faded(motion: Excitation, end: float, duration: float) -> Excitation:
+    if math.isinf(end):
+        return motion
+    return EnvelopedMotion(motion, 0.0, end, math.inf, duration)
+
+
+class CommandedMotion:
+    """A motion by itself, ``before``, until the first command at ``time`` [s]; then as commanded.
+
+    A new command lets what moves fade, and the new motion grow after that, about the same centre.
+    A motion that grows is let grow first.
+    """
+
+    def __init__(self, before: Excitation, time: float) -> None:
+        self.centre = before.centre
+        duration = _SURRENDER
+        if isinstance(before, SineMotion):
+            duration = PeriodicMotion(MotionKind.SINE, before.amplitude, before.frequency).growth
+        self._before: Excitation | None = _faded(before, time, duration)
+        self._free = time + duration
+        self._stretches: list[_Moved] = []
+        self._wanted: PeriodicMotion | None = None
+
+    @property
+    def is_sine(self) -> bool:
+        """Whether nothing but sines is under way, or to come."""
+        return all(one.motion.kind is MotionKind.SINE for one in self._stretches)
+
+    def command(self, motion: PeriodicMotion | None, time: float) -> None:
+        """Make a motion from ``time`` [s] on, None for rest.
+
+        The times of commands rise, and no sample after this one has been asked for yet.
+        """
+        if self._before is not None and time >= self._free:
+            self._before = None
+        self._stretches = [one for one in self._stretches if one.over > time]
+        if motion == self._wanted:
+            return
+        self._wanted = motion
+        self._stretches = [one for one in self._stretches if one.begin <= time]
+        free = max(time, self._free)
+        if self._stretches:
+            moving = self._stretches[-1]
+            if math.isinf(moving.end):
+                moving = replace(moving, end=max(time, moving.begin + moving.change))
+                self._stretches[-1] = moving
+            free = max(free, moving.over)
+        if motion is not None:
+            self._stretches.append(_Moved(motion, free))
+
+    def at(self, time: Array) -> Kinematics:
+        """Kinematics at the times [s], shape (n,)."""
+        total = np.zeros((3, time.size))
+        if self._before is not None:
+            total += np.stack(self._before.at(time))
+        else:
+            total[0] = self.centre
+        for one in self._stretches:
+            total += np.stack(one.at(time))
+        return Kinematics(*total)
+
+
+def is_sine(excitation: Excitation) -> bool:
+    """Whether the peak velocity is known at every sample, and need not be waited for."""
+    if isinstance(excitation, (RepeatedMotion, CommandedMotion)):
+        return excitation.is_sine
+    return isinstance(excitation, SineMotion) and excitation.triangularity == 0.0

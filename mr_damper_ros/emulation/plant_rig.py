@@ -1,0 +1,268 @@
+"""An emulated damper that is built into a plant: its force moves the plant, which moves it.
+
+Like :class:`mr_damper_ros.emulation.emulator.EmulatedRig` it knows no wall clock, and
+gives the same samples whatever the size of the blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from mr_damper_ros.control.inverse_model import in_coil
+from mr_damper_ros.control.linear_plant import LinearPlant, MovingPlant
+from mr_damper_ros.emulation.emulator import CurrentSchedule, RigSettings, ThermalModel
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.first_order_lag import COIL
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.quantities import State
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.rig_block import RigBlock
+
+_CHUNK = 100
+"""Samples of one temperature and one draw of noise; fixed, so that blocks do not matter."""
+
+
+_AT_ONCE = 250
+"""Samples for which the surroundings are asked at once."""
+
+_ACCELERATION_MEMORY = 0.008
+"""Time constant [s] of the acceleration that the law's peak velocity is reckoned from: that of the
+very force which depends on it would drive itself. Observers of a recorded motion smooth it too."""
+
+
+class Surroundings(Protocol):
+    """What moves a plant from outside, as a function of time: a road, the ground."""
+
+    def at(self, time: Array) -> Array:
+        """The plant's input (n,) at these times (n,) [s]: of a road, its velocity [m/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantMotion:
+    """What no instrument measures, at the samples of a block.
+
+    ``states`` and their derivatives ``rates`` have shape (n, states); ``force`` [N] is the true one
+    of a damper, shape (n,), ``velocity`` [m/s] that of its extension, ``coil`` [A] its current.
+    """
+
+    states: Array
+    rates: Array
+    force: Array
+    velocity: Array
+    coil: Array
+
+
+class BuiltInDamper:
+    """A damper of any law, without the jumps where the motion turns, which no plant would bear.
+
+    Beyond the peak velocities of its set it has the coefficients of the nearest one.
+    ``hot_force`` is the factor on its strength at 71 °C, relative to 28 °C; in between the strength
+    changes linearly.
+    """
+
+    def __init__(self, parameters: ParameterSet, hot_force: float = 1.0) -> None:
+        self._law = parameters.law.continuous
+        self._values = in_coil(parameters)
+        self._hot_force = hot_force
+        self._range = parameters.peak_velocity_range
+        self._warm = math.nan, self._values
+        self._state: State | None = None
+
+    def force(self, motion: Motion, coil: Array, celsius: float, period: float) -> float:
+        """Force [N] of the next sample, ``period`` [s] after the one before; ``coil`` [A]."""
+        if celsius != self._warm[0]:
+            values = self._values.copy()
+            values[self._law.strength_indices] *= 1.0 + (self._hot_force - 1.0) * float(
+                np.interp(celsius, (28.0, 71.0), (0.0, 1.0))
+            )
+            self._warm = celsius, values
+        held = motion.held_within(*self._range)
+        force, self._state = self._law.follow(self._warm[1], held, coil, period, self._state)
+        return float(force[0])
+
+
+class PlantRig:
+    """A plant with a damper in it, sample by sample.
+
+    The plant is solved exactly for a force that holds for a ``substeps``-th part of a sample's
+    period; the force of the damper follows its motion at every such step. ``dampers`` of them act
+    side by side, of which one is measured. The current in the coil follows that of the supply with
+    ``coil_time_constant`` [s].
+    """
+
+    def __init__(
+        self,
+        damper: BuiltInDamper,
+        plant: LinearPlant,
+        surroundings: Surroundings,
+        current: CurrentSchedule | float,
+        *,
+        settings: RigSettings | None = None,
+        thermal: ThermalModel | None = None,
+        coil_time_constant: float = 0.0,
+        dampers: int = 1,
+        substeps: int = 4,
+    ) -> None:
+        # A damper may remember the motion: each rig has its own.
+        self._damper = deepcopy(damper)
+        self._surroundings = surroundings
+        self._current = (
+            current
+            if isinstance(current, CurrentSchedule)
+            else CurrentSchedule.constant(float(current))
+        )
+        self._settings = settings or RigSettings()
+        self._thermal = thermal
+        self._celsius = thermal.initial if thermal else 28.0
+        self._dampers, self._substeps = dampers, substeps
+        self._step = self._settings.period / substeps
+        self._plant = MovingPlant(plant, self._step)
+        self._peak = PeakVelocity(self._step)
+        decay = math.exp(-self._step / coil_time_constant) if coil_time_constant > 0.0 else 0.0
+        self._coil_decay, self._coil = decay, float(self._current.at(np.zeros(1))[0])
+        self._force = self._acceleration = 0.0
+        self._share = -math.expm1(-self._step / _ACCELERATION_MEMORY)
+        self._made = self._reckoned = 0
+        self._ahead: deque[list[float]] = deque()
+        self._rng = np.random.default_rng(self._settings.seed)
+        self._noise = np.empty((2, _CHUNK))
+        self._heat = 0.0
+        self.motion: PlantMotion | None = None
+        """Of the last block."""
+
+    @property
+    def settings(self) -> RigSettings:
+        """How the rig measures."""
+        return self._settings
+
+    @property
+    def plant(self) -> MovingPlant:
+        """The plant as it is now."""
+        return self._plant
+
+    def next_block(self, count: int) -> RigBlock:
+        """The next ``count`` samples."""
+        first, period = self._made, self._settings.period
+        time = np.arange(first, first + count, dtype=np.float64) * period
+        moved = [self._moved_next() for _ in range(count)]
+        supplied = self._current.at(time)
+        rows, states, rates = np.empty((6, count)), [], []
+        for place in range(count):
+            rows[:, place] = self._next_sample(float(supplied[place]), moved[place])
+            states.append(self._plant.state)
+            rates.append(self._plant.rates)
+        displacement, force, celsius, true_force, velocity, coil = rows
+        self.motion = PlantMotion(np.array(states), np.array(rates), true_force, velocity, coil)
+        return RigBlock(
+            self._settings.start_ns + round(first * period * NANOSECONDS),
+            first,
+            period,
+            displacement,
+            force,
+            supplied,
+            celsius,
+        )
+
+    def _moved_next(self) -> list[float]:
+        """What comes from outside in the steps of the next sample."""
+        if not self._ahead:
+            steps = self._reckoned + np.arange(_AT_ONCE * self._substeps, dtype=np.float64)
+            self._reckoned += steps.size
+            inputs = self._surroundings.at(steps * self._step).reshape(_AT_ONCE, self._substeps)
+            self._ahead.extend(inputs.tolist())
+        return self._ahead.popleft()
+
+    def _next_sample(self, supplied: float, moved: list[float]) -> tuple[float, ...]:
+        """Displacement, measured force, temperature; true force, velocity, coil."""
+        place = self._made % _CHUNK
+        if place == 0:
+            self._noise = self._rng.standard_normal((2, _CHUNK))
+        heat = 0.0
+        for each in moved:
+            now = self._plant.damper
+            self._coil = supplied + (self._coil - supplied) * self._coil_decay
+            self._acceleration += self._share * (now.acceleration - self._acceleration)
+            velocity, acceleration = np.array([now.velocity]), np.array([self._acceleration])
+            motion = Motion(
+                np.array([now.displacement]),
+                velocity,
+                acceleration,
+                self._peak.follow(velocity, acceleration),
+                sine=None,
+            )
+            self._force = self._damper.force(
+                motion, np.array([self._coil]), self._celsius, self._step
+            )
+            heat += self._force * now.velocity * self._step
+            self._plant.step(self._dampers * self._force, each)
+        self._made += 1
+        self._warm(heat)
+        after, settings = self._plant.damper, self._settings
+        force_noise, displacement_noise = self._noise[:, place]
+        return (
+            after.displacement + settings.displacement_noise * displacement_noise,
+            self._force + settings.force_noise * force_noise,
+            self._celsius,
+            self._force,
+            after.velocity,
+            self._coil,
+        )
+
+    def _warm(self, heat: float) -> None:
+        """Take the heat [J] of a sample."""
+        self._heat += heat
+        if self._made % _CHUNK == 0:
+            if self._thermal is not None:
+                duration = _CHUNK * self._settings.period
+                self._celsius = self._thermal.after(self._celsius, self._heat / duration, duration)
+            self._heat = 0.0
+
+
+HOT_FORCE = 989.0 / 1332.0
+"""What the thesis' damper keeps of its force at 71 °C: tables 8 and 9, 5 mm, 1 Hz, 1.5 A."""
+
+HIGHEST_CURRENT = 1.6
+
+_VALUES = {
+    "f0": 40.0,
+    "I0": -0.35,
+    "I1": -0.25,
+    "a0": 900.0,
+    "a1": 2.5,
+    "a2": 4.0,
+    "a3": 3.0,
+    "a4": 2.0,
+    "k0": 9.0,
+    "k1c": 4.0,
+    "k1e": 6.0,
+    "k2": 18.0,
+    "k3": -0.45,
+    "k4": -0.11,
+    "k5": 0.06,
+    "k6": 0.012,
+    "compliance": 3e-8,
+    "stiffness": 2000.0,
+    "offset": -40.0,
+}
+
+
+def invented_damper(coil_time_constant: float) -> ParameterSet:
+    """What is known of it at 28 °C, with a coil that lags by so many seconds."""
+    values = {**_VALUES, COIL: coil_time_constant}
+    names = MODELS["sigmoid_lag"].parameter_names
+    return replace(
+        ParameterSet(
+            np.array([values[name] for name in names]), set_id="invented", model="sigmoid_lag"
+        ),
+        peak_velocity_range=(0.0, 2.0),
+        current_range=(0.0, HIGHEST_CURRENT),
+    )

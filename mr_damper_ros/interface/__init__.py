@@ -1,1 +1,0 @@
-"""What stands behind ``import mr_damper_ros as mr``: from files to parameters, errors, figures."""

@@ -1,0 +1,1 @@
+"""Production lots: many dampers from many recordings."""

@@ -1,0 +1,456 @@
+"""Many dampers from many recordings: each is identified once, and its result is kept."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mr_damper_ros.api.identification import Identification, identify_measured, start_values_of
+from mr_damper_ros.api.measured_runs import MeasuredRun, measured_run
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.io.recording_list import (
+    RECORD_ENDINGS,
+    LeftOut,
+    ListedRecording,
+    RecordFormat,
+    find_recordings,
+    read_list,
+)
+from mr_damper_ros.lots.population import KnownDamper, Population
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
+from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
+from mr_damper_ros.processes.kept_results import (
+    KeptTask,
+    ResultFolder,
+    file_stem,
+    fingerprint,
+    finish,
+)
+from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.workforce import DaskCluster, GivenExecutor, LocalProcesses, Workforce
+from mr_damper_ros.signals.arrays import Array
+
+_LASTING = (FileNotFoundError, PermissionError, ValueError)
+"""What is wrong with the file itself; other trouble may have passed the next time."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroupOptions:
+    """What is the same for all dampers; the names are those of :func:`mr_damper_ros.identify`.
+
+    ``start_values`` (p,) are those that a search starts from; ``record_format`` tells how record
+    files are read, None where there are only bags.
+    """
+
+    model: str
+    method: str
+    start_values: Array
+    evolution: EvolutionSettings
+    accept_doubtful: bool = False
+    record_format: RecordFormat | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DamperGroup:
+    """All recordings of one damper."""
+
+    damper: str
+    recordings: tuple[ListedRecording, ...]
+    options: GroupOptions
+
+
+def identify_group(group: DamperGroup) -> dict[str, Any]:
+    """What is known of a damper, as JSON can hold it; nothing is raised.
+
+    ``failure``: why it could not be identified, in a sentence, empty where it was; ``left_out``:
+    recordings that could not be used, with the reasons; ``passing``: whether what went wrong may
+    have to do with the machine and not with the files.
+    """
+    began = time.perf_counter()
+    runs, left_out, passing = [], [], False
+    for listed in group.recordings:
+        try:
+            runs.append(_read(listed, group.options))
+        # Whatever is wrong with one file, the others are not to suffer from it.
+        except Exception as error:
+            left_out.append({"path": str(listed.path), "reason": _in_words(error)})
+            passing = passing or not isinstance(error, _LASTING)
+    document: dict[str, Any] = {
+        "damper": group.damper,
+        "failure": "" if runs else "none of its recordings could be used",
+        "recordings": [run.name for run in runs],
+        "left_out": left_out,
+    }
+    if runs:
+        try:
+            document |= _result(group, _identified(runs, group.options))
+        except Exception as error:
+            document["failure"] = _in_words(error)
+            passing = passing or not isinstance(error, _LASTING)
+    return document | {"passing": passing, "duration_s": time.perf_counter() - began}
+
+
+def is_final(document: dict[str, Any]) -> bool:
+    """Whether doing the group again would give the same."""
+    return not document["passing"]
+
+
+def _read(listed: ListedRecording, options: GroupOptions) -> MeasuredRun:
+    record = listed.path.suffix.lower() in RECORD_ENDINGS and listed.path.is_file()
+    if not record or options.record_format is None:
+        return measured_run(listed.path, options.accept_doubtful)
+    recording = options.record_format.read(listed.path, listed.current)
+    return measured_run(recording, options.accept_doubtful)
+
+
+def _identified(runs: list[MeasuredRun], options: GroupOptions) -> Identification:
+    return identify_measured(
+        runs,
+        model=options.model,
+        method=options.method,
+        start_values=options.start_values,
+        settings=options.evolution,
+        processes=ProcessPool(1),
+    )
+
+
+def _result(group: DamperGroup, result: Identification) -> dict[str, Any]:
+    name = "".join(sign for sign in group.damper if sign.isprintable())[:200]
+    found = replace(result.parameter_set, set_id=name)
+    return {
+        "set": found.to_yaml(),
+        "covariance": result.covariance.tolist(),
+        "nrmse": result.nrmse,
+        "rmse": result.rmse,
+        "samples": result.error.count,
+        "success": result.success,
+        "message": result.message,
+        "remarks": list(result.remarks),
+    }
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    if isinstance(error, ValueError):
+        return str(error)
+    return f"{type(error).__name__}: {error}"
+
+
+_EVOLUTION = EvolutionSettings()
+
+_LOST = "the process that identified it died again and again: is there enough memory?"
+
+Told = Callable[[int, int, Mapping[str, Any]], None]
+"""Hears how many dampers are done, of how many, and the document of the last one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ManyDampers:
+    """Outcome of :func:`identify_many`.
+
+    ``documents``: of each damper, in the order of their names, as :func:`identify_group` has it.
+    ``unnamed``: files of which it is not known which damper they are of. ``kept``: how many dampers
+    had been identified before and were not done again.
+    """
+
+    documents: tuple[dict[str, Any], ...]
+    unnamed: tuple[LeftOut, ...]
+    kept: int
+
+    @cached_property
+    def population(self) -> Population:
+        """The dampers that were identified, as a production lot."""
+        return Population(
+            [
+                KnownDamper.from_document(document)
+                for document in self.documents
+                if not document["failure"]
+            ]
+        )
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Why a damper could not be identified, by its name."""
+        return {d["damper"]: d["failure"] for d in self.documents if d["failure"]}
+
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]:
+        """All files that were not used, and why."""
+        return self.unnamed + tuple(
+            LeftOut(Path(entry["path"]), entry["reason"])
+            for document in self.documents
+            for entry in document["left_out"]
+        )
+
+    @property
+    def duration(self) -> float:
+        """What all dampers together have taken, each in its process [s]."""
+        return float(sum(document["duration_s"] for document in self.documents))
+
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        """A row for each damper; what is not known of one is None in its row.
+
+        Parameters that the recordings did not determine have no standard error.
+        """
+        rows = [_row(document) for document in self.documents]
+        names = list(dict.fromkeys(name for row in rows for name in row))
+        return [{name: row.get(name) for name in names} for row in rows]
+
+
+def identify_many(
+    *sources: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    listed: str | os.PathLike[str] | None = None,
+    pattern: str | None = None,
+    columns: str | None = None,
+    current: float | None = None,
+    period: float | None = None,
+    variable: str | None = None,
+    model: str = DEFAULT_MODEL,
+    method: str = "global",
+    start: ParameterSet | str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    generations: int = _EVOLUTION.generations,
+    accept_doubtful: bool = False,
+    workers: int = 1,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    report: Told | None = None,
+) -> ManyDampers:
+    """Identify every damper of which there are recordings, each with all of its own.
+
+    What is found of a damper is kept in a file of its own below ``folder`` as soon as it is there.
+    Called again, it does only what is missing or whose files have changed, however it ended.
+
+    Parameters
+    ----------
+    *sources
+        Folders that are searched through, paths of bags, patterns such as ``"lot*/**/*.mcap"``.
+    folder
+        What is found goes there: ``dampers/`` holds all that is known of each, ``sets/`` the
+        parameter sets.
+    listed
+        CSV file with columns ``path`` and ``damper``, and ``current`` [A] where wanted.
+    pattern
+        Regular expression that tells from a path which damper it is of: its group ``damper``, or
+        the first one; a group ``current`` tells the current [A]. Without it, all recordings in one
+        folder are of one damper.
+    columns, current, period, variable
+        How record files are read, as in :func:`read_record`; without ``columns`` only bags are
+        taken.
+    model, method, start, seed, generations, accept_doubtful
+        As in :func:`identify`.
+    workers
+        Processes of this machine.
+    executor
+        Any executor of ``concurrent.futures`` instead; its workers must see the same paths.
+    scheduler
+        Address of the scheduler of a Dask cluster that runs already, such as
+        ``"tcp://host:8786"``. Its workers need this package and must see the same paths.
+    report
+        Called as each damper is done.
+
+    Returns
+    -------
+    ManyDampers
+        One bad file does not stop the rest: ``left_out`` and ``failures`` name what could not be
+        used.
+
+    Raises
+    ------
+    ValueError
+        In one sentence that says what to change, where an option cannot be used, there is no
+        recording, or the folder holds results of other options.
+    OSError
+        Where the folder cannot be written, or the workers can do nothing.
+    """
+    record_format = None if columns is None else RecordFormat(columns, current, period, variable)
+    options = GroupOptions(
+        model=model,
+        method=method,
+        start_values=start_values_of(start, model),
+        evolution=EvolutionSettings(generations=generations, seed=seed),
+        accept_doubtful=accept_doubtful,
+        record_format=record_format,
+    )
+    recordings, unnamed = find_recordings(
+        sources, pattern=pattern, with_records=record_format is not None
+    )
+    if listed is not None:
+        more, nameless = read_list(listed)
+        recordings, unnamed = [*recordings, *more], [*unnamed, *nameless]
+    if not recordings:
+        raise ValueError(
+            "there are no recordings of a known damper: give folders, a list, or another pattern"
+        )
+    place = Path(folder)
+    try:
+        lock = FolderLock(place / ".lock")
+    except LockHeldError as error:
+        raise ValueError(
+            f"{place} is in use by another program (process {error.holder}): choose another folder "
+            "or wait for it"
+        ) from error
+    try:
+        _check_options(place, options)
+        tasks = [_task(name, group, options) for name, group in _groups(recordings).items()]
+        documents, kept = _all_done(
+            tasks, lambda: _workforce(workers, executor, scheduler), place, report
+        )
+    finally:
+        lock.release()
+    return ManyDampers(tuple(documents[task.name] for task in tasks), tuple(unnamed), kept)
+
+
+def _workforce(workers: int, executor: Executor | None, scheduler: str | None) -> Workforce:
+    if scheduler is not None:
+        return DaskCluster(scheduler)
+    return LocalProcesses(workers) if executor is None else GivenExecutor(executor)
+
+
+def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecording]]:
+    """The recordings of each damper; those given twice count once."""
+    groups: dict[str, dict[Path, ListedRecording]] = defaultdict(dict)
+    for recording in recordings:
+        groups[recording.damper].setdefault(recording.path.absolute(), recording)
+    return {name: list(groups[name].values()) for name in sorted(groups)}
+
+
+def _task(damper: str, group: Sequence[ListedRecording], options: GroupOptions) -> KeptTask:
+    content = {
+        "damper": damper,
+        "recordings": [(str(r.path.absolute()), r.current, _state(r.path)) for r in group],
+    }
+    return KeptTask(
+        damper,
+        fingerprint(content),
+        DamperGroup(damper, tuple(group), options),
+    )
+
+
+def _state(path: Path) -> list[tuple[str, int, int]] | None:
+    """Name, size and time of change of a file, or of those in the folder of a bag."""
+    try:
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        return [(f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files]
+    except OSError:
+        return None
+
+
+def _check_options(folder: Path, options: GroupOptions) -> None:
+    """Results of one folder are of one kind. Raises ValueError, and OSError."""
+    wanted = {
+        "model": options.model,
+        "method": options.method,
+        "start": options.start_values.tolist(),
+        **asdict(options.evolution),
+        "accept_doubtful": options.accept_doubtful,
+        "record_format": None if options.record_format is None else asdict(options.record_format),
+    }
+    path = folder / "options.json"
+    if not path.exists():
+        write_text(path, json.dumps(wanted, indent=2) + "\n")
+        return
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+        differs = [name for name in wanted if before.get(name) != wanted[name]]
+    except (ValueError, AttributeError) as error:
+        raise ValueError(f"{path} is damaged: choose another folder") from error
+    if differs:
+        raise ValueError(
+            f"{folder} holds what was found with another {' and '.join(differs)}: choose another "
+            "folder, or the same options as before"
+        )
+
+
+def _all_done(
+    tasks: Sequence[KeptTask],
+    workforce: Callable[[], Workforce],
+    folder: Path,
+    report: Told | None,
+) -> tuple[dict[str, dict[str, Any]], int]:
+    """The documents of all tasks by name, and how many had been kept."""
+    results = ResultFolder(folder / "dampers")
+    documents: dict[str, dict[str, Any]] = {}
+    open_tasks = []
+    for task in tasks:
+        document = results.kept(task)
+        if document is None:
+            open_tasks.append(task)
+        else:
+            documents[task.name] = document
+            _save_set(folder, document)
+    kept = len(documents)
+
+    def finished(task: KeptTask, document: dict[str, Any]) -> None:
+        documents[task.name] = document
+        _save_set(folder, document)
+        if report is not None:
+            report(len(documents), len(tasks), document)
+
+    def lost(task: KeptTask) -> None:
+        nothing = {"recordings": [], "left_out": [], "passing": True, "duration_s": 0.0}
+        finished(task, {"damper": task.name, "failure": _LOST, **nothing})
+
+    if open_tasks:
+        finish(
+            open_tasks,
+            identify_group,
+            workforce(),
+            results,
+            final=is_final,
+            finished=finished,
+            lost=lost,
+        )
+    return documents, kept
+
+
+def _save_set(folder: Path, document: Mapping[str, Any]) -> None:
+    path = folder / "sets" / f"{file_stem(document['damper'])}.yaml"
+    if document["failure"]:
+        path.unlink(missing_ok=True)
+    elif not path.exists() or path.read_text(encoding="utf-8") != document["set"]:
+        write_text(path, document["set"])
+
+
+def _row(document: Mapping[str, Any]) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "damper": document["damper"],
+        "identified": not document["failure"],
+        "message": document["failure"] or document["message"],
+        "recordings": len(document["recordings"]),
+        "left_out": len(document["left_out"]),
+        "duration_s": document["duration_s"],
+    }
+    if document["failure"]:
+        return row
+    found = ParameterSet.from_yaml(document["set"])
+    row |= {
+        "model": found.model,
+        "success": document["success"],
+        "samples": document["samples"],
+        "rmse_N": document["rmse"],
+        "nrmse": document["nrmse"],
+        "lowest_peak_velocity_m_s": found.peak_velocity_range[0],
+        "highest_peak_velocity_m_s": found.peak_velocity_range[1],
+        "lowest_current_A": found.current_range[0],
+        "highest_current_A": found.current_range[1],
+        "largest_force_N": found.largest_force,
+    }
+    for parameter, value, error, seen in zip(
+        found.law.parameters, found.values, found.standard_errors, found.observable, strict=True
+    ):
+        row[parameter.name] = float(value)
+        row[f"{parameter.name}_standard_error"] = float(error) if seen else None
+    return row

@@ -1,0 +1,1 @@
+"""Documents: tables, figures and HTML pages."""

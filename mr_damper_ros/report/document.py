@@ -1,0 +1,302 @@
+"""Reports as one HTML file with its figures inside; figures and tables lie beside it as files."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import html
+import io
+import math
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mr_damper_ros.processes.whole_files import write_bytes, write_text
+
+INK = ("#000000", "#b2182b", "#3f8fc4", "#8a8a8a", "#6a3d9a", "#1b7837", "#e08214", "#c6a6d9")
+"""Line colours; they differ in lightness too, and go with :data:`DASHES` and :data:`MARKS`."""
+
+DASHES: tuple[Any, ...] = ("-", "--", (0, (1, 1)), "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
+MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
+GREY = "0.62"
+
+_SETTINGS = {
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "axes.labelsize": 8.5,
+    "legend.fontsize": 7.5,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.frameon": False,
+    "svg.hashsalt": "mr_damper_ros",
+    "axes.unicode_minus": True,
+    "savefig.facecolor": "white",
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Matplotlib with this style, whatever the user's settings are."""
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_SETTINGS)
+        yield
+
+
+def panels(rows: int, columns: int, width: float, height: float, **options: Any) -> tuple[Any, Any]:
+    """A figure of ``width`` by ``height`` inches and its axes, shape (rows, columns)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def legend_above(figure: Any, axes: Any, columns: int) -> None:
+    """One legend for all panels, above them; the entries are those of ``axes``."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.25 / figure.get_figheight()))
+    figure.legend(handles, labels, loc="upper center", ncols=columns)
+
+
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; plain text."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a file name (no ending), a caption, column heads and rows."""
+
+    name: str
+    caption: str
+    columns: tuple[str, ...]
+    rows: Sequence[Sequence[Cell]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A Matplotlib figure with a file name (no ending) and a caption."""
+
+    name: str
+    caption: str
+    figure: Any
+
+
+Block = Text | Table | Picture
+
+
+_SMALL = 1e-3
+"""Smaller numbers are shown with a power of ten."""
+
+
+def shown(value: Cell) -> str:
+    """A cell as text: four significant digits, and all of those before the point."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return str(value)
+    if isinstance(value, int):
+        return str(value)
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    if not _SMALL <= abs(value) < 1e5:
+        mantissa, exponent = f"{value:.2e}".split("e")
+        power = str(int(exponent)).translate(_SUPERSCRIPTS)
+        return f"{mantissa}·10{power}".replace("-", "−")
+    return (f"{value:.0f}" if abs(value) >= 999.95 else f"{value:#.4g}").replace("-", "−")
+
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def with_error(value: float, error: float) -> str:
+    """A value with its standard error, both as multiples of one power of ten if they are small."""
+    size = max(abs(value), error)
+    if size >= _SMALL:
+        return f"{to_error(value, error)} ± {to_error(error, error)}"
+    exponent = math.floor(math.log10(size))
+    value, error = value * 10.0**-exponent, error * 10.0**-exponent
+    power = str(exponent).translate(_SUPERSCRIPTS)
+    return f"({to_error(value, error)} ± {to_error(error, error)})·10{power}"
+
+
+def to_error(value: float, error: float) -> str:
+    """A value to the second digit of its standard error, which must be positive."""
+    decimals = max(1 - math.floor(math.log10(error)), 0)
+    return f"{value:.{decimals}f}".replace("-", "−")
+
+
+def write_table(folder: Path, table: Table) -> None:
+    """Write a table as CSV; numbers with all their digits."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.columns)
+    writer.writerows(table.rows)
+    write_text(folder / f"{table.name}.csv", text.getvalue())
+
+
+def write_picture(folder: Path, picture: Picture) -> bytes:
+    """Write a figure as PNG and SVG; returns the SVG."""
+    pixels, svg = io.BytesIO(), io.BytesIO()
+    picture.figure.savefig(pixels, format="png", dpi=150)
+    write_bytes(folder / f"{picture.name}.png", pixels.getvalue())
+    # No date and fixed ids: the same data give the same file.
+    picture.figure.savefig(svg, format="svg", metadata={"Date": None})
+    write_bytes(folder / f"{picture.name}.svg", svg.getvalue())
+    return svg.getvalue()
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A section as shown: a name for links, a title, blocks."""
+
+    name: str
+    title: str
+    blocks: Sequence[Block]
+
+
+def write_report(
+    folder: Path,
+    title: str,
+    notice: str,
+    headlines: Sequence[str],
+    chapters: Sequence[Chapter],
+    page: str = "report.html",
+) -> Path:
+    """Write the page, the figures and the tables below ``folder``; returns the page.
+
+    ``headlines`` has one sentence for each chapter: they stand on top as a summary.
+    """
+    parts = [f"<h1>{html.escape(title)}</h1>", f'<p class="notice">{html.escape(notice)}</p>']
+    links = "".join(
+        f'<li><a href="#{c.name}">{html.escape(c.title)}</a>: {html.escape(headline)}</li>'
+        for c, headline in zip(chapters, headlines, strict=True)
+    )
+    parts.append(f"<nav><ol>{links}</ol></nav>")
+    for number, chapter in enumerate(chapters, start=1):
+        parts.append(f'<section id="{chapter.name}"><h2>{number} {html.escape(chapter.title)}</h2>')
+        parts += [_block(folder, block) for block in chapter.blocks]
+        parts.append("</section>")
+    body = "\n".join(parts)
+    place = folder / page
+    write_text(
+        place,
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>\n"
+        f"<body>{body}</body></html>\n",
+    )
+    return place
+
+
+def _block(folder: Path, block: Block) -> str:
+    if isinstance(block, Text):
+        return f"<p>{html.escape(block.text)}</p>"
+    if isinstance(block, Table):
+        write_table(folder / "tables", block)
+        return _table(block)
+    svg = base64.b64encode(write_picture(folder / "figures", block)).decode("ascii")
+    caption = html.escape(block.caption)
+    return (
+        f'<figure><div class="picture"><img alt="{caption}" '
+        f'src="data:image/svg+xml;base64,{svg}"></div>'
+        f"<figcaption>{caption}</figcaption></figure>"
+    )
+
+
+_WIDE = 12
+"""A table of more columns is set smaller in print."""
+
+_SHORT = 27
+"""Characters below which the text of a cell stays on a line."""
+
+_LONG = 40
+"""A table of more rows may go over pages."""
+
+
+def _table(table: Table) -> str:
+    numbers = [_numeric(column[0]) for column in zip(*table.rows, strict=True)]
+    head = "".join(
+        f"<th{_classes(number=number)}>{html.escape(column)}</th>"
+        for column, number in zip(table.columns, numbers, strict=True)
+    )
+    rows = []
+    for row in table.rows:
+        cells = "".join(
+            f"<td{_classes(number=number, short=len(text) < _SHORT)}>{html.escape(text)}</td>"
+            for text, number in zip(map(shown, row), numbers, strict=True)
+        )
+        rows.append(f"<tr>{cells}</tr>")
+    kind = _classes(table=True, wide=len(table.columns) > _WIDE, long=len(table.rows) > _LONG)
+    return (
+        f'<div{kind}><p class="caption">{html.escape(table.caption)}</p>'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+    )
+
+
+def _numeric(value: Cell) -> bool:
+    if isinstance(value, str):
+        return _NUMBER.match(value) is not None
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+_NUMBER = re.compile(r"[<>+−]? ?\d[\d.]*( ± [\d.]+)?( %| \*)?$")
+
+
+def _classes(**chosen: bool) -> str:
+    names = " ".join(name for name, on in chosen.items() if on)
+    return f' class="{names}"' if names else ""
+
+
+_STYLE = """
+:root{color-scheme:light dark;--ink:#1a1a1a;--paper:#fff;--soft:#5c5c5c;--line:#d0d0d0;
+--mark:#f5f1e6}
+@media (prefers-color-scheme:dark){:root{--ink:#e4e4e4;--paper:#141414;--soft:#a5a5a5;
+--line:#3c3c3c;--mark:#2a2619}figure img{filter:invert(.92) hue-rotate(180deg)}}
+body{font:16px/1.5 Georgia,"Times New Roman",serif;color:var(--ink);background:var(--paper);
+max-width:62rem;margin:2rem auto;padding:0 1.2rem}
+h1,h2{line-height:1.25;font-weight:600}h1{font-size:1.7rem}
+h2{font-size:1.3rem;margin-top:3rem;border-top:1px solid var(--line);padding-top:1rem}
+p{max-width:46rem}a{color:inherit}nav li{margin:.35rem 0;max-width:46rem}
+.notice{background:var(--mark);padding:.6rem .9rem;max-width:none}
+figure{margin:1.5rem 0;break-inside:avoid}figure img{max-width:100%;height:auto}
+@media screen and (max-width:44rem){.picture{overflow-x:auto}figure img{max-width:none}}
+figcaption,.caption{font-size:.9rem;color:var(--soft);margin:.3rem 0;max-width:46rem}
+.table{overflow-x:auto;margin:1.5rem 0}table{border-collapse:collapse;font-size:.84rem;
+font-variant-numeric:tabular-nums;border-bottom:1px solid var(--ink)}
+th{text-align:left;border-top:1px solid var(--ink);border-bottom:1px solid var(--ink);
+vertical-align:bottom}
+th,td{padding:.18rem .7rem .18rem 0}.number{text-align:right}
+.short{white-space:nowrap}
+tbody tr+tr td{border-top:1px solid var(--line)}
+@page{size:A4;margin:14mm}
+@media print{:root{color-scheme:light;--ink:#000;--paper:#fff;--soft:#333;--line:#bbb;
+--mark:#f0f0f0}
+html{font-size:12px}body{font-size:9pt;max-width:none;margin:0;padding:0}
+figure img{filter:none;max-height:105mm}p,nav li,.caption,figcaption{max-width:none}
+h2{break-after:avoid;margin-top:1.5rem}p{orphans:3;widows:3}.caption{break-after:avoid}
+table{font-size:7pt}.wide table{font-size:5.4pt}.wide th,.wide td{padding-right:.3rem}
+.table{overflow:visible}tr{break-inside:avoid}
+.table:not(.long){break-inside:avoid}}
+"""

@@ -1,1 +1,0 @@
-"""What live sources share: devices read in the background, formats, times, blocks."""

@@ -1,0 +1,183 @@
+"""Blocks between a source and its topics: samples are cut, aligned and metered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.rig_block import RigBlock
+
+_LARGEST = 1e9
+"""No press moves so many metres or pulls so many newtons."""
+
+
+class Measured(NamedTuple):
+    """What was measured at one time [m, N, A, °C]; NaN where there is no such channel."""
+
+    displacement: float
+    force: float
+    current: float = math.nan
+    temperature: float = math.nan
+
+    @property
+    def possible(self) -> bool:
+        """Whether displacement and force are numbers, and such as there can be."""
+        return abs(self.displacement) < _LARGEST and abs(self.force) < _LARGEST
+
+
+class BlockMaker:
+    """Cuts blocks of ``size`` samples; shorter ones end where a sample is missing."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._first = (0, 0, 1.0)
+        self._begun: list[Measured] = []
+        self._made: list[RigBlock] = []
+        self.last_ns = 0
+        """Stamp of the last sample."""
+
+    def add(self, index: int, stamp_ns: int, period: float, measured: Measured) -> None:
+        """Take in a sample by its number, its stamp [ns] and the time [s] to the next."""
+        first, _, begun_period = self._first
+        if self._begun and (index != first + len(self._begun) or period != begun_period):
+            self.cut()
+        if not self._begun:
+            self._first = (index, stamp_ns, period)
+        self._begun.append(measured)
+        self.last_ns = stamp_ns
+        if len(self._begun) == self._size:
+            self.cut()
+
+    def cut(self) -> None:
+        """What has begun is a block now."""
+        if not self._begun:
+            return
+        displacement, force, current, temperature = np.array(self._begun, dtype=np.float64).T.copy()
+        index, start_ns, period = self._first
+        self._begun = []
+        self._made.append(
+            RigBlock(start_ns, index, period, displacement, force, current, temperature)
+        )
+
+    def take(self) -> list[RigBlock]:
+        """The blocks that are ready; one without samples where none is."""
+        made, self._made = self._made, []
+        if made:
+            return made
+        none = np.empty(0)
+        return [RigBlock(self.last_ns, 0, 1.0, none, none, none, none)]
+
+
+_NODES = 4
+"""Samples that a cubic goes through."""
+
+
+def aligned(blocks: Iterable[RigBlock], lateness: float) -> Iterator[RigBlock]:
+    """The blocks, whose force comes ``lateness`` [s] later than the displacement, set right.
+
+    Negative: the displacement comes later. The channel that is ahead is delayed, by a cubic through
+    four of its samples, and the stamps are set back to when both were measured. After a gap the
+    first samples, whose partners never came, are left out.
+    """
+    if lateness == 0.0:
+        yield from blocks
+        return
+    ahead = "displacement" if lateness > 0.0 else "force"
+    past: Array = np.empty(0)
+    expected = None
+    for block in blocks:
+        if block.sample_count == 0:
+            yield block
+            continue
+        back, weights = _weights(abs(lateness) / block.period)
+        if block.sequence != expected:
+            past = np.empty(0)
+        expected = block.sequence + block.sample_count
+        known = np.concatenate([past, getattr(block, ahead)])
+        past = known[-(back + _NODES) :]
+        # Value k is made of those from k - back - 3 to k - back.
+        delayed = np.convolve(known, weights, "valid")[: max(known.size - _NODES + 1 - back, 0)]
+        skipped = block.sample_count - min(delayed.size, block.sample_count)
+        if skipped == block.sample_count:
+            continue
+        moved = _without_first(block, skipped)
+        values = delayed[-moved.sample_count :]
+        pair = {"displacement": moved.displacement, "force": moved.force, ahead: values}
+        yield replace(
+            moved,
+            start_ns=moved.start_ns - round(abs(lateness) * NANOSECONDS),
+            displacement=pair["displacement"],
+            force=pair["force"],
+        )
+
+
+def _weights(delay: float) -> tuple[int, Array]:
+    """Whole samples back, and weights of the four samples before that, the newest first."""
+    back = max(math.floor(delay) - 1, 0)
+    place = delay - back  # counted from the newest of the four
+    nodes = np.arange(_NODES)
+    weights = np.array(
+        [
+            np.prod([(place - other) / (own - other) for other in nodes if other != own])
+            for own in nodes
+        ]
+    )
+    return back, weights
+
+
+def _without_first(block: RigBlock, count: int) -> RigBlock:
+    if count == 0:
+        return block
+    return replace(
+        block,
+        start_ns=block.stamp_ns(count),
+        sequence=block.sequence + count,
+        displacement=block.displacement[count:],
+        force=block.force[count:],
+        current=block.current[count:],
+        temperature=block.temperature[count:],
+    )
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A value and its stamp."""
+
+    stamp_ns: int
+    value: float
+
+
+class Meter:
+    """Picks from samples what an instrument with a slower rate of its own would have reported.
+
+    That is a reading every ``period`` seconds, and one wherever the value has moved by more than
+    ``step`` since the last. Unknown values (NaN) are not reported.
+    """
+
+    def __init__(self, period: float, *, step: float = math.inf) -> None:
+        self._period = period
+        self._step = step
+        self._last = math.nan
+
+    def read(self, block: RigBlock, values: Array, ahead_ns: int = 0) -> list[Reading]:
+        """Return the readings in a block; ``values`` has shape (n,).
+
+        ``ahead_ns``: how far the instrument's own clock is ahead of that of the samples.
+        """
+        every = max(round(self._period / block.period), 1)
+        regular = set(range(-block.sequence % every, values.size, every))
+        moved = np.flatnonzero(np.diff(values, prepend=self._last))
+        readings = []
+        for index in sorted(regular.union(moved.tolist())):
+            value = float(values[index])
+            if index in regular or abs(value - self._last) > self._step:
+                self._last = value
+                if not math.isnan(value):
+                    readings.append(Reading(block.stamp_ns(index) + ahead_ns, value))
+        return readings

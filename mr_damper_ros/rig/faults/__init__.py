@@ -1,1 +1,0 @@
-"""What can go wrong in a rig: with the damper, with what is measured, with how it is sent."""

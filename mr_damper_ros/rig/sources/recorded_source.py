@@ -1,0 +1,175 @@
+"""Recordings as sources: a bag, or a record file."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.rig_block import RigBlock
+
+_PAUSE_NS = NANOSECONDS
+"""Time left out of the stamps between two recordings, and before a recording starts again: no
+window may reach from the end of one motion into the beginning of another."""
+
+
+def recorded_blocks(
+    recordings: Sequence[Recording], stream: StreamSettings, start_ns: int
+) -> Iterator[RigBlock]:
+    """Blocks of recordings one after the other, stamped from ``start_ns`` on and counted through.
+
+    Where it loops, stamps and count go on. Unknown temperatures are NaN.
+    """
+    sequence = 0
+    for _ in itertools.count() if stream.loop else range(1):
+        for recording in recordings:
+            count = recording.sample_count
+            temperature = (
+                np.full(count, math.nan) if recording.temperature is None else recording.temperature
+            )
+            for first in range(0, count, stream.block_size):
+                part = slice(first, first + stream.block_size)
+                yield RigBlock(
+                    start_ns=start_ns + round(first * recording.period * NANOSECONDS),
+                    sequence=sequence + first,
+                    period=recording.period,
+                    displacement=recording.displacement[part],
+                    force=recording.force[part],
+                    current=recording.current[part],
+                    temperature=temperature[part],
+                )
+            sequence += count
+            start_ns += round(count * recording.period * NANOSECONDS) + _PAUSE_NS
+
+
+def checked(recordings: Sequence[Recording]) -> list[str]:
+    """What the recordings are, in sentences; raises RecordingError where one is not plausible."""
+    found = []
+    for recording in recordings:
+        recording.check_plausible()
+        details = "".join(f"; {key}: {value}" for key, value in recording.details.items())
+        found.append(
+            f"{recording.name}: {recording.sample_count} samples, {recording.duration:.3g} s"
+            + details
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class BagOptions(ParameterTable):
+    """The bag of ``source: bag``."""
+
+    bag: str = option(
+        "", "Path of the bag of source: bag, a folder or a single file.", read_only=True
+    )
+
+    def objection(self) -> str:
+        """Say that the path is missing."""
+        if not self.bag:
+            return "source is bag, but no bag is given: set the parameter bag to the path of one"
+        return ""
+
+
+class BagSource(Source):
+    """The recordings in a bag, one after the other."""
+
+    options = BagOptions
+    prefix = ""
+
+    def __init__(self, settings: BagOptions, stream: StreamSettings) -> None:
+        super().__init__(settings, stream)
+        self._recordings: Sequence[Recording] = ()
+
+    def open(self) -> list[str]:
+        """Read the bag."""
+        from mr_damper_ros.io.bag_reader import read_bag
+
+        self._recordings = read_bag(self.settings.bag)
+        return checked(self._recordings)
+
+    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
+        """The samples of all recordings."""
+        return recorded_blocks(self._recordings, self.stream, start_ns)
+
+    def close(self) -> None:
+        """Forget the recordings."""
+        self._recordings = ()
+
+
+@dataclass(frozen=True)
+class RecordOptions(ParameterTable):
+    """The record file of ``source: record``."""
+
+    file: str = option("", "Path of a text, CSV or MAT file.", read_only=True)
+    columns: str = option(
+        "",
+        "What its columns hold, and the units, such as time:s,displacement:mm,force:N,current:A; "
+        "a column to skip is a minus sign, all that follow the last one are three dots.",
+        read_only=True,
+    )
+    current: float = option(
+        math.nan,
+        "Supply current [A] of the whole record, where no column holds it.",
+        read_only=True,
+    )
+    period: float = option(
+        math.nan, "Time between two samples [s], where no column holds the time.", read_only=True
+    )
+    variable: str = option(
+        "", "Name of the matrix in a MAT file that holds more than one.", read_only=True
+    )
+
+    def objection(self) -> str:
+        """Say what is missing."""
+        if not self.file:
+            return (
+                "source is record, but no file is given: set the parameter record.file to the "
+                "path of one"
+            )
+        if not self.columns:
+            return (
+                "source is record, but record.columns is empty: say what the columns hold, such "
+                "as time:s,displacement:mm,force:N"
+            )
+        return ""
+
+
+class RecordSource(Source):
+    """The samples of a text, CSV or MAT file."""
+
+    options = RecordOptions
+    prefix = "record."
+
+    def __init__(self, settings: RecordOptions, stream: StreamSettings) -> None:
+        super().__init__(settings, stream)
+        self._recordings: Sequence[Recording] = ()
+
+    def open(self) -> list[str]:
+        """Read the file."""
+        from mr_damper_ros.io.records import read_record
+
+        given = self.settings
+        recording = read_record(
+            given.file,
+            given.columns,
+            current=None if math.isnan(given.current) else given.current,
+            period=None if math.isnan(given.period) else given.period,
+            variable=given.variable or None,
+        )
+        self._recordings = [recording]
+        return checked(self._recordings)
+
+    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
+        """The samples of the record."""
+        return recorded_blocks(self._recordings, self.stream, start_ns)
+
+    def close(self) -> None:
+        """Forget the record."""
+        self._recordings = ()

@@ -1,0 +1,187 @@
+"""When the rows of a sender were measured: by its count and a rate, or by its stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+from mr_damper_ros.rig.blocks import Measured
+from mr_damper_ros.rig.sources.rows import Row
+from mr_damper_ros.signals.arrival_clock import ArrivalClock
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.counted_times import CountedTimes
+from mr_damper_ros.signals.stamped_channel import StampedChannel
+
+_WRONG_RATE = 0.02
+"""Difference of a sender's clock from this computer's at which its unit must be wrong."""
+
+_ODD_AHEAD, _ODD_BACK = 10.0, 1.0
+"""Seconds that a stamp may be ahead of the time that has passed, and back."""
+
+_COUNTER_OF_32 = 2.0**32
+"""So far such a counter counts before it begins at 0 again, as micros() of a microcontroller."""
+
+_ODD_IN_A_ROW = 16
+"""So many stamps that do not go on are a clock that was set; fewer are wrong."""
+
+
+class TimedSample(NamedTuple):
+    """A sample by its number, its time [ns of the steady clock], and the period [s]."""
+
+    number: int
+    time_ns: int
+    period: float
+    measured: Measured
+
+
+class RowTimes(Protocol):
+    """Finds numbers and times of rows as they arrive."""
+
+    def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
+        """Take in a row; returns the samples that are certain now."""
+
+    def skip(self) -> None:
+        """A row has come that cannot be read."""
+
+    def interrupted(self) -> None:
+        """The connection was lost: it is not known how many rows did not come."""
+
+    def fault(self) -> str:
+        """What is wrong with the times, in a sentence; empty for nothing."""
+
+    def values(self) -> Mapping[str, object]:
+        """What has come, and what of it was of no use."""
+
+
+class CountedRows:
+    """Rows by their count, or by their order."""
+
+    def __init__(self, times: CountedTimes) -> None:
+        self._times = times
+
+    @classmethod
+    def at(cls, rate: float) -> CountedRows:
+        """Rows of a device whose rate [Hz] is known."""
+        return cls(CountedTimes(rate, checks_rate=False))
+
+    def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
+        """See :class:`RowTimes`."""
+        times = self._times
+        index = times.add(row.number, arrival_ns)
+        if index is None:
+            return []
+        return [TimedSample(index, times.time_ns(index), times.period, row.measured)]
+
+    def skip(self) -> None:
+        """See :class:`RowTimes`."""
+        self._times.skip()
+
+    def interrupted(self) -> None:
+        """See :class:`RowTimes`."""
+        self._times.interrupted()
+
+    def fault(self) -> str:
+        """See :class:`RowTimes`."""
+        times = self._times
+        stated = 1.0 / times.period
+        if times.rate_is_wrong:
+            return (
+                f"the samples come at {stated * (1.0 + times.rate_error):.4g} Hz and not at the "
+                f"{stated:g} Hz that are stated: they are not used"
+            )
+        if times.being_checked:
+            return f"looks whether the samples come at {stated:g} Hz, as stated"
+        return ""
+
+    def values(self) -> Mapping[str, object]:
+        """See :class:`RowTimes`."""
+        return vars(self._times.counts)
+
+
+class StampedRows:
+    """Rows by the time that the sender puts to them, whose unit is so many seconds."""
+
+    def __init__(self, unit: float) -> None:
+        self._channel: StampedChannel[Measured] = StampedChannel(0.0)
+        self._around, self._turns = _COUNTER_OF_32 * unit, 0.0
+        self._last: tuple[float, int] | None = None
+        self._odd_in_a_row = 0
+        self._odd = 0
+
+    def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
+        """See :class:`RowTimes`."""
+        assert row.time is not None
+        time = self._followed(row.time, arrival_ns)
+        if time is None:
+            return []
+        channel = self._channel
+        stamp_ns = round(time * NANOSECONDS)
+        samples = channel.add(stamp_ns, arrival_ns, row.measured)
+        if self._rate_is_wrong:
+            return []
+        return [
+            TimedSample(
+                sample.index,
+                sample.time_ns + channel.clock.ahead_ns(sample.time_ns),
+                channel.period,
+                sample.value,
+            )
+            for sample in samples
+        ]
+
+    def skip(self) -> None:
+        """See :class:`RowTimes`."""
+
+    def interrupted(self) -> None:
+        """See :class:`RowTimes`; the stamps tell it."""
+
+    def fault(self) -> str:
+        """See :class:`RowTimes`."""
+        if self._rate_is_wrong:
+            times = 1.0 / max(1.0 + self._channel.clock.rate, 1e-9)
+            return (
+                f"the sender's clock goes {times:.3g} times as fast as this computer's: is the "
+                "unit of the time right?"
+            )
+        return ""
+
+    def values(self) -> Mapping[str, object]:
+        """See :class:`RowTimes`."""
+        channel = self._channel
+        return {
+            **vars(channel.counts),
+            "lost": channel.lost,
+            "unclear": channel.unclear,
+            "wrong stamps": self._odd,
+            "rate [Hz]": f"{1.0 / channel.period:.6g}",
+        }
+
+    @property
+    def _rate_is_wrong(self) -> bool:
+        return abs(self._channel.clock.rate) > _WRONG_RATE
+
+    def _followed(self, time: float, arrival_ns: int) -> float | None:
+        """The time, over the turns of a counter of 32 bits; None where it does not go on.
+
+        Several in a row that do not go on are a clock that was set.
+        """
+        if self._last is None:
+            self._last = (time, arrival_ns)
+            return time
+        last, last_ns = self._last
+        turns = self._turns
+        half = 0.5 * self._around
+        if half < last - turns < self._around and time < last - turns - half:
+            turns += self._around
+        passed = (arrival_ns - last_ns) / NANOSECONDS
+        goes_on = last - _ODD_BACK < time + turns < last + passed + _ODD_AHEAD
+        if not goes_on:
+            if self._odd_in_a_row < _ODD_IN_A_ROW:
+                self._odd_in_a_row += 1
+                self._odd += 1
+                return None
+            turns = 0.0
+            self._channel.clock = ArrivalClock()
+        self._odd_in_a_row, self._turns = 0, turns
+        self._last = (time + turns, arrival_ns)
+        return time + turns

@@ -1,0 +1,359 @@
+"""Rows of numbers that a sender sends: their format, as lines of text or binary records."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from mr_damper_ros.io.columns import REST, SKIPPED, Column, ColumnError, parse_columns
+from mr_damper_ros.rig.blocks import Measured
+
+_COUNT = re.compile(r"count(?::(?P<bits>\d+))?")
+_BITS = (8, 16, 32, 64)
+_LONGEST = 2.0**31
+"""Seconds: no clock shows more that stamps can hold."""
+
+
+class Row(NamedTuple):
+    """A line or a record: what was measured, the sender's count or its time [s]; None without."""
+
+    measured: Measured
+    number: int | None
+    time: float | None
+
+
+@dataclass(frozen=True)
+class RowFormat:
+    """The columns of a sender. ``width`` is how many there are, None where others may follow.
+
+    ``count`` is the place of the sender's count, None without, which has ``bits``.
+    """
+
+    columns: tuple[Column, ...]
+    width: int | None
+    count: int | None
+    bits: int
+    text: str
+
+    @property
+    def time_unit(self) -> float | None:
+        """What the sender's time counts in [s]; None where it has none."""
+        return next((item.factor for item in self.columns if item.quantity == "time"), None)
+
+    def row(self, values: Sequence[float | bytes]) -> Row | None:
+        """The row of these cells; None where they are not such."""
+        if len(values) != self.width and (self.width is not None or len(values) < self.least):
+            return None
+        found: dict[str, float] = {}
+        try:
+            for column in self.columns:
+                value = float(values[column.position])
+                found[column.quantity] = value * column.factor + column.offset
+            number = None if self.count is None else _whole(values[self.count])
+        except (ValueError, OverflowError):
+            return None
+        time = found.pop("time", None)
+        measured = Measured(**found)
+        if not measured.possible or (time is not None and not 0.0 <= time < _LONGEST):
+            return None
+        return Row(measured, number, time)
+
+    @property
+    def least(self) -> int:
+        """How many cells there must be."""
+        places = [column.position for column in self.columns]
+        return max([*places, -1 if self.count is None else self.count]) + 1
+
+
+def parse_row_format(text: str) -> RowFormat:
+    """The format from a description such as ``count:16,displacement:mm,-,force:kN``.
+
+    That of the columns of a record (:func:`mr_damper_ros.io.columns.parse_columns`), with ``count``
+    for a number that the sender counts up, and after a colon how many bits it has (32 where that is
+    left out). Raises ColumnError, in one sentence that says what to change.
+    """
+    entries = [entry.strip() for entry in text.split(",")]
+    counting = [place for place, entry in enumerate(entries) if _COUNT.fullmatch(entry)]
+    if len(counting) > 1:
+        raise ColumnError("the columns name count twice: name it once")
+    bits = 32
+    if counting:
+        match = _COUNT.fullmatch(entries[counting[0]])
+        assert match
+        bits = int(match["bits"] or bits)
+        if bits not in _BITS:
+            raise ColumnError(f"a count of {bits} bits is none: use 8, 16, 32 or 64")
+        entries[counting[0]] = SKIPPED
+    columns = parse_columns(",".join(entries))
+    for column in columns.wanted:
+        if column.header:
+            raise ColumnError(
+                f"the column '{column.header}' is named by a header: name the columns of a stream "
+                "by their order, such as displacement:mm,force:N"
+            )
+        if column.holds_dates:
+            raise ColumnError("a stream cannot hold dates: send the time in seconds")
+    if "displacement" not in columns.quantities:
+        raise ColumnError("no column holds the displacement: a velocity does not do for a stream")
+    if counting and "time" in columns.quantities:
+        raise ColumnError(
+            f"the columns hold a count and a time, and only one is needed: write {SKIPPED} for the "
+            "other"
+        )
+    wanted = tuple(column for column in columns.wanted if column.quantity != "velocity")
+    assert columns.width is not None or entries[-1] == REST
+    return RowFormat(wanted, columns.width, counting[0] if counting else None, bits, text)
+
+
+def _whole(cell: float | bytes) -> int:
+    """The count in a cell; some programs write 12.000000. Raises ValueError for other cells."""
+    if isinstance(cell, bytes) and b"." in cell:
+        cell = cell.rstrip(b" 0").removesuffix(b".")
+    return int(cell)
+
+
+_LONGEST_LINE = 1024
+"""Bytes; what is longer is no line of numbers."""
+
+_SHOWN = 40
+
+_LAYOUT = re.compile(r"[<>](?:\d*x|[bBhHiIqQefd])+")
+_SURE = 3
+"""Records in a row that must fit before a stream that was out of step is believed."""
+
+
+class RowDecoder(ABC):
+    """Takes bytes in as they come. ``example`` is the last that could not be read, for people."""
+
+    def __init__(self, form: RowFormat) -> None:
+        self._form = form
+        self.example = ""
+
+    @abstractmethod
+    def begin(self, *, whole: bool) -> None:
+        """Forget what has begun. ``whole``: what comes next begins with a row."""
+
+    @abstractmethod
+    def feed(self, data: bytes) -> list[Row | None]:
+        """The rows that are complete now; None for each that was there and cannot be read."""
+
+    def _unreadable(self, data: bytes) -> None:
+        shown = data[:_SHOWN].decode("ascii", "replace")
+        self.example = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in shown)
+
+
+class LineDecoder(RowDecoder):
+    """Numbers in lines, between commas, semicolons, tabs or blanks; a line of # is a remark."""
+
+    def __init__(self, form: RowFormat) -> None:
+        super().__init__(form)
+        self._rest = b""
+        self._skips = True
+
+    def begin(self, *, whole: bool) -> None:
+        """Forget the line that has begun; the next may be the end of one that is not wanted."""
+        self._rest, self._skips = b"", not whole
+
+    def feed(self, data: bytes) -> list[Row | None]:
+        """The rows of the lines that are complete now."""
+        *lines, rest = (self._rest + data).split(b"\n")
+        rows = [row for line in lines for row in self._rows_of(line)]
+        if len(rest) > _LONGEST_LINE:
+            # The end of it is no line either.
+            if not self._skips:
+                self._unreadable(rest)
+                rows.append(None)
+            rest, self._skips = b"", True
+        self._rest = rest
+        return rows
+
+    def _rows_of(self, line: bytes) -> list[Row | None]:
+        """The row of a line; none of an empty one, of a remark, of the end of a line."""
+        if self._skips:
+            self._skips = False
+            return []
+        line = line.strip()
+        if not line or line.startswith(b"#"):
+            return []
+        row = self._form.row(line.split(_separator(line))) if len(line) <= _LONGEST_LINE else None
+        if row is None:
+            self._unreadable(line)
+        return [row]
+
+
+def _separator(line: bytes) -> bytes | None:
+    """What separates the cells; blanks around it belong to none of them."""
+    return next((mark for mark in (b";", b",", b"\t") if mark in line), None)
+
+
+class RecordDecoder(RowDecoder):
+    """Records of a fixed ``layout`` (as of :mod:`struct`), each after the bytes ``mark``.
+
+    ``check`` is a sum over the record, and stands behind it. Bytes that were lost or added show by
+    mark and sum: what comes then is believed when several records in a row fit.
+    """
+
+    def __init__(self, form: RowFormat, layout: str, mark: bytes, check: str) -> None:
+        super().__init__(form)
+        self._struct = struct.Struct(layout)
+        self._mark = mark
+        self._size, self._check = CHECKS[check]
+        self._whole = len(mark) + self._struct.size + self._size
+        self._rest = b""
+        self._in_step = True
+
+    def begin(self, *, whole: bool) -> None:
+        """Forget the record that has begun."""
+        self._rest, self._in_step = b"", whole or not (self._mark or self._size)
+
+    def feed(self, data: bytes) -> list[Row | None]:
+        """The rows of the records that are complete now."""
+        data, at, skipped = self._rest + data, 0, 0
+        rows: list[Row | None] = []
+        while len(data) - at >= self._whole:
+            if not self._in_step:
+                if len(data) - at < _SURE * self._whole:
+                    break
+                if not all(self._fits(data, at + k * self._whole) for k in range(_SURE)):
+                    begins = data.find(self._mark, at + 1)
+                    begins = len(data) if begins < 0 else begins
+                    at, skipped = begins, skipped + begins - at
+                    continue
+                self._in_step = True
+            if not self._fits(data, at):
+                self._in_step = False
+                self._unreadable(data[at : at + self._whole].hex(" ").encode())
+                continue
+            row = self._form.row(self._struct.unpack_from(data, at + len(self._mark)))
+            if row is None:
+                self._unreadable(data[at : at + self._whole].hex(" ").encode())
+            rows += [None] * round(skipped / self._whole)
+            rows.append(row)
+            at, skipped = at + self._whole, 0
+        self._rest = data[at:]
+        rows += [None] * round(skipped / self._whole)
+        return rows
+
+    def _fits(self, data: bytes, at: int) -> bool:
+        if not data.startswith(self._mark, at):
+            return False
+        end = at + self._whole - self._size
+        return self._size == 0 or self._check(data[at:end]) == data[end : end + self._size]
+
+
+def _sum8(data: bytes) -> bytes:
+    return bytes([sum(data) & 0xFF])
+
+
+def _xor8(data: bytes) -> bytes:
+    value = 0
+    for byte in data:
+        value ^= byte
+    return bytes([value])
+
+
+def _crc16(data: bytes) -> bytes:
+    """CRC-16/XMODEM, the high byte first."""
+    import binascii
+
+    return binascii.crc_hqx(data, 0).to_bytes(2, "big")
+
+
+CHECKS: dict[str, tuple[int, Callable[[bytes], bytes]]] = {
+    "none": (0, bytes),
+    "sum8": (1, _sum8),
+    "xor8": (1, _xor8),
+    "crc16": (2, _crc16),
+}
+"""Bytes of each check, and how it is reckoned over mark and record."""
+
+
+def check_layout(layout: str, form: RowFormat) -> None:
+    """Raise ValueError, with a sentence, where a layout is none or does not have these columns."""
+    if _LAYOUT.fullmatch(layout) is None:
+        raise ValueError(
+            f"the layout '{layout}' cannot be used: begin with < (low byte first) or > and write a "
+            "letter for each column, such as <Hff, with those of Python's struct: b B h H i I q Q "
+            "e f d, x for a byte to skip"
+        )
+    count = len(struct.unpack(layout, bytes(struct.calcsize(layout))))
+    if form.width is None or count != form.width:
+        raise ValueError(
+            f"the layout '{layout}' holds {count} numbers, and the columns '{form.text}' are "
+            f"{form.width or 'open-ended'}: describe each of them"
+        )
+    if form.count is not None:
+        letter = re.sub(r"[<>]|\d*x", "", layout)[form.count]
+        bits = 8 * struct.calcsize("<" + letter)
+        if letter in "efd" or bits != form.bits:
+            raise ValueError(
+                f"the count has {form.bits} bits, and {letter} in the layout '{layout}' is "
+                + ("no integer" if letter in "efd" else f"one of {bits}: write count:{bits}")
+            )
+
+
+_RATE = 1000.0
+"""Samples per second [Hz] where none is stated."""
+
+_IDLE = 0.01
+
+
+class SimulatedSender:
+    """Sends 5 mm at 1 Hz, 1 kN, 1.5 A and 25 °C in a format; records after the ``mark``."""
+
+    def __init__(
+        self, form: RowFormat, rate: float, layout: str = "", mark: bytes = b"", check: str = "none"
+    ) -> None:
+        self._form = form
+        self._rate = _RATE if math.isnan(rate) else rate
+        self._layout, self._mark, self._check = layout, mark, CHECKS[check]
+        self._began = time.monotonic()
+        self._sent = 0
+
+    def read(self) -> bytes | None:
+        """What is due by now."""
+        time.sleep(_IDLE)
+        until = math.floor((time.monotonic() - self._began) * self._rate)
+        first, self._sent = self._sent, until
+        return b"".join(self.row(k) for k in range(first, until)) or None
+
+    def close(self) -> None:
+        """Nothing is to be let go."""
+
+    def row(self, k: int) -> bytes:
+        """Line or record number ``k``."""
+        cells = self._cells(k)
+        if not self._layout:
+            return ",".join(f"{cell:.10g}" for cell in cells).encode() + b"\n"
+        letters = re.sub(r"[<>]|\d*x", "", self._layout)
+        values = [
+            cell if letter in "efd" else round(cell)
+            for cell, letter in zip(cells, letters, strict=True)
+        ]
+        data = self._mark + struct.pack(self._layout, *values)
+        size, check = self._check
+        return data + check(data)[:size]
+
+    def _cells(self, k: int) -> list[float]:
+        form = self._form
+        phase = 2.0 * math.pi * k / self._rate
+        measured = {
+            "time": k / self._rate,
+            "displacement": 0.005 * math.sin(phase),
+            "force": 1000.0 * math.tanh(3.0 * math.cos(phase)),
+            "current": 1.5,
+            "temperature": 25.0,
+        }
+        cells = [0.0] * (form.width or form.least)
+        for column in form.columns:
+            value = (measured[column.quantity] - column.offset) / column.factor
+            cells[column.position] = value
+        if form.count is not None:
+            cells[form.count] = k % 2**form.bits
+        return cells

@@ -1,0 +1,264 @@
+"""A supply that speaks SCPI, by the profile of its kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, ScpiLink
+
+_FILLED_IN = {"current": 1.0, "voltage": 1.0, "seconds": 1.0}
+"""What a command may have in braces."""
+
+
+class ProfileError(ValueError):
+    """A profile that cannot be used; the message says what to change."""
+
+
+@dataclass(frozen=True)
+class SupplyProfile:
+    """Lines of SCPI by what they do. A line may hold ``{current}``, ``{voltage}``, ``{seconds}``.
+
+    ``setup`` is sent once, with the output off and no current. ``watchdog`` makes the instrument
+    switch off by itself where it hears nothing for ``{seconds}``, a whole multiple of
+    ``watchdog_step`` [s] of at least that; without these lines it has none. ``rearm`` makes it take
+    ``output_on`` again after that. An answer to ``read_error`` that begins with ``no_error`` says
+    that there are no errors (any more). ``tested`` says in a sentence what the profile was tried
+    on.
+
+    Raises ProfileError where a line has something else in braces.
+    """
+
+    tested: str
+    set_current: str = "CURR {current:.4f}"
+    read_current: str = "MEAS:CURR?"
+    output_on: str = "OUTP ON"
+    output_off: str = "OUTP OFF"
+    read_error: str = "SYST:ERR?"
+    no_error: tuple[str, ...] = ("0,", "+0,")
+    setup: tuple[str, ...] = ("VOLT {voltage:.3f}",)
+    watchdog: tuple[str, ...] = ()
+    watchdog_step: float = 1.0
+    rearm: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        lines = (self.set_current, self.read_current, self.output_on, self.output_off)
+        for line in (*lines, self.read_error, *self.setup, *self.watchdog, *self.rearm):
+            try:
+                line.format(**_FILLED_IN)
+            except (KeyError, IndexError, ValueError) as error:
+                raise ProfileError(
+                    f"the line '{line}' of the profile cannot be filled in: it may hold "
+                    "{current}, {voltage} and {seconds}, and no other braces"
+                ) from error
+        if not (math.isfinite(self.watchdog_step) and self.watchdog_step > 0.0):
+            raise ProfileError("watchdog_step of the profile must be positive [s]")
+
+    def watchdog_delay(self, wanted: float) -> float:
+        """The shortest delay [s] of the instrument's watchdog that is not below ``wanted``."""
+        return max(math.ceil(wanted / self.watchdog_step - 1e-9), 1) * self.watchdog_step
+
+
+def shipped_profiles() -> list[str]:
+    """Names of the profiles that come with the package."""
+    return sorted(path.stem for path in _FOLDER.glob("*.yaml"))
+
+
+def read_profile(name: str) -> SupplyProfile:
+    """The profile of a name, or of the path of a YAML file; raises ProfileError."""
+    import yaml  # here: a node that has no supply does without
+
+    path = Path(name) if name.endswith((".yaml", ".yml")) else _FOLDER / f"{name}.yaml"
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ProfileError(
+            f"the profile '{name}' cannot be read: name one of {', '.join(shipped_profiles())}, or "
+            "the path of a YAML file"
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ProfileError(f"the profile '{name}' is no YAML: {error}".split("\n")[0]) from error
+    return _profile(content, name)
+
+
+def _profile(content: Any, name: str) -> SupplyProfile:
+    if not isinstance(content, dict):
+        raise ProfileError(f"the profile '{name}' is no table of names and lines")
+    kinds = {field.name: field.type for field in fields(SupplyProfile)}
+    values: dict[str, Any] = {}
+    for key, value in content.items():
+        if key not in kinds:
+            raise ProfileError(
+                f"the profile '{name}' has '{key}', which is none of {', '.join(kinds)}"
+            )
+        if str(kinds[key]).startswith("tuple"):
+            given = value if isinstance(value, list) else [value]
+            values[key] = tuple(str(line) for line in given)
+        elif key == "watchdog_step":
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ProfileError(f"'watchdog_step' of the profile '{name}' must be a number [s]")
+            values[key] = float(value)
+        else:
+            values[key] = str(value)
+    if "tested" not in values:
+        raise ProfileError(f"the profile '{name}' does not say what it was tested on ('tested')")
+    return SupplyProfile(**values)
+
+
+_FOLDER = Path(__file__).parent / "profiles"
+
+_MOST_ERRORS = 50
+"""More than a queue of errors holds: one that never ends is no queue."""
+
+_NOT_A_NUMBER = 9.9e37
+"""What is as large stands for infinity or for no number at all (SCPI-99, volume 1, 7.2.1)."""
+
+
+class SupplyError(ValueError):
+    """The instrument answers, but not what it should; the message is a sentence."""
+
+
+class ScpiSupply:
+    """One instrument; every method raises LinkLostError where it does not answer.
+
+    ``connect`` makes a link to it, in which each answer comes within ``timeout`` [s]. ``voltage``
+    [V] is the most that it may put on the coil, ``watchdog`` [s] after how long without a line it
+    shall switch off by itself, where it can.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[Patience], ScpiLink],
+        profile: SupplyProfile,
+        *,
+        voltage: float,
+        watchdog: float,
+        timeout: float,
+    ) -> None:
+        self._connect = connect
+        self.patience = Patience(timeout)
+        self._profile = profile
+        self._voltage = voltage
+        self._delay = profile.watchdog_delay(watchdog)
+        self._link: ScpiLink | None = None
+        self._given = ""
+        self.switched_on = False
+        """Whether the output has been switched on, and not been heard to be off since."""
+
+    @property
+    def watchdog(self) -> float:
+        """Seconds after which the instrument switches off by itself; NaN where it does not."""
+        return self._delay if self._profile.watchdog else math.nan
+
+    def open(self) -> str:
+        """Connect, switch the output off and set the instrument up; returns what it calls itself.
+
+        Raises SupplyError where it does not understand that.
+        """
+        self.close()
+        self.patience.end = math.inf
+        self._link = self._connect(self.patience)
+        name = self._link.query("*IDN?")
+        self.switch_off()
+        for line in self._profile.setup:
+            self._write(line)
+        self._require_no_errors("the set-up")
+        return name
+
+    def switch_on(self) -> None:
+        """Switch the output on, at no current; raises SupplyError where the instrument objects."""
+        self.patience.end = math.inf
+        self.switch_off()
+        for line in (*self._profile.rearm, *self._profile.watchdog):
+            self._write(line)
+        self.switched_on = True
+        self._write(self._profile.output_on)
+        try:
+            self._require_no_errors("switching the output on")
+        except SupplyError:
+            self.switch_off()
+            raise
+
+    def switch_off(self) -> None:
+        """Take the current away and switch the output off, and see that this was heard."""
+        self._given = ""
+        self.give(0.0)
+        self._write(self._profile.output_off)
+        # An answer says that the lines before it have come. What is complained of may be older.
+        if self.errors():
+            self._write(self._profile.output_off)
+            self._require_no_errors("switching the output off")
+        self.switched_on = False
+
+    def give(self, current: float) -> None:
+        """Set the current [A], unless it is set already."""
+        line = self._profile.set_current.format(current=current)
+        if line != self._given:
+            self._write(line)
+            self._given = line
+
+    def measured(self) -> float:
+        """The current [A] that the instrument measures; raises SupplyError where that is none."""
+        answer = self._query(self._profile.read_current)
+        try:
+            value = float(answer)
+        except ValueError:
+            value = math.nan
+        if not abs(value) < _NOT_A_NUMBER:
+            raise SupplyError(
+                f"the supply answers '{answer[:80]}' to {self._profile.read_current}, which is no "
+                "current: does the profile fit it?"
+            )
+        return value
+
+    def next_error(self) -> str:
+        """The oldest in the instrument's queue of errors; empty where there is none."""
+        answer = self._query(self._profile.read_error)
+        return "" if answer.startswith(self._profile.no_error) else answer
+
+    def errors(self) -> list[str]:
+        """All that waits in the instrument's queue of errors."""
+        found: list[str] = []
+        while len(found) < _MOST_ERRORS:
+            error = self.next_error()
+            if not error:
+                return found
+            found.append(error)
+        raise SupplyError(
+            f"the supply's queue of errors does not end: {found[-1][:80]} again and again to "
+            f"{self._profile.read_error}; does the profile fit it?"
+        )
+
+    def rescue(self) -> None:
+        """Switch the output off over a new link, however little time the old one was given."""
+        self.patience.end = math.inf
+        with suppress(LinkLostError):  # of the old one, which is given up
+            self.close()
+        self._link = self._connect(self.patience)
+        self.switch_off()
+
+    def close(self) -> None:
+        """Let the instrument go, as it is."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _require_no_errors(self, what: str) -> None:
+        errors = self.errors()
+        if errors:
+            raise SupplyError(f"the supply objects to {what}: {'; '.join(errors)[:200]}")
+
+    def _write(self, line: str) -> None:
+        self._linked().write(line.format(voltage=self._voltage, seconds=self._delay))
+
+    def _query(self, line: str) -> str:
+        return self._linked().query(line)
+
+    def _linked(self) -> ScpiLink:
+        if self._link is None:
+            raise LinkLostError("there is no link to the supply")
+        return self._link

@@ -1,0 +1,1 @@
+"""The check of a rig: what is wrong with its signals."""

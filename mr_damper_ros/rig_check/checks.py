@@ -1,0 +1,498 @@
+"""What is wrong with the signals of a rig, in words, and what to begin with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
+from mr_damper_ros.rig_check.lag import ChannelLag, channel_lag
+from mr_damper_ros.rig_check.record import RigFinding, RigRecord, Trouble
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.white_noise import white_noise
+
+_CUT, _ROW = 0.01, 5
+"""Part of the samples, and how many in a row, that have exactly the largest or smallest value."""
+
+_COARSE = 0.02
+"""Step of a converter, in standard deviations of the channel."""
+
+_NOISY = {"displacement": (0.002, 1e-5), "force": (0.03, 10.0)}
+"""White noise that is much, in standard deviations of the channel and in its unit: both, for
+without current a damper's force is small."""
+
+_WILD, _JUMP = 12.0, 0.1
+"""A single value that is so many times the noise, and such a part of the range, off its neighbours.
+"""
+
+_MAINS = (50.0, 60.0)
+_NEAR, _BESIDE = 0.5, 6.0
+"""Hertz around a frequency of the mains that belong to it, and that it is compared with."""
+
+_HARMONICS = 2.2
+"""Frequencies of the motion that it is compared with: odd harmonics lie two apart."""
+
+_STANDS_OUT, _HUMS = 3.0, {"displacement": 1e-3, "force": 5e-3}
+"""Times the lines beside it, and standard deviations of the channel, that a line is hum from."""
+
+
+def channel_findings(
+    name: str, unit: str, values: Array, period: float, frequency: float
+) -> Iterator[RigFinding]:
+    """What is wrong with the values (n,) of a channel of a motion of about this frequency [Hz]."""
+    spread = float(np.std(values))
+    step = coarse_step(values)
+    cut = "" if step else _cut_off(values)
+    if cut:
+        yield RigFinding(
+            Trouble.CLIPPED,
+            f"the {name} is cut off at {cut}: choose a larger range, or a smaller motion",
+            name,
+        )
+    if step:
+        yield RigFinding(
+            Trouble.COARSE,
+            f"the {name} comes in steps of {step:.3g} {unit}: choose a smaller range or more bits",
+            name,
+        )
+    noise = white_noise(values)
+    part, least = _NOISY[name]
+    if noise > max(part * spread, least) and not step:
+        yield RigFinding(
+            Trouble.NOISE,
+            f"the {name} has {noise:.3g} {unit} of noise ({noise / spread:.1%} of its standard "
+            "deviation): look at shields, earth and filter",
+            name,
+        )
+    wild = _wild_values(values, noise)
+    if wild:
+        yield RigFinding(
+            Trouble.SPIKES,
+            f"{wild} single values of the {name} are far off their neighbours: a loose plug, or a "
+            "disturbance?",
+            name,
+        )
+        return
+    for mains in _MAINS:
+        beside = max(_BESIDE, _HARMONICS * frequency)
+        amplitude = _hum(values, period, mains, beside, _HUMS[name] * spread)
+        if amplitude > 0.0:
+            yield RigFinding(
+                Trouble.HUM,
+                f"the {name} has {amplitude:.3g} {unit} of hum at {mains:g} Hz: look at shields "
+                "and earth",
+                name,
+            )
+
+
+def coarse_step(values: Array) -> float:
+    """The step that values come in, where that is coarse; else 0."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 1e-9 * float(np.ptp(values))]
+    step = float(steps.min()) if steps.size else 0.0
+    return step if step > _COARSE * float(np.std(values)) else 0.0
+
+
+def _cut_off(values: Array) -> str:
+    """Where the values are cut off, in words; empty where they are not."""
+    places = []
+    for limit in (float(values.min()), float(values.max())):
+        there = values == limit
+        # The longest row of equal values.
+        ends = np.flatnonzero(np.diff(np.concatenate([[0], there.astype(int), [0]])))
+        longest = int(np.diff(ends)[::2].max())
+        if longest >= _ROW and np.count_nonzero(there) >= _CUT * values.size:
+            places.append(f"{limit:.4g}")
+    return " and ".join(places)
+
+
+def _wild_values(values: Array, noise: float) -> int:
+    middle = np.median(np.stack([values[:-2], values[1:-1], values[2:]]), axis=0)
+    off = np.abs(values[1:-1] - middle)
+    least = max(_WILD * noise, _JUMP * float(np.quantile(values, 0.99) - np.quantile(values, 0.01)))
+    return int(np.count_nonzero(off > least))
+
+
+def _hum(values: Array, period: float, mains: float, reach: float, least: float) -> float:
+    """Amplitude of a line at the mains' frequency that stands out; 0 where none does."""
+    if mains + reach > 0.5 / period or values.size * period < 2.0 / _NEAR:
+        return 0.0
+    weights = np.hanning(values.size)
+    lines = np.abs(np.fft.rfft((values - values.mean()) * weights)) * 2.0 / weights.sum()
+    away = np.abs(np.fft.rfftfreq(values.size, period) - mains)
+    here = float(lines[away <= _NEAR].max())
+    beside = float(lines[(away > 2.0 * _NEAR) & (away <= reach)].max())
+    return here if here > max(_STANDS_OUT * beside, least) else 0.0
+
+
+_RATE = 0.003
+"""Difference from the stated period that no clock of a machine has."""
+
+_JITTER = 0.1
+"""Sample periods: a stamp that is off by less is taken as it is (doc/time.md)."""
+
+_BURST = 0.1
+"""Seconds by which a block comes later than its samples, that no network needs."""
+
+_TOLD_LATE = 2.0
+"""Seconds of samples by which two counts may differ that are told once a second."""
+
+_CURRENT_OFF, _SETTLING = 0.05, 1.0
+"""Amperes that the measured current may be off, once the command is so many seconds old."""
+
+_CURRENT_AHEAD = 0.5
+"""Seconds between the newest stamps of current and samples that are more than a slow reading."""
+
+
+def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
+    """What is wrong with the blocks of a record that holds some."""
+    yield from _count_findings(record)
+    yield from _stamp_findings(record)
+    arrivals = np.array([block.arrival_ns for block in record.blocks], dtype=np.float64)
+    if (arrivals >= 0.0).all() and arrivals.size > 2:
+        longest = max(block.force.size * block.period for block in record.blocks)
+        stamps = np.array([block.start_ns for block in record.blocks], dtype=np.int64)
+        # Where there are no samples, nothing was held up.
+        expected = np.clip(np.diff(stamps) / NANOSECONDS, longest, None)
+        pauses = np.diff(arrivals) / NANOSECONDS
+        held_up = pauses - expected > _BURST
+        if np.count_nonzero(held_up) > 1:
+            yield RigFinding(
+                Trouble.BURSTS,
+                f"{np.count_nonzero(held_up)} times nothing came for up to "
+                f"{pauses[held_up].max():.2g} s, then much "
+                "at once: look at the network and the load of the sender",
+            )
+
+
+def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
+    lost = repeated = restarts = 0
+    newest, expected = -1, record.blocks[0].sequence
+    stamped = record.blocks[0].start_ns
+    for block in record.blocks:
+        missing = block.sequence - expected
+        later = (block.start_ns - stamped) / NANOSECONDS
+        if missing > 0:
+            lost += missing
+        elif missing < 0:
+            if later > -1.0 and block.sequence + block.force.size <= newest and later <= 0.0:
+                repeated += 1
+                continue
+            restarts += 1
+        elif abs(later) > 1.0:
+            restarts += 1
+        expected = newest = block.sequence + block.force.size
+        stamped = block.start_ns + round(block.force.size * block.period * NANOSECONDS)
+    if repeated:
+        # What comes later than its successor was missed when that came.
+        lost = max(lost - repeated * round(np.median([b.force.size for b in record.blocks])), 0)
+        yield RigFinding(
+            Trouble.REPEATED,
+            f"{repeated} blocks came twice or after later ones: does only one node publish them?",
+        )
+    left_out = 0
+    for name in ("displacement", "force"):
+        count = record.left_out(name)
+        left_out += count
+        if count:
+            yield RigFinding(
+                Trouble.CLIPPED,
+                f"the {name} was at the end of its range: {count} samples were left out by their "
+                "source; choose a larger range, or a smaller motion",
+                name,
+            )
+    if left_out and (lost - left_out) * record.period < _TOLD_LATE:
+        lost = 0
+    if lost:
+        whole = lost + record.sample_count
+        yield RigFinding(
+            Trouble.LOST,
+            f"{lost} samples of {whole} ({lost / whole:.2%}) never came: look at the network, send "
+            "larger blocks, and see that the queues are deep enough",
+        )
+    if restarts:
+        yield RigFinding(
+            Trouble.RESTARTED,
+            f"count or stamps of the samples were set {restarts} times: is the source started "
+            "again, or its clock set, while it runs?",
+        )
+
+
+def _stamp_findings(record: RigRecord) -> Iterator[RigFinding]:
+    numbers, times = record.stamps()
+    rising = np.flatnonzero(np.diff(numbers) > 0)
+    if rising.size < 8 or numbers[-1] <= numbers[0]:
+        return
+    periods = np.diff(times)[rising] / np.diff(numbers)[rising]
+    period, stated = float(np.median(periods)), record.period
+    if abs(period / stated - 1.0) > _RATE:
+        yield RigFinding(
+            Trouble.RATE,
+            f"the stamps say a sample every {1e3 * period:.4g} ms ({1.0 / period:.4g} Hz), stated "
+            f"are {1e3 * stated:.4g} ms: set the right period in the driver",
+        )
+    # A line over the whole record would not follow a clock that was set.
+    off = np.diff(times)[rising] - period * np.diff(numbers)[rising]
+    jitter = float(np.std(off[np.abs(off) < 1.0])) / math.sqrt(2.0) / period
+    if jitter > _JITTER:
+        yield RigFinding(
+            Trouble.JITTER,
+            f"the stamps jitter by {1e3 * jitter * period:.2g} ms ({jitter:.0%} of a period): "
+            "stamp by the count of the samples, not by when they come (doc/time.md)",
+        )
+
+
+def current_findings(record: RigRecord) -> Iterator[RigFinding]:
+    """What is wrong with the current."""
+    if not record.measured:
+        yield RigFinding(
+            Trouble.NO_CURRENT,
+            "no current comes on supply/current: start the supply, or a driver of your own",
+            "current",
+        )
+        return
+    stamps = np.array([stamp for stamp, _ in record.measured], dtype=np.int64)
+    values = np.array([value for _, value in record.measured])
+    if not np.isfinite(values).all():
+        yield RigFinding(
+            Trouble.NOT_FINITE, "the current holds values that are no numbers", "current"
+        )
+        return
+    if record.blocks:
+        last = record.blocks[-1]
+        end_ns = last.start_ns + round(last.force.size * last.period * NANOSECONDS)
+        ahead = (int(stamps.max()) - end_ns) / NANOSECONDS
+        usual = float(np.median(np.diff(np.sort(stamps)))) / NANOSECONDS if stamps.size > 1 else 0.0
+        if abs(ahead) > _CURRENT_AHEAD + 2.0 * usual:
+            yield RigFinding(
+                Trouble.CURRENT_CLOCK,
+                f"the current is stamped {abs(ahead):.3g} s "
+                f"{'later' if ahead > 0.0 else 'earlier'} than the samples: synchronise the clocks",
+                "current",
+            )
+    yield from _command_findings(record, stamps, values)
+
+
+def _command_findings(
+    record: RigRecord, stamps: np.ndarray, values: np.ndarray
+) -> Iterator[RigFinding]:
+    if not record.commanded:
+        return
+    told = np.array([stamp for stamp, _ in record.commanded], dtype=np.int64)
+    wanted = np.array([value for _, value in record.commanded])
+    changed = np.concatenate([[True], np.diff(wanted) != 0.0])
+    since = told[np.maximum.accumulate(np.where(changed, np.arange(told.size), 0))]
+    place = np.searchsorted(told, stamps, side="right") - 1
+    known = place >= 0
+    held = (stamps[known] - since[place[known]]) / NANOSECONDS
+    fresh = (stamps[known] - told[place[known]]) / NANOSECONDS < _SETTLING
+    off = (values[known] - wanted[place[known]])[(held > _SETTLING) & fresh]
+    if off.size and float(np.median(np.abs(off))) > _CURRENT_OFF:
+        yield RigFinding(
+            Trouble.CURRENT,
+            f"the measured current is {float(np.median(off)):+.3g} A off the commanded one: look "
+            "at the limits of the supply, its voltage and the wires to the coil",
+            "current",
+        )
+
+
+_ENOUGH = 200
+"""Samples in a row from which on anything is said of the channels."""
+
+_DISPLACEMENT, _FORCE = (5e-5, 0.5), (2.0, 5e5)
+"""Half ranges [m] and [N] that a damper in a press has; below and above the unit is another."""
+
+_OFFSET = 0.25
+"""Mean of the force over half its range that is more than a gas pressure gives."""
+
+_SMOOTHER = 0.9
+"""A machine moves smoothly; a damper's force turns sharply: its steps are the larger ones."""
+
+_SKEW, _SURE = 3e-4, 3.0
+"""Skew [s] that costs something, and standard errors that it must have."""
+
+_USUAL = 2e-3
+"""Amplitude [m] to begin with."""
+
+
+@dataclass(frozen=True)
+class RigCheck:
+    """``findings`` (none: nothing is wrong), the ``lag`` of the force, and what to begin with."""
+
+    findings: tuple[RigFinding, ...]
+    lag: ChannelLag | None
+    advice: str
+
+    def __str__(self) -> str:
+        lines = [f"- {finding.sentence}" for finding in self.findings]
+        return "\n".join([*(lines or ["Nothing is wrong with the signals."]), "", self.advice])
+
+
+def check_rig(record: RigRecord) -> RigCheck:
+    """Judge what was heard of a rig, best for half a minute of motion at changing frequency."""
+    unusable = RigFinding(
+        Trouble.UNUSABLE,
+        f"{record.unusable} messages cannot be used: each needs a period above 0, and as many "
+        "displacements as forces",
+    )
+    found = [unusable] if record.unusable else []
+    if not record.blocks:
+        silent = RigFinding(
+            Trouble.SILENT,
+            "no samples come on mts/samples: start the bridge, or your driver, and let it publish "
+            "reliably",
+        )
+        return RigCheck((*found, silent, *current_findings(record)), None, "")
+    found += stream_findings(record)
+    displacement, force = record.stretch()
+    lag = None
+    if not (np.isfinite(displacement).all() and np.isfinite(force).all()):
+        for name, values in (("displacement", displacement), ("force", force)):
+            count = int(np.count_nonzero(~np.isfinite(values)))
+            if count:
+                found.append(
+                    RigFinding(
+                        Trouble.NOT_FINITE, f"{count} values of the {name} are no numbers", name
+                    )
+                )
+    elif displacement.size >= _ENOUGH:
+        of_channels, lag = _channels(displacement, force, record.period)
+        found += of_channels
+    found += current_findings(record)
+    return RigCheck(tuple(found), lag, _advice(displacement, force, record.period))
+
+
+def _channels(
+    displacement: Array, force: Array, period: float
+) -> tuple[list[RigFinding], ChannelLag | None]:
+    still = [
+        RigFinding(
+            Trouble.STUCK, f"the {name} does not change at all: is its sensor connected?", name
+        )
+        for name, values in (("displacement", displacement), ("force", force))
+        if np.ptp(values) == 0.0
+    ]
+    if still:
+        return still, None
+    at_rest = _half_range(displacement) < _DISPLACEMENT[0]
+    if not at_rest and _exchanged(displacement, force):
+        return [
+            RigFinding(
+                Trouble.SWAPPED,
+                "the displacement is rougher than the force: are the two channels exchanged?",
+            )
+        ], None
+    found = list(_unit_findings(displacement, force))
+    if any(finding.trouble is Trouble.AT_REST for finding in found):
+        return found, None
+    frequency = _frequency(displacement, period)
+    for name, unit, values in (("displacement", "m", displacement), ("force", "N", force)):
+        found += channel_findings(name, unit, values, period, frequency)
+    sound = not any(finding.trouble is Trouble.CLIPPED for finding in found)
+    lag = channel_lag(displacement, force, period)
+    if _power(displacement, force, period) < 0.0:
+        found.append(
+            RigFinding(
+                Trouble.INVERTED,
+                "the force drives the motion: reverse the sign of force or displacement; extension "
+                "and tension are positive",
+            )
+        )
+        lag = channel_lag(displacement, -force, period)
+    if sound and lag.determined and abs(lag.skew) > max(_SKEW, _SURE * lag.standard_error):
+        late, early = ("force", "displacement") if lag.skew > 0 else ("displacement", "force")
+        found.append(
+            RigFinding(
+                Trouble.SKEW,
+                f"the {late} comes {1e3 * abs(lag.skew):.2f} ± {1e3 * lag.standard_error:.2f} ms "
+                f"later than the {early}: a filter, a multiplexer, or a compliant mount? Set the "
+                f"bridge's force_lateness to {lag.skew:.5f}",
+            )
+        )
+    return found, lag
+
+
+def _unit_findings(displacement: Array, force: Array) -> Iterator[RigFinding]:
+    for name, unit, other, values, (low, high) in (
+        ("displacement", "m", "millimetres", displacement, _DISPLACEMENT),
+        ("force", "N", "kilonewtons", force, _FORCE),
+    ):
+        half = _half_range(values)
+        if half > high:
+            yield RigFinding(
+                Trouble.UNIT, f"the {name} goes to ±{half:.3g} {unit}: is it in {other}?", name
+            )
+        elif half < low:
+            trouble = Trouble.AT_REST if name == "displacement" else Trouble.UNIT
+            question = "does the machine move?" if name == "displacement" else f"is it in {other}?"
+            yield RigFinding(
+                trouble, f"the {name} goes to ±{half:.3g} {unit} only: {question}", name
+            )
+    half = _half_range(force)
+    if _half_range(displacement) < _DISPLACEMENT[0]:
+        return
+    # Half of the way between the extremes: a mean over parts of a cycle would not do.
+    middle = 0.5 * float(np.quantile(force, 0.99) + np.quantile(force, 0.01))
+    if abs(middle) > _OFFSET * half:
+        yield RigFinding(
+            Trouble.OFFSET,
+            f"the force goes about {middle:.3g} N, not zero: set the zero of the load cell with "
+            "the rod free",
+            "force",
+        )
+
+
+def _half_range(values: Array) -> float:
+    """Half the range of nearly all values: what happened once does not count."""
+    low, high = np.quantile(values, (0.01, 0.99))
+    return 0.5 * float(high - low)
+
+
+def _exchanged(displacement: Array, force: Array) -> bool:
+    """Whether the one channel is what the other should be: rough, and noisy for its size."""
+    if coarse_step(displacement):
+        return False  # a converter of few steps is rough, too
+    noises = [white_noise(values) / float(np.std(values)) for values in (displacement, force)]
+    rougher = _roughness(displacement) * _SMOOTHER > _roughness(force)
+    return rougher and noises[0] > noises[1]
+
+
+def _frequency(displacement: Array, period: float) -> float:
+    """About how many times a second the rod goes to and fro [Hz]."""
+    half = max(round(5e-3 / period), 2)
+    if displacement.size < 2 * half + 1:
+        return 0.0
+    velocity = SavitzkyGolay(2 * half + 1, 2).derivative(displacement, 1, period)
+    return float(np.std(velocity) / np.std(displacement) / (2.0 * np.pi))
+
+
+def _roughness(values: Array) -> float:
+    """Size of the steps between samples, without their noise, over the standard deviation."""
+    steps = float(np.mean(np.diff(values) ** 2)) - 2.0 * white_noise(values) ** 2
+    return float(np.sqrt(max(steps, 0.0)) / np.std(values))
+
+
+def _power(displacement: Array, force: Array, period: float) -> float:
+    """Mean power [W] that the damper takes."""
+    half = max(round(2e-3 / period), 2)
+    velocity = SavitzkyGolay(2 * half + 1, 2).derivative(displacement, 1, period)
+    return float(np.mean(velocity * (force - force.mean())))
+
+
+def _advice(displacement: Array, force: Array, period: float) -> str:
+    """What amplitude and frequency to begin with, from the noise and the rate."""
+    if displacement.size < _ENOUGH or not np.isfinite(displacement).all():
+        return ""
+    smallest = max(500.0 * white_noise(displacement), 1e-4)
+    fastest = 1.0 / (200.0 * period)
+    frequency = min(1.0, fastest)
+    return (
+        f"Begin with a sine of ±{1e3 * max(smallest, _USUAL):.2g} mm at {frequency:.2g} Hz and no "
+        f"current, then half and all of it, then {min(2.0 * frequency, fastest):.2g} Hz. At least "
+        f"±{1e3 * smallest:.2g} mm stand out of the noise; up to {fastest:.3g} Hz a cycle has at "
+        "least 200 samples."
+    )
