@@ -9,7 +9,7 @@ export PYTHON
 
 TESTED := pytest -n 2 --dist worksteal
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
-STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc)
+STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc examples)
 
 .PHONY: help setup demo live thesis control truth doc bench soak test test-noble test-wheel lint format clean distclean
 

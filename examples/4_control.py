@@ -1,0 +1,85 @@
+# %% [markdown]
+# # A controller for an identified damper
+#
+# The inverse of the law gives the current for a force. A quarter car on a road then has a damper
+# that follows a skyhook controller through that inverse; in the end the inverse becomes code for
+# another controller. All of it is simulated; the bags are re-synthesised (`bags/README.md`).
+
+# %%
+from pathlib import Path
+
+import numpy as np
+
+import mr_damper_ros as mr
+from mr_damper_ros.kinematics.motion import Motion
+
+damper = mr.identify(
+    ["bags/5.0mm_1Hz_0.5A", "bags/7.5mm_1Hz_1.0A", "bags/5.0mm_1Hz_1.5A"]
+).parameter_set
+inverse = mr.InverseModel(damper, 0.5, 1.5)
+moving = Motion(
+    displacement=np.zeros(3),
+    velocity=np.full(3, 0.03),
+    acceleration=np.full(3, 0.1),
+    peak_velocity=np.full(3, 0.031),
+    sine=None,
+)
+found = inverse.currents(moving, [700.0, 900.0, -300.0])
+for current, force, attainable in zip(found.current, found.force, found.attainable, strict=True):
+    print(f"{current:.2f} A gives {force:.0f} N" + ("" if attainable else ", the nearest there is"))
+
+# %% [markdown]
+# A quarter car on a poor road (ISO 8608, class C) at 20 m/s. `ForceController` is what the node
+# `controller` runs: it never commands a current where it doubts the force.
+
+# %%
+from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
+from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
+from mr_damper_ros.control.semi_active import skyhook
+from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
+from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
+from mr_damper_ros.emulation.plant_rig import (
+    HIGHEST_CURRENT,
+    BuiltInDamper,
+    PlantRig,
+    invented_damper,
+)
+from mr_damper_ros.rig.sources.quarter_car_source import moment_of
+
+COIL = 0.01  # time constant of the coil [s]
+SETTLED = 2.0
+
+
+def comfort(controlled: bool) -> float:
+    """RMS of the body's acceleration [m/s2] over eight seconds of road."""
+    knob = SupplyKnob(0.0)
+    rig = PlantRig(
+        BuiltInDamper(invented_damper(COIL)),
+        QuarterCar().plant,
+        IsoRoad("C", speed=20.0, seed=1),
+        knob.schedule,
+        settings=RigSettings(displacement_noise=1e-6),
+        coil_time_constant=COIL,
+    )
+    controller = ForceController(ForceControlSettings(highest_current=HIGHEST_CURRENT))
+    controller.set_parameters(invented_damper(COIL))
+    wanted = skyhook(3000.0)
+    choice = ForceChoice(controller, lambda _: wanted(moment_of(rig)))
+    blocks = commanded(rig, knob, choice if controlled else lambda _: 0.0, 10, 10.0)
+    body = np.concatenate([block.motion.rates[:, 1] for block in blocks])
+    return float(np.std(body[round(SETTLED * rig.settings.sample_rate) :]))
+
+
+print(f"passive, 0 A: {comfort(False):.2f} m/s2; skyhook: {comfort(True):.2f} m/s2")
+
+# %% [markdown]
+# The law and its inverse for another controller, as C, as M-code or as an FMU:
+#
+# ```bash
+# ros2 run mr_damper_ros export build/examples/whole.yaml --format fmu --output build/examples
+# ```
+
+# %%
+folder = Path("build/examples")
+folder.mkdir(parents=True, exist_ok=True)
+damper.save(folder / "whole.yaml")
