@@ -27,7 +27,7 @@ from benchmarks.reversal_jump import raw_records
 from benchmarks.stream_trial import TrialResult
 from mr_damper_ros.api.replay import Replay, replay
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.study import earthquake, recordings

@@ -15,8 +15,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.recorded_stream import stream_of
-from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.recording import Recording, stream_of
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings

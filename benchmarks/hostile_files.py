@@ -12,11 +12,10 @@ import numpy as np
 from scipy.io import savemat
 
 from benchmarks.hostile_input import NUMBERS, PERIOD, T0, motion
+from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.bag_streams import BagError
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.io.columns import ColumnError
-from mr_damper_ros.io.raw_table import RecordError
+from mr_damper_ros.io.columns import ColumnError, RecordError
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.signals.recording import Recording, RecordingError

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from benchmarks.figure import Figure
 from benchmarks.processes import ProfiledDomain, start_node
-from mr_damper_ros.processes.programs import Program, node_arguments
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import Program, RosDomain, node_arguments
 
 NODES = ("bridge", "identifier", "live", "model", "replay")
 

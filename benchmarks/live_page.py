@@ -23,8 +23,7 @@ from benchmarks.side_by_side import SideBySide
 from benchmarks.streaming_load import SETTLED, sine_blocks
 from mr_damper_ros.live.live_record import SILENT_AFTER
 from mr_damper_ros.live.page_server import CONNECTIONS
-from mr_damper_ros.processes.programs import PATIENCE, Program
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tools.node_programs import page_of
 

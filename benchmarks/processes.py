@@ -9,8 +9,7 @@ import rclpy
 from ament_index_python.packages import get_package_prefix
 from rclpy.node import Node
 
-from mr_damper_ros.processes.programs import Program, node_arguments
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import Program, RosDomain, node_arguments
 
 _PROFILES = Path(__file__).parents[1] / "config" / "fastdds.xml"
 """Nodes that are started again are found sooner; see there."""

@@ -14,7 +14,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.signals.recorded_stream import stream_of
+from mr_damper_ros.signals.recording import stream_of
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 
 STATE_LAW = "series_springs"

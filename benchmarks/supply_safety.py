@@ -23,8 +23,7 @@ from ament_index_python.packages import get_package_prefix
 
 from benchmarks.figure import Figure
 from benchmarks.instrument_server import InstrumentServer
-from mr_damper_ros.processes.programs import PATIENCE, Program, node_arguments
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain, node_arguments
 from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument
 
 _CURRENT, _NONE = 1.0, 0.02

@@ -12,8 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.figure import Figure
-from mr_damper_ros.signals.channel_join import ChannelJoin
-from mr_damper_ros.signals.stamped_channel import StampedChannel
+from mr_damper_ros.signals.stamped_channel import ChannelJoin, StampedChannel
 
 _RATE, _WRONG, _JITTER, _LOSS = 1000.0, 50e-6, 0.5, 0.01
 _PART = 60.0

@@ -21,8 +21,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mr_damper_ros.processes.worker import Worker
-    from mr_damper_ros.processes.worker_pool import WorkerPool
+    from mr_damper_ros.processes.worker import Worker, WorkerPool
 
 _WORK = {
     "identifier": "mr_damper_ros.tracking.worker_preload",
@@ -65,8 +64,8 @@ def campaign() -> int:
 def identifier() -> int:
     """Run the node identifier, or one in each of several namespaces, which share workers."""
     _hear_signals()
-    from mr_damper_ros.processes.hosting import worker_count
-    from mr_damper_ros.processes.worker_pool import WorkerPool
+    from mr_damper_ros.processes.programs import worker_count
+    from mr_damper_ros.processes.worker import WorkerPool
 
     workers = worker_count(sys.argv[1:])
     return _run_with("identifier", WorkerPool(_WORK["identifier"], workers))

@@ -19,7 +19,7 @@ from mr_damper_ros.api.findings import html_table
 from mr_damper_ros.api.measured_runs import MeasuredRun, RunSource, measured_runs, remarks_on
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.whole_files import write_bytes
+from mr_damper_ros.processes.files import write_bytes
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 from mr_damper_ros.tracking.predictor import PredictorSettings

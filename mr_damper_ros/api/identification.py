@@ -48,8 +48,8 @@ from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
 from mr_damper_ros.processes.blas_threads import one_thread
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
-from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums
 from mr_damper_ros.tracking.state_directory import read_parameter_file

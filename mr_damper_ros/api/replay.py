@@ -17,8 +17,13 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.error_sums import ErrorSums
-from mr_damper_ros.signals.recorded_stream import BLOCK_SIZE, CurrentReading, StreamItem, stream_of
-from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.recording import (
+    BLOCK_SIZE,
+    CurrentReading,
+    Recording,
+    StreamItem,
+    stream_of,
+)
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.reports import Report

@@ -22,8 +22,7 @@ from mr_damper_ros.estimation.run_planner import Plan, PlanState
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 from mr_damper_ros.signals.recording import Recording
 
 _RUN = "planned_run"

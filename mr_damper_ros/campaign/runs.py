@@ -16,7 +16,7 @@ from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock

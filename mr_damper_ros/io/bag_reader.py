@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.io.bag_streams import (
+from mr_damper_ros.io.bag_files import (
     CURRENT_TOPIC,
     CURRENT_TYPE,
     MTS_TOPIC,
@@ -18,13 +18,17 @@ from mr_damper_ros.io.bag_streams import (
     TEMPERATURE_TOPIC,
     TEMPERATURE_TYPE,
     BagError,
+    opened_bag,
 )
-from mr_damper_ros.io.opened_bag import opened_bag
-from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
-from mr_damper_ros.signals.recorded_stream import CurrentReading, StreamItem, TemperatureReading
-from mr_damper_ros.signals.recording import Recording
+from mr_damper_ros.signals.recording import (
+    CurrentReading,
+    Recording,
+    StreamItem,
+    TemperatureReading,
+)
 from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError, ZeroOrderHold
 

@@ -1,14 +1,14 @@
-"""The columns of a record, as users describe them."""
+"""The columns of a record: as users describe them, their units, and their raw values."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.io.units import DATE_AND_TIME, UNITS
 from mr_damper_ros.signals.arrays import Array
 
 SKIPPED = "-"
@@ -166,3 +166,81 @@ def _number(text: str, name: str, entry: str) -> float:
     if not math.isfinite(number):
         raise ColumnError(f"the {name} '{text}' in '{entry}' is not a number")
     return number
+
+
+DATE_AND_TIME = "datetime"
+"""Stands for a unit of time where the cells hold date and time of day; read as s since 1970."""
+
+_G = 9.80665
+_INCH = 0.0254
+_POUND_FORCE = 0.45359237 * _G
+
+# Factor and offset: SI value (temperature: °C) = factor * value + offset.
+UNITS: dict[str, dict[str, tuple[float, float]]] = {
+    "time": {
+        "s": (1.0, 0.0),
+        "ms": (1e-3, 0.0),
+        "us": (1e-6, 0.0),
+        "min": (60.0, 0.0),
+        DATE_AND_TIME: (1.0, 0.0),
+    },
+    "displacement": {
+        "m": (1.0, 0.0),
+        "cm": (1e-2, 0.0),
+        "mm": (1e-3, 0.0),
+        "um": (1e-6, 0.0),
+        "in": (_INCH, 0.0),
+    },
+    "velocity": {
+        "m/s": (1.0, 0.0),
+        "cm/s": (1e-2, 0.0),
+        "mm/s": (1e-3, 0.0),
+        "in/s": (_INCH, 0.0),
+    },
+    "force": {
+        "N": (1.0, 0.0),
+        "kN": (1e3, 0.0),
+        "kgf": (_G, 0.0),
+        "lbf": (_POUND_FORCE, 0.0),
+    },
+    "current": {"A": (1.0, 0.0), "mA": (1e-3, 0.0)},
+    "temperature": {
+        "degC": (1.0, 0.0),
+        "K": (1.0, -273.15),
+        "degF": (5.0 / 9.0, -160.0 / 9.0),
+    },
+}
+"""Quantities that a column may hold, and the units known for each."""
+
+
+MAXIMUM_SAMPLES = 10_000_000
+"""Samples that a reader takes unless it is told otherwise: 2.8 h at 1 kHz, about 1.5 GB."""
+
+
+class RecordError(ValueError):
+    """A record that cannot be read; the message says what to change."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawTable:
+    """Raw values by quantity, shape (n,); ``place`` says in words where a row is, for messages.
+
+    ``period`` [s] is the time between rows where the file tells it by itself.
+    """
+
+    values: dict[str, Array]
+    place: Callable[[int], str]
+    period: float | None = None
+
+    @property
+    def row_count(self) -> int:
+        """Number of rows n."""
+        return int(next(iter(self.values.values())).size)
+
+
+def too_long(name: str, maximum_samples: int) -> RecordError:
+    """The error for a file that holds more than may be read."""
+    return RecordError(
+        f"{name} holds more than {maximum_samples} samples: split it, or allow more "
+        "(import_record --maximum-samples)"
+    )

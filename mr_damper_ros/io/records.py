@@ -6,19 +6,16 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from mr_damper_ros.io.columns import Columns, parse_columns
-from mr_damper_ros.io.mat_table import read_mat_table
-from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES, RecordError
-from mr_damper_ros.io.regular_files import irregularity
+from mr_damper_ros.io.binary_tables import read_mat, read_spreadsheet, read_tdms
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, Columns, RecordError, parse_columns
 from mr_damper_ros.io.run_cuts import find_runs, run_summary
 from mr_damper_ros.io.sampled_record import SampledRecord
-from mr_damper_ros.io.spreadsheet import read_spreadsheet
-from mr_damper_ros.io.tdms import read_tdms
 from mr_damper_ros.io.text_table import read_text_table
+from mr_damper_ros.processes.files import irregularity
 from mr_damper_ros.signals.recording import Recording
 
 FORMATS = {
-    ".mat": read_mat_table,
+    ".mat": read_mat,
     ".tdms": read_tdms,
     ".xlsm": read_spreadsheet,
     ".xlsx": read_spreadsheet,

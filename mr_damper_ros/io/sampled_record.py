@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.io.columns import Columns
-from mr_damper_ros.io.raw_table import RawTable, RecordError
+from mr_damper_ros.io.columns import Columns, RawTable, RecordError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.moving_average import undo_average, undo_average_in_motion

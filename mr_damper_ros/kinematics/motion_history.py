@@ -13,8 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.sine import Sine
+from mr_damper_ros.kinematics.motion import Motion, Sine
 from mr_damper_ros.signals.arrays import Array
 
 _SAMPLES_PER_CYCLE = 1000

@@ -13,8 +13,7 @@ import math
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import SINE_TOLERANCE, Motion
-from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.white_noise import white_noise
+from mr_damper_ros.signals.arrays import Array, white_noise
 
 _CYCLES = 1.5
 """Length of the fit in cycles: longer averages more, shorter forgets a change sooner."""

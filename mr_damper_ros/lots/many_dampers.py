@@ -26,7 +26,7 @@ from mr_damper_ros.io.recording_list import (
 )
 from mr_damper_ros.lots.population import KnownDamper, Population
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
-from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
+from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
 from mr_damper_ros.processes.kept_results import (
     KeptTask,
     ResultFolder,
@@ -34,9 +34,13 @@ from mr_damper_ros.processes.kept_results import (
     fingerprint,
     finish,
 )
-from mr_damper_ros.processes.process_pool import ProcessPool
-from mr_damper_ros.processes.whole_files import write_text
-from mr_damper_ros.processes.workforce import DaskCluster, GivenExecutor, LocalProcesses, Workforce
+from mr_damper_ros.processes.process_pool import (
+    DaskCluster,
+    GivenExecutor,
+    LocalProcesses,
+    ProcessPool,
+    Workforce,
+)
 from mr_damper_ros.signals.arrays import Array
 
 _LASTING = (FileNotFoundError, PermissionError, ValueError)

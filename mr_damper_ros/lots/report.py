@@ -13,7 +13,7 @@ import numpy as np
 
 from mr_damper_ros.lots.many_dampers import ManyDampers
 from mr_damper_ros.lots.population import LEAST_DAMPERS, Population
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.report.document import (
     GREY,
     INK,

@@ -16,9 +16,9 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.stamps import fits_a_stamp
+from mr_damper_ros.signals.blocks import fits_a_stamp
 
 DEFAULT_MODEL = "sigmoid"
 """The law that is meant where none is named."""

@@ -27,7 +27,7 @@ from mr_damper_ros.nodes.messages import set_stamp, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.parameter_input import ParameterInput
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.postponed_work import PostponedWork
+from mr_damper_ros.processes.deferred import PostponedWork
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings

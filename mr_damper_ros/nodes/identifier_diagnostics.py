@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
-from mr_damper_ros.processes.worker_pool import PooledWorker
+from mr_damper_ros.processes.worker import PooledWorker
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.identifier import Identifier

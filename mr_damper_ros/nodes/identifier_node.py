@@ -33,8 +33,8 @@ from mr_damper_ros.nodes.results import (
 )
 from mr_damper_ros.nodes.search_goals import SearchGoals
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.hosting import HELP
-from mr_damper_ros.processes.worker_pool import PooledWorker, WorkerPool
+from mr_damper_ros.processes.programs import HELP
+from mr_damper_ros.processes.worker import PooledWorker, WorkerPool
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.identifier import Identifier, Publication

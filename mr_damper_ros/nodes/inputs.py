@@ -15,8 +15,7 @@ from rclpy.subscription import Subscription
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
 from mr_damper_ros.nodes.quality import STREAM_DEPTH, overridable
-from mr_damper_ros.signals.blocks import BlockError, SampleBlock
-from mr_damper_ros.signals.joined_blocks import joined
+from mr_damper_ros.signals.blocks import BlockError, SampleBlock, joined
 from mr_damper_ros.signals.uniform_grid import UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError
 

@@ -20,8 +20,8 @@ from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput
 from mr_damper_ros.nodes.results import PredictionMessage
 from mr_damper_ros.nodes.signal_mirror import SignalMirror
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.hosting import HELP
-from mr_damper_ros.processes.postponed_work import PostponedWork
+from mr_damper_ros.processes.deferred import PostponedWork
+from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings

@@ -12,8 +12,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
-from mr_damper_ros.processes.programs import PATIENCE
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import PATIENCE, RosDomain
 
 Self = TypeVar("Self", bound="Observer")
 

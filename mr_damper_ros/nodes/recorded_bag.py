@@ -13,8 +13,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_share_
 from rosbags.interfaces import Connection, QosDurability
 from rosbags.rosbag2 import Reader
 
-from mr_damper_ros.io.bag_files import check_bag_files
-from mr_damper_ros.io.bag_streams import BagError
+from mr_damper_ros.io.bag_files import BagError, check_bag_files
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 
 INPUTS = "inputs"

@@ -29,7 +29,7 @@ from rclpy.utilities import remove_ros_args
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.nodes.quality import OVERRIDES
 from mr_damper_ros.processes.blas_threads import keep_one_thread
-from mr_damper_ros.processes.hosting import WORKERS_HELP, Place, hosting
+from mr_damper_ros.processes.programs import WORKERS_HELP, Place, hosting
 from mr_damper_ros.settings.option_table import ParameterTable, describe
 
 SUCCESS = 0

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.whole_files import write_text
-from mr_damper_ros.processes.workforce import Workforce
+from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.processes.process_pool import Workforce
 
 Document = dict[str, Any]
 

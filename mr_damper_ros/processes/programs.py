@@ -1,18 +1,108 @@
-"""Programs started as processes of their own: watched, measured, and ended by their id.
-
-Only what is started here is ever ended.
-"""
+"""Programs of nodes: their arguments, their processes, and a ROS domain for them alone."""
 
 from __future__ import annotations
 
 import atexit
 import contextlib
 import os
+import re
 import signal
+import socket
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
+
+HELP = """\
+One process may hold a node in each of several namespaces:
+
+  --namespace NAME[=FILE]  a node in this namespace, with this parameter file; once for each
+"""
+
+WORKERS_HELP = """\
+  --workers NUMBER         worker processes for all of them (default: as many as processors)
+"""
+
+_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+"""What ROS takes for a namespace, with others before it or not."""
+
+_NAMESPACE, _WORKERS = "--namespace", "--workers"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A namespace for a node, and the path of its parameter file, empty for none."""
+
+    namespace: str
+    file: str = ""
+
+    @property
+    def arguments(self) -> list[str]:
+        """What the node of this place is made with, besides what holds for all."""
+        file = ["--params-file", self.file] if self.file else []
+        return ["--ros-args", "-r", f"__ns:=/{self.namespace}", *file]
+
+
+@dataclass(frozen=True)
+class Hosting:
+    """``places`` of nodes, none for the usual single one, and the ``rest`` of the arguments."""
+
+    places: tuple[Place, ...]
+    workers: int
+    rest: tuple[str, ...]
+
+
+def hosting(arguments: Sequence[str], *, shared_workers: bool = True) -> Hosting:
+    """Read the arguments of a program, without its name and those for ROS.
+
+    Where its nodes share no workers, a number of these stays with the rest.
+
+    Raises ValueError, with a sentence, where they cannot be used.
+    """
+    places: list[Place] = []
+    workers = 0
+    rest: list[str] = []
+    left = iter(arguments)
+    for argument in left:
+        if argument == _NAMESPACE:
+            name, _, file = next(left, "").partition("=")
+            if not _NAME.fullmatch(name):
+                raise ValueError(
+                    f"{_NAMESPACE} needs a name of letters, digits and underscores, not {name!r}"
+                )
+            places.append(Place(name.lstrip("/"), file))
+        elif argument == _WORKERS and shared_workers:
+            given = next(left, "")
+            if not given.isdecimal() or int(given) < 1:
+                raise ValueError(f"{_WORKERS} needs a number of at least 1, not {given!r}")
+            workers = int(given)
+        else:
+            rest.append(argument)
+    names = [place.namespace for place in places]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"the namespace {name} is given twice")
+    return Hosting(tuple(places), workers or min(max(len(places), 1), _processors()), tuple(rest))
+
+
+def worker_count(arguments: Sequence[str]) -> int:
+    """Worker processes that a command line, with its arguments for ROS, asks for."""
+    own = list(arguments)
+    if "--ros-args" in own:
+        own = own[: own.index("--ros-args")]
+    try:
+        return hosting(own).workers
+    except ValueError:  # said, and the program ended, where it starts its nodes
+        return 1
+
+
+def _processors() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
 
 PATIENCE = 60.0
 """Deadline [s] of what is waited for; generous, for a loaded machine."""
@@ -195,3 +285,64 @@ def _fields(pid: int) -> list[str]:
     """State, parent's id and the following fields that Linux has of a process."""
     # The name, in parentheses, may hold blanks: the fields are counted from its end.
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+
+
+_NUMBERS = range(61, 101)
+"""Above the numbers that people choose by hand; below those whose ports may be taken (102)."""
+
+_FIRST_PORT = 20_000
+"""A domain is held by the port of its number above this one, which nobody else can bind."""
+
+
+class RosDomain:
+    """A domain that no other object of this kind has, in whatever process, until it is closed.
+
+    Raises RuntimeError where none is left.
+    """
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        for number in _NUMBERS:
+            try:
+                self._socket.bind(("127.0.0.1", _FIRST_PORT + number))
+            except OSError:
+                continue
+            self.number = number
+            return
+        self._socket.close()
+        raise RuntimeError("all ROS domains for tests, figures and demonstrations are in use")
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What a program must be started with to be in this domain, and in no other's reach."""
+        return {
+            "ROS_DOMAIN_ID": str(self.number),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "RCUTILS_COLORIZED_OUTPUT": "0",
+        }
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Let this process and what it starts meanwhile be in it; afterwards all is as before."""
+        before = dict(os.environ)
+        os.environ.update(self.environment)
+        try:
+            yield
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
+
+    def close(self) -> None:
+        """Let others have the domain."""
+        self._socket.close()
+
+    def __enter__(self) -> RosDomain:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

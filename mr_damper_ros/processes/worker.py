@@ -1,6 +1,6 @@
-"""A supervised worker process: one long computation at a time, while the node goes on receiving.
+"""Supervised worker processes: long computations, while the node goes on receiving.
 
-The process is a fresh interpreter (nothing is forked: DDS threads do not survive a fork), started
+A process is a fresh interpreter (nothing is forked: DDS threads do not survive a fork), started
 by hand rather than by ``multiprocessing``, which would run the node's main script again in the
 child and load rclpy there. Tasks and answers are pickles over a private socket pair.
 
@@ -23,8 +23,10 @@ import struct
 import subprocess
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
@@ -383,3 +385,210 @@ def _answer(number: int, call: memoryview, control: Control) -> bytes:
         return pickle.dumps(("done", number, function(*args, control)), -1)
     except Exception as error:
         return pickle.dumps(("failed", number, f"{type(error).__name__}: {error}"))
+
+
+class InlineWorker:
+    """Runs a task when it is submitted; its outcome is handed out some time of the data later.
+
+    ``now`` [s] is the time of the data: the user sets it. ``latency`` returns the seconds until
+    the outcome of a task, of which it is given the first argument. ``processor_time`` [s] is what
+    the tasks have taken so far.
+    """
+
+    def __init__(self, latency: Callable[[Any], float]) -> None:
+        self.now = -math.inf
+        self.processor_time = 0.0
+        self._latency = latency
+        self._number = 0
+        self._outcome: Outcome | None = None
+        self._due = -math.inf
+
+    @property
+    def busy(self) -> bool:
+        """Whether a task has been submitted whose outcome has not been handed out."""
+        return self._outcome is not None
+
+    def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
+        """Run ``function(*args, control)`` and return the task's number.
+
+        The ``budget`` of a worker process bounds a wall-clock time and has no meaning here. An
+        exception becomes a :class:`Failed`, as in a worker process. Raises RuntimeError while
+        another task runs.
+        """
+        if self.busy:
+            raise RuntimeError("the worker is busy: wait for its task to end")
+        self._number += 1
+        control = Control(self._number, lambda message: None, set())
+        began = time.process_time()
+        try:
+            self._outcome = Done(self._number, function(*args, control))
+        except Exception as error:
+            self._outcome = Failed(self._number, f"{type(error).__name__}: {error}")
+        self.processor_time += time.process_time() - began
+        self._due = self.now + self._latency(args[0])
+        return self._number
+
+    def cancel(self) -> None:
+        """Hand out the outcome at the next :meth:`poll`."""
+        self._due = self.now
+
+    def poll(self) -> list[Outcome]:
+        """The outcome that is due, if there is one."""
+        if self._outcome is None or self.now < self._due:
+            return []
+        outcome, self._outcome = self._outcome, None
+        return [outcome]
+
+    def take_notices(self) -> list[str]:
+        """Nothing happens to a process that is one's own."""
+        return []
+
+
+class WorkerPool:
+    """``count`` supervised processes, which load ``module`` before their first task.
+
+    Whoever has a task gets a :meth:`worker` once and polls it; that keeps all processes going.
+    """
+
+    def __init__(self, module: str, count: int = 1) -> None:
+        self._workers = [Worker(module) for _ in range(count)]
+        self._free = deque(self._workers)
+        self._waiting: deque[PooledWorker] = deque()
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a process that has come up."""
+        return any(worker.ready for worker in self._workers)
+
+    @property
+    def replaced(self) -> int:
+        """Processes that have been replaced so far."""
+        return sum(worker.replaced for worker in self._workers)
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process that is free next; None for the moment in which there is none."""
+        return self._next.pid if self._free else None
+
+    @property
+    def _next(self) -> Worker:
+        """One that is coming up still counts where there is no other."""
+        return next((one for one in self._free if one.ready), self._free[0])
+
+    def worker(self) -> PooledWorker:
+        """A share of the processes, for one who has one task at a time."""
+        return PooledWorker(self)
+
+    def close(self) -> None:
+        """End the processes. They hold nothing that could be lost."""
+        for worker in self._workers:
+            worker.close()
+
+    def queue(self, waiting: PooledWorker) -> None:
+        """Give this one a process in its turn."""
+        self._waiting.append(waiting)
+        self.hand_out()
+
+    def release(self, worker: Worker) -> None:
+        """Take back a process whose task has ended."""
+        self._free.append(worker)
+        self.hand_out()
+
+    def hand_out(self) -> None:
+        """Give free processes to those that wait; one that has died is replaced."""
+        for worker in self._free:
+            worker.poll()
+        while self._waiting and self._free:
+            worker = self._next
+            self._free.remove(worker)
+            self._waiting.popleft().take(worker)
+
+    def take_notices(self) -> list[str]:
+        """Sentences about free processes (deaths, replacements) since the last call."""
+        return [notice for worker in self._free for notice in worker.take_notices()]
+
+
+class PooledWorker:
+    """A :class:`Worker` as far as its user can tell; now and then its tasks wait for a process."""
+
+    def __init__(self, pool: WorkerPool) -> None:
+        self._pool = pool
+        self._worker: Worker | None = None
+        self._start: Callable[[Worker], int] | None = None
+        self._number = 0
+        self._stop_asked = False
+        self._notices: list[str] = []
+
+    @property
+    def busy(self) -> bool:
+        """Whether a task has been submitted and has not yet ended."""
+        return self._start is not None
+
+    @property
+    def waits(self) -> bool:
+        """Whether a task waits for a process."""
+        return self.busy and self._worker is None
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a process that has come up."""
+        return self._pool.ready
+
+    @property
+    def replaced(self) -> int:
+        """Processes of the pool that have been replaced so far."""
+        return self._pool.replaced
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process that is at the task, or would be; None where there is none."""
+        return self._pool.pid if self._worker is None else self._worker.pid
+
+    def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
+        """As :meth:`Worker.submit`; the budget begins when a process has the task."""
+        if self.busy:
+            raise RuntimeError("the worker is busy: wait for its task to end")
+        self._number += 1
+        self._stop_asked = False
+        self._start = partial(_submit, function, args, budget)
+        self._pool.queue(self)
+        return self._number
+
+    def take(self, worker: Worker) -> None:
+        """Have the task done by this process."""
+        assert self._start is not None
+        self._worker = worker
+        self._start(worker)
+        if self._stop_asked:
+            worker.cancel()
+
+    def cancel(self) -> None:
+        """As :meth:`Worker.cancel`: the task still ends with an outcome, in its turn."""
+        self._stop_asked = True
+        if self._worker is not None:
+            self._worker.cancel()
+
+    def poll(self) -> list[Outcome]:
+        """What has happened since the last call. Never blocks."""
+        self._pool.hand_out()
+        self._notices += self._pool.take_notices()
+        worker = self._worker
+        if worker is None:
+            return []
+        outcomes = [replace(outcome, task=self._number) for outcome in worker.poll()]
+        self._notices += worker.take_notices()
+        if outcomes and not isinstance(outcomes[-1], Progress):
+            self._worker = self._start = None
+            self._pool.release(worker)
+        return outcomes
+
+    def take_notices(self) -> list[str]:
+        """Sentences about the processes (deaths, replacements) since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+
+def _submit(
+    function: Callable[..., Any], args: tuple[Any, ...], budget: float, worker: Worker
+) -> int:
+    return worker.submit(function, *args, budget=budget)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mr_damper_ros.processes.whole_files import write_bytes, write_text
+from mr_damper_ros.processes.files import write_bytes, write_text
 
 INK = ("#000000", "#b2182b", "#3f8fc4", "#8a8a8a", "#6a3d9a", "#1b7837", "#e08214", "#c6a6d9")
 """Line colours; they differ in lightness too, and go with :data:`DASHES` and :data:`MARKS`."""

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
+from mr_damper_ros.kinematics.motion import SavitzkyGolay
 from mr_damper_ros.rig_check.lag import ChannelLag, channel_lag
 from mr_damper_ros.rig_check.record import RigFinding, RigRecord, Trouble
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.white_noise import white_noise
 
 _CUT, _ROW = 0.01, 5
 """Part of the samples, and how many in a row, that have exactly the largest or smallest value."""

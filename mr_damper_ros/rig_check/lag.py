@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
+from mr_damper_ros.kinematics.motion import SavitzkyGolay
 from mr_damper_ros.signals.arrays import Array
 
 _FEWEST = 8

@@ -1,7 +1,8 @@
-"""Blocks of samples as they arrive, and which of them can be used."""
+"""Blocks of samples as they arrive, which of them can be used, and what their stamps can hold."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -110,3 +111,45 @@ class SampleBlock:
             displacement=self.displacement[first:end],
             force=self.force[first:end],
         )
+
+
+def joined(blocks: Iterable[SampleBlock]) -> list[SampleBlock]:
+    """The same samples in as few blocks as can hold them: one for each stretch without a break."""
+    runs: list[list[SampleBlock]] = []
+    for block in blocks:
+        if runs and _follows(runs[-1][-1], block):
+            runs[-1].append(block)
+        else:
+            runs.append([block])
+    return [_one(run) for run in runs]
+
+
+def _follows(last: SampleBlock, block: SampleBlock) -> bool:
+    late = abs(block.start_ns - last.end_ns) / NANOSECONDS
+    return (
+        block.period == last.period
+        and block.sequence == last.sequence + last.sample_count
+        and late <= 0.5 * block.period
+    )
+
+
+def _one(run: list[SampleBlock]) -> SampleBlock:
+    first = run[0]
+    if len(run) == 1:
+        return first
+    return SampleBlock(
+        first.start_ns,
+        first.sequence,
+        first.period,
+        np.concatenate([block.displacement for block in run]),
+        np.concatenate([block.force for block in run]),
+    )
+
+
+STAMP_LIMIT = 2**31 * NANOSECONDS
+"""Nanoseconds that a stamp cannot hold any more: its seconds are a signed 32-bit number."""
+
+
+def fits_a_stamp(nanoseconds: int) -> bool:
+    """Whether a stamp can hold so many nanoseconds since the epoch."""
+    return -STAMP_LIMIT <= nanoseconds < STAMP_LIMIT

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
-from mr_damper_ros.processes.whole_files import write_text
 from mr_damper_ros.report.document import Chapter, styled, write_report
 from mr_damper_ros.study import earthquake, recordings
 from mr_damper_ros.study.oscillator_chapter import (

@@ -20,8 +20,7 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
-from mr_damper_ros.processes.programs import Program
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import Program, RosDomain
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool

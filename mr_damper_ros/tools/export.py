@@ -12,7 +12,7 @@ from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSetting
 from mr_damper_ros.control.export.fmu import write_fmu
 from mr_damper_ros.control.export.matlab import functions
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.settings.option_table import Option, options
 from mr_damper_ros.tools.console import run_tool
 

@@ -14,7 +14,7 @@ from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools.console import (
     FAILED,
     INTERRUPTED,

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.io.raw_table import MAXIMUM_SAMPLES, RecordError
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, UNITS, RecordError
 from mr_damper_ros.io.records import RunsOfFile, read_record
-from mr_damper_ros.io.units import UNITS
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool

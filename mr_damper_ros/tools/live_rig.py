@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import RosDomain
 from mr_damper_ros.tools.console import run_tool
 from mr_damper_ros.tools.node_programs import check_running, page_of, start_node
 

@@ -13,7 +13,7 @@ from mr_damper_ros.campaign.runs import write_signal
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
 from mr_damper_ros.estimation.planned_run import first_run
 from mr_damper_ros.estimation.run_planner import Plan, PlanState
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools.campaign_options import (
     OUT_OF_REACH,
     add_campaign_options,

@@ -11,7 +11,7 @@ from mr_damper_ros.api.comparison import FORMATS
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools.console import run_tool
 from mr_damper_ros.tracking.engine import EngineSettings
 from mr_damper_ros.tracking.tracker_settings import OF_THE_SET

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mr_damper_ros.io.bag_streams import BagError
+from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import CONDITIONS, ERRATA, Condition, find, is_clean
 from mr_damper_ros.thesis.published_runs import recording_name, synthesise

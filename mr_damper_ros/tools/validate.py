@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mr_damper_ros.api.comparison import validate
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools.console import add_plot_options, add_run_options, run_tool, write_plots
 
 

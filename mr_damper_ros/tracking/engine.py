@@ -14,10 +14,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
-from mr_damper_ros.processes.inline_worker import InlineWorker
+from mr_damper_ros.processes.worker import InlineWorker
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.signals.recorded_stream import CurrentReading, StreamItem
+from mr_damper_ros.signals.recording import CurrentReading, StreamItem
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.identifier import Identifier, Publication
 from mr_damper_ros.tracking.pipeline import PipelineSettings

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.outbox import Outbox
+from mr_damper_ros.processes.deferred import Outbox
 from mr_damper_ros.processes.worker import TaskRunner
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.pipeline import Pipeline, PipelineSettings, SearchEnded, SearchProgress

@@ -10,8 +10,7 @@ from itertools import compress, product
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array, span_of
-from mr_damper_ros.signals.white_noise import white_noise
+from mr_damper_ros.signals.arrays import Array, span_of, white_noise
 from mr_damper_ros.tracking.known_set import SAME_CURRENT
 
 _HALF_CYCLES = 8

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.kinematics.cycles import holds_cycle
+from mr_damper_ros.kinematics.window import holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.white_noise import white_noise
+from mr_damper_ros.signals.arrays import Array, white_noise
 
 LARGEST_SPAN = 0.5
 """A displacement that spans more [m] is taken for millimetres: no damper has such a stroke."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, SpokenError
 from mr_damper_ros.models.plausibility import check_plausible
-from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
+from mr_damper_ros.processes.files import FolderLock, LockHeldError
 
 _PLAIN, _WITH_MEMORY = 1, 2
 """Versions of the files: a set alone, and one with the memory of what identified it."""

@@ -6,8 +6,8 @@ import contextlib
 from pathlib import Path
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
-from mr_damper_ros.processes.background_writer import BackgroundWriter
-from mr_damper_ros.processes.folder_lock import FolderLock
+from mr_damper_ros.processes.deferred import BackgroundWriter
+from mr_damper_ros.processes.files import FolderLock
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory, check, from_text, to_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from mr_damper_ros.processes.background_writer import BackgroundWriter
+from mr_damper_ros.processes.deferred import BackgroundWriter
 
 PATIENCE = 30.0
 

@@ -13,9 +13,8 @@ from threadpoolctl import ThreadpoolController
 
 import mr_damper_ros as mr
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.processes.process_pool import LocalProcesses, ProcessPool
 from mr_damper_ros.processes.worker import Done, Worker
-from mr_damper_ros.processes.workforce import LocalProcesses
 
 BAGS = Path(__file__).parents[2] / "bags"
 

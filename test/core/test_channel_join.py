@@ -12,10 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mr_damper_ros as mr
-from mr_damper_ros.signals.arrival_clock import ArrivalClock
-from mr_damper_ros.signals.channel_join import ChannelJoin, JoinedRun, interpolated
-from mr_damper_ros.signals.even_stamps import EvenSample, EvenStamps
-from mr_damper_ros.signals.stamped_channel import StampedChannel
+from mr_damper_ros.signals.clocks import ArrivalClock
+from mr_damper_ros.signals.stamped_channel import (
+    ChannelJoin,
+    EvenSample,
+    EvenStamps,
+    JoinedRun,
+    StampedChannel,
+    interpolated,
+)
 
 START = 1_700_000_000_000_000_000
 RATE = 1000.0

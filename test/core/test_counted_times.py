@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from mr_damper_ros.signals.counted_times import CountedTimes
+from mr_damper_ros.signals.clocks import CountedTimes
 
 RATE = 1000.0
 BEGIN = 5_000_000_000

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.kinematics.cycles import averages, holds_cycle
+from mr_damper_ros.kinematics.window import averages, holds_cycle
 
 COUNT = 2000
 

@@ -12,10 +12,9 @@ import pytest
 
 import mr_damper_ros as mr
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.inline_worker import InlineWorker
-from mr_damper_ros.processes.worker import Done, Failed
+from mr_damper_ros.processes.worker import Done, Failed, InlineWorker
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.recorded_stream import CurrentReading, TemperatureReading, stream_of
+from mr_damper_ros.signals.recording import CurrentReading, TemperatureReading, stream_of
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings

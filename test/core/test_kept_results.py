@@ -25,7 +25,7 @@ from mr_damper_ros.processes.kept_results import (
     file_stem,
     finish,
 )
-from mr_damper_ros.processes.workforce import GivenExecutor, LocalProcesses, Workforce
+from mr_damper_ros.processes.process_pool import GivenExecutor, LocalProcesses, Workforce
 
 PATIENCE = 60.0
 """Seconds after which what is waited for will not come."""
@@ -182,7 +182,7 @@ import sys
 sys.path[:] = {path!r}
 from pathlib import Path
 from mr_damper_ros.processes.kept_results import KeptTask, ResultFolder, finish
-from mr_damper_ros.processes.workforce import LocalProcesses
+from mr_damper_ros.processes.process_pool import LocalProcesses
 import pool_tasks
 
 if __name__ == "__main__":

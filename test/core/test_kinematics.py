@@ -15,10 +15,8 @@ from scipy.signal import savgol_filter, sawtooth
 
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
-from mr_damper_ros.kinematics.motion import window_motion
-from mr_damper_ros.kinematics.sine import fit_sine
-from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.white_noise import white_noise
+from mr_damper_ros.kinematics.motion import fit_sine, window_motion
+from mr_damper_ros.signals.arrays import Array, white_noise
 
 EXACT = 1e-10
 """Relative, of a phase in rad: rounding of an offset of a thousand amplitudes, in half a cycle."""

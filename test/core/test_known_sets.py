@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.kinematics.sine import Sine
+from mr_damper_ros.kinematics.motion import Motion, Sine
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.extension import without_extension

@@ -219,7 +219,7 @@ def test_the_table_is_the_same_in_parquet(found: mr.ManyDampers, tmp_path: Path)
 
 
 def test_a_folder_in_use_is_left_alone(lot: Path, tmp_path: Path) -> None:
-    from mr_damper_ros.processes.folder_lock import FolderLock
+    from mr_damper_ros.processes.files import FolderLock
 
     lock = FolderLock(tmp_path / ".lock")
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -11,10 +12,20 @@ import pool_tasks
 import pytest
 from scipy.io import savemat
 
-from mr_damper_ros.io import mat
+from mr_damper_ros.io import binary_tables
+from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, RecordError, parse_columns
+from mr_damper_ros.signals.arrays import Array
 
 MATRIX = np.arange(12.0).reshape(4, 3)
-UNREADABLE = "is not a MAT file that can be read: save it again, or export it as CSV"
+UNREADABLE = "run.mat is not a MAT file that can be read: save it again, or export it as CSV"
+
+
+COLUMNS = parse_columns("time:s,displacement:m,force:N")
+
+
+def matrix(path: Path, maximum_samples: int = MAXIMUM_SAMPLES) -> Array:
+    values = binary_tables.read_mat(path, COLUMNS, None, maximum_samples).values
+    return np.column_stack([values[name] for name in ("time", "displacement", "force")])
 
 
 def written(path: Path, content: dict[str, object]) -> Path:
@@ -34,33 +45,31 @@ def malformed(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32, np.int16, np.uint8])
-def test_matrices_come_as_they_were_saved(tmp_path: Path, kind: type) -> None:
-    stored = {"a": MATRIX.astype(kind), "row": MATRIX[:1].astype(kind)}
-    read = mat.read_matrices(written(tmp_path / "run.mat", stored))
-    assert list(read) == ["a", "row"]
-    for name, array in read.items():
-        assert array.dtype == kind
-        np.testing.assert_array_equal(array, stored[name])
+def test_a_matrix_comes_as_it_was_saved(tmp_path: Path, kind: type) -> None:
+    read = matrix(written(tmp_path / "run.mat", {"a": MATRIX.astype(kind), "row": MATRIX[:1]}))
+    assert read.dtype == kind
+    np.testing.assert_array_equal(read, MATRIX)
 
 
 def test_what_is_no_real_matrix_of_numbers_is_left_out(tmp_path: Path) -> None:
     others = {"text": "x", "cells": np.array([1, "a"], dtype=object), "complex": 1j * MATRIX}
     path = written(tmp_path / "run.mat", {**others, "cube": np.ones((2, 2, 2))})
-    assert mat.read_matrices(path) == {}
+    with pytest.raises(RecordError, match="it holds no matrix of numbers"):
+        matrix(path)
 
 
 def test_a_file_that_crashes_the_reader_is_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(mat.MatError) as caught:
-        mat.read_matrices(malformed(tmp_path / "run.mat"))
+    with pytest.raises(RecordError) as caught:
+        matrix(malformed(tmp_path / "run.mat"))
     assert str(caught.value) == UNREADABLE
 
 
 def test_a_reader_that_is_killed_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mat, "serve", pool_tasks.crash)
-    with pytest.raises(mat.MatError) as caught:
-        mat.read_matrices(written(tmp_path / "run.mat", {"data": MATRIX}))
+    monkeypatch.setattr(binary_tables, "serve", pool_tasks.crash)
+    with pytest.raises(RecordError) as caught:
+        matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
     assert str(caught.value) == UNREADABLE
 
 
@@ -68,9 +77,10 @@ def test_reading_is_cut_after_a_time_that_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Loading SciPy alone takes longer.
-    monkeypatch.setattr(mat, "TIME_LIMIT", 0.001)
-    with pytest.raises(mat.MatError, match=r"could not be read within 0\.001 s"):
-        mat.read_matrices(written(tmp_path / "run.mat", {"data": MATRIX}))
+    hasty = replace(binary_tables.FORMATS["mat"], time_limit=0.001)
+    monkeypatch.setitem(binary_tables.FORMATS, "mat", hasty)
+    with pytest.raises(RecordError, match=r"could not be read within 0\.001 s"):
+        matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
 
 
 def test_nothing_beside_the_file_is_executed(
@@ -79,8 +89,8 @@ def test_nothing_beside_the_file_is_executed(
     (tmp_path / "scipy.py").write_text("raise SystemExit(1)", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
-    read = mat.read_matrices(written(tmp_path / "run.mat", {"data": MATRIX}))
-    np.testing.assert_array_equal(read["data"], MATRIX)
+    read = matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
+    np.testing.assert_array_equal(read, MATRIX)
 
 
 def test_a_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path: Path) -> None:
@@ -88,11 +98,12 @@ def test_a_file_that_unpacks_to_more_than_the_limit_is_refused(tmp_path: Path) -
     path = tmp_path / "run.mat"
     savemat(path, {"data": np.zeros((6_000_000, 4))}, do_compression=True)
     assert path.stat().st_size < 1_000_000
-    with pytest.raises(mat.MatError, match="needs more than 100 MB to be read"):
-        mat.read_matrices(path, maximum_samples=1000)
+    with pytest.raises(RecordError, match="holds more than 1000 samples"):
+        matrix(path, maximum_samples=1000)
 
 
 def test_the_limit_is_raised_with_the_samples_that_are_allowed(tmp_path: Path) -> None:
     path = tmp_path / "run.mat"
-    savemat(path, {"data": np.zeros((6_000_000, 4))}, do_compression=True)
-    assert mat.read_matrices(path, maximum_samples=6_000_000)["data"].shape == (6_000_000, 4)
+    zeros = np.zeros((6_000_000, 3))
+    savemat(path, {"data": zeros}, do_compression=True)
+    assert matrix(path, maximum_samples=6_000_000).shape == zeros.shape

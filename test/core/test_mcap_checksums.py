@@ -13,9 +13,8 @@ from backports import zstd
 from lz4 import frame as lz4
 
 from benchmarks.hostile_files import checksum_places
-from mr_damper_ros.io.bag_files import check_bag_files
+from mr_damper_ros.io.bag_files import BagError, check_bag_files
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.bag_streams import BagError
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.mcap_checksums import (
     ChecksumError,

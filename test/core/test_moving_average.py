@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import mr_damper_ros as mr
 from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
-from mr_damper_ros.io.raw_table import RecordError
+from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.moving_average import (
     averaged,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mr_damper_ros.processes.outbox import Outbox
+from mr_damper_ros.processes.deferred import Outbox
 
 
 class Clock:

@@ -18,7 +18,7 @@ from mr_damper_ros.models import MODELS, Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.signals.stamps import STAMP_LIMIT
+from mr_damper_ros.signals.blocks import STAMP_LIMIT
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NUMBER = st.floats(allow_nan=False)

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from mr_damper_ros.processes import postponed_work
-from mr_damper_ros.processes.postponed_work import PostponedWork
+from mr_damper_ros.processes import deferred as postponed_work
+from mr_damper_ros.processes.deferred import PostponedWork
 
 
 class SteppedClock:

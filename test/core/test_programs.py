@@ -9,8 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from mr_damper_ros.processes.programs import Program, ProgramError, node_arguments
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
 
 TALKS = "import sys; print('out'); sys.stdout.flush(); print('err', file=sys.stderr)"
 WAITS = "import sys, time; print('ready', file=sys.stderr); sys.stderr.flush(); time.sleep(600)"

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.signals.resampling import at_even_times
-from mr_damper_ros.signals.white_noise import white_noise
+from mr_damper_ros.signals.arrays import white_noise
+from mr_damper_ros.signals.uniform_grid import at_even_times
 
 ROUNDING = 1e-6
 """Of values of the order of the cubes of the places."""

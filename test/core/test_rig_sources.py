@@ -14,9 +14,9 @@ import pytest
 
 from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, ThermalModel
 from mr_damper_ros.emulation.motions import BandLimitedMotion, SineMotion, SweptSine
+from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.bag_streams import BagError
-from mr_damper_ros.io.raw_table import RecordError
+from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, ConditionError
 from mr_damper_ros.rig.blocks import Meter

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from mr_damper_ros.kinematics.savitzky_golay import SavitzkyGolay
+from mr_damper_ros.kinematics.motion import SavitzkyGolay
 
 PERIOD = 2e-3
 ROUNDING = 1e-9

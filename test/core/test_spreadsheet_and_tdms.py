@@ -11,7 +11,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 import pytest
 
-from mr_damper_ros.io.raw_table import RecordError
+from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.io.records import read_record
 
 COLUMNS = "time:s,displacement:mm,force:N"

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mr_damper_ros.io.columns import parse_columns
-from mr_damper_ros.io.raw_table import RecordError
+from mr_damper_ros.io.columns import RecordError, parse_columns
 from mr_damper_ros.io.records import read_record
 from mr_damper_ros.io.text_table import read_text_table
 

@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.io.columns import ColumnError, parse_columns
+from mr_damper_ros.io.columns import UNITS, ColumnError, parse_columns
 from mr_damper_ros.io.records import read_record, read_runs
-from mr_damper_ros.io.units import UNITS
-from mr_damper_ros.processes.whole_files import write_text
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tools import check_rig, import_record, watch
 from mr_damper_ros.tools.console import run_tool
@@ -284,8 +283,8 @@ def test_vectors_in_a_mat_file(tmp_path: Path) -> None:
     [
         (COLUMNS, None, "choose one as the variable; it holds a (40 x 3), b (40 x 3)"),
         (COLUMNS, "c", "has no variable 'c': it holds a (40 x 3)"),
-        (COLUMNS + ",current:A", "a", "has 3 columns, but column 4 is wanted"),
-        ("time=t:s,displacement=x:mm,force=F:N", None, "no variable 't' that is one row or column"),
+        (COLUMNS + ",current:A", "a", "has no column '4'"),
+        ("time=t:s,displacement=x:mm,force=F:N", None, "no variable 't': it holds a"),
         ("time=t:s,displacement=x:mm,force=F:N", "a", "choose no variable"),
     ],
 )

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
-from mr_damper_ros.processes.folder_lock import FolderLock, LockHeldError
+from mr_damper_ros.processes.files import FolderLock, LockHeldError
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_memory import TrackerMemory
@@ -126,7 +126,7 @@ def test_a_folder_and_a_name_are_of_one_tracker_at_a_time(tmp_path: Path) -> Non
 def test_a_killed_process_leaves_no_lock(tmp_path: Path) -> None:
     hold = (
         "import sys; from pathlib import Path; "
-        "from mr_damper_ros.processes.folder_lock import FolderLock; "
+        "from mr_damper_ros.processes.files import FolderLock; "
         "lock = FolderLock(Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
     )
     path = tmp_path / ".identifier.lock"

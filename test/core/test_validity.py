@@ -16,8 +16,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.signals.joined_blocks import joined
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, joined
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings

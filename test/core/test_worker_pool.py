@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from mr_damper_ros.processes.worker import Done, Outcome, Progress
-from mr_damper_ros.processes.worker_pool import PooledWorker, WorkerPool
+from mr_damper_ros.processes.worker import Done, Outcome, PooledWorker, Progress, WorkerPool
 
 PATIENCE = 30.0
 """Deadline [s] of everything that is waited for; generous, for a loaded machine."""

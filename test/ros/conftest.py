@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="these tests need ROS")
 
 from support import Listener, TriedProgram, installed_programs
 
-from mr_damper_ros.processes.ros_domain import RosDomain
+from mr_damper_ros.processes.programs import RosDomain
 
 _DOMAIN = RosDomain()
 """Held while this process lives: tests that run at the same time must not hear each other."""

@@ -29,8 +29,7 @@ from mr_damper_ros.nodes.quality import OVERRIDES, objection
 from mr_damper_ros.nodes.replay_node import ReplayParameters
 from mr_damper_ros.nodes.supply_node import SupplyParameters
 from mr_damper_ros.nodes.suspension_node import SuspensionParameters
-from mr_damper_ros.processes.hosting import hosting
-from mr_damper_ros.processes.programs import Program
+from mr_damper_ros.processes.programs import Program, hosting
 from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]

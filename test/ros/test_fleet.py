@@ -11,7 +11,7 @@ from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
 from support import Listener, assert_one_sentence
 
 from mr_damper_ros.nodes.quality import latched
-from mr_damper_ros.processes.hosting import hosting
+from mr_damper_ros.processes.programs import hosting
 
 FILE = Path(__file__).parents[2] / "launch" / "fleet.launch.py"
 

@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 from mr_damper_ros.control.export.c_header import filled, header, template
 from mr_damper_ros.control.export.compiler import compile_library
 from mr_damper_ros.control.export.exported_law import ExportedLaw, number
-from mr_damper_ros.processes.whole_files import write_bytes
+from mr_damper_ros.processes.files import write_bytes
 
 _VARIABLES = (
     ("displacement", "input", "m", "Displacement of the rod, extension positive"),

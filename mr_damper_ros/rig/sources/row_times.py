@@ -7,9 +7,8 @@ from typing import NamedTuple, Protocol
 
 from mr_damper_ros.rig.blocks import Measured
 from mr_damper_ros.rig.sources.rows import Row
-from mr_damper_ros.signals.arrival_clock import ArrivalClock
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.counted_times import CountedTimes
+from mr_damper_ros.signals.clocks import ArrivalClock, CountedTimes
 from mr_damper_ros.signals.stamped_channel import StampedChannel
 
 _WRONG_RATE = 0.02

@@ -1,4 +1,4 @@
-"""A lock that one process holds as long as it lives, however it ends."""
+"""Files that appear whole or not at all, locks that end with their process, and what is no file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,25 @@ import contextlib
 import errno
 import fcntl
 import os
+import stat
 from pathlib import Path
+
+
+def write_text(path: Path, text: str) -> None:
+    """As :func:`write_bytes`, in UTF-8."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all; missing folders are made. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        fresh.write_bytes(content)
+        fresh.replace(path)
+    finally:
+        fresh.unlink(missing_ok=True)
+
 
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 """What a file system says that knows no locks, as some of networks do."""
@@ -59,3 +77,21 @@ def _number(descriptor: int) -> int:
         return int(os.pread(descriptor, 20, 0))
     except (OSError, ValueError):
         return 0
+
+
+_KINDS = {
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFDIR: "a folder",
+}
+
+
+def irregularity(path: Path) -> str:
+    """What a path is instead of a regular file, in words, links followed; empty where it is one.
+
+    Raises OSError where there is nothing.
+    """
+    kind = stat.S_IFMT(path.stat().st_mode)
+    return "" if kind == stat.S_IFREG else _KINDS.get(kind, "no file")

@@ -1,17 +1,121 @@
-"""Samples that come evenly, at a stated rate, counted by their sender or by nobody.
-
-The number of a sample tells when it was taken, on a clock of the sender's; when samples arrive
-tells how that clock stands beside this computer's (:mod:`mr_damper_ros.signals.arrival_clock`).
-Where the sender paused, was started again or lost count, the number goes on by the time that has
-passed, so that whoever takes the samples sees a gap of the right length.
-"""
+"""The clocks behind stamps, arrivals and counts."""
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass
 
-from mr_damper_ros.signals.arrival_clock import ArrivalClock
+import numpy as np
+
 from mr_damper_ros.signals.blocks import NANOSECONDS
+
+_JITTER = 0.3
+"""Standard deviation of a stamp [sample periods]: that of ± half a period, evenly distributed."""
+
+_RATE = 0.02
+"""Standard deviation of the rate at the start [1]: periods are stated in round numbers."""
+
+_MEMORY = 2.0
+"""Seconds of stamps that the present offset rests on, or so."""
+
+_OUTLIER = 4.0
+"""A stamp further away, in its own standard deviations, counts as if it were no further."""
+
+
+class StampClock:
+    """Follows the stamps [ns] of samples ``period`` [s] apart, which are counted by an index."""
+
+    def __init__(self, index: int, stamp_ns: int, period: float) -> None:
+        self._period_ns = period * NANOSECONDS
+        # Offset [sample periods] from the reference stamp of the reference index, and rate [1].
+        self._index, self._stamp_ns = index, stamp_ns
+        self._offset, self._rate = 0.0, 0.0
+        self._cov = (_JITTER**2, 0.0, _RATE**2)
+        self._drift = _JITTER**2 * (period / _MEMORY) ** 4
+
+    def at(self, index: int) -> int:
+        """The time [ns] at which a sample was taken."""
+        samples = index - self._index
+        return self._stamp_ns + round(
+            (samples + self._offset + self._rate * samples) * self._period_ns
+        )
+
+    def learn(self, index: int, stamp_ns: int) -> None:
+        """Take in the stamp of a later sample."""
+        samples = index - self._index
+        p00, p01, p11 = self._cov
+        p00 += samples * (2.0 * p01 + samples * p11)
+        p01 += samples * p11
+        p11 += abs(samples) * self._drift
+        offset = self._offset + self._rate * samples
+        error = (stamp_ns - self._stamp_ns) / self._period_ns - samples - offset
+        spread = p00 + _JITTER**2
+        limit = _OUTLIER * math.sqrt(spread)
+        error = min(max(error, -limit), limit)
+        by_offset, by_rate = p00 / spread, p01 / spread
+        self._rate += by_rate * error
+        self._cov = (p00 - by_offset * p00, p01 - by_offset * p01, p11 - by_rate * p01)
+        # The reference moves along, so that no number grows.
+        step = samples * self._period_ns
+        whole = round(step)
+        self._index, self._stamp_ns = index, self._stamp_ns + whole
+        self._offset = offset + by_offset * error + (step - whole) / self._period_ns
+
+
+_SECONDS = 60
+"""Seconds that the line is drawn through."""
+
+_FEWEST = 5
+"""Seconds from which on there is a rate; before there is only an offset."""
+
+
+class ArrivalClock:
+    """Tells how far the clock of this computer is ahead of that of the stamps."""
+
+    def __init__(self) -> None:
+        self._least: deque[tuple[int, int]] = deque(maxlen=_SECONDS)
+        self._second: int | None = None
+        self._line = (0.0, 0.0, 0)
+
+    @property
+    def rate(self) -> float:
+        """How much faster this computer's clock goes [1]; 0 as long as it is not known."""
+        return self._line[0]
+
+    def add(self, stamp_ns: int, arrival_ns: int) -> None:
+        """Take in the stamp of a message and when it arrived [ns]."""
+        ahead = arrival_ns - stamp_ns
+        second = stamp_ns // NANOSECONDS
+        if self._second is not None and second < self._second - 1:
+            self._least.clear()  # one of the clocks was set
+        if second != self._second:
+            self._draw()
+            self._second = second
+            self._least.append((stamp_ns, ahead))
+        elif ahead < self._least[-1][1]:
+            self._least[-1] = (stamp_ns, ahead)
+        else:
+            return
+        if len(self._least) <= _FEWEST:
+            self._draw()
+
+    def ahead_ns(self, stamp_ns: int) -> int:
+        """What is to be added to a stamp for the time of this computer [ns]."""
+        rate, offset, base = self._line
+        return round(offset + rate * (stamp_ns - base))
+
+    def _draw(self) -> None:
+        if not self._least:
+            return
+        base = self._least[-1][0]
+        times, ahead = np.array([(t - base, a) for t, a in self._least], dtype=np.float64).T
+        if times.size < _FEWEST:
+            self._line = (0.0, float(ahead.min()), base)
+            return
+        slope, offset = np.polyfit(times, ahead, 1)
+        self._line = (float(slope), float(offset), base)
+
 
 _CHECKED = 5.0
 """Seconds of samples that show their rate by when they arrive, and are held back."""
