@@ -9,7 +9,7 @@ export PYTHON
 
 TESTED := pytest -n 2 --dist worksteal
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
-STYLED := mr_damper_ros test scripts setup.py $(wildcard launch benchmarks doc examples)
+STYLED := mr_damper_ros studies test scripts setup.py $(wildcard launch benchmarks doc examples)
 
 .PHONY: help setup demo live thesis control truth doc bench soak test test-noble test-wheel lint format clean distclean
 
@@ -31,15 +31,15 @@ live: setup ## Serve a page that shows the emulated rig under identification, un
 
 thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (ARGS=--quick: two minutes)
 	@. ./env.bash
-	exec $(PROGRAMS)/reproduce $(ARGS)
+	exec python -m studies thesis $(ARGS)
 
 control: setup ## Compare controllers of the damper in car and buildings: build/control/report.html
 	@. ./env.bash
-	exec $(PROGRAMS)/control_study $(ARGS)
+	exec python -m studies control $(ARGS)
 
 truth: setup ## Judge every force law on recordings and a benchmark: build/truth/report.html
 	@. ./env.bash
-	exec $(PROGRAMS)/truth_study $(ARGS)
+	exec python -m studies truth $(ARGS)
 
 doc: ## Build the documentation into build/doc/index.html; warnings are errors
 	@scripts/setup.bash doc
@@ -81,7 +81,7 @@ format: setup ## Bring the code into the form that `make lint` wants
 
 clean: ## Remove what was built
 	@rm -rf build install log doc/generated .setup.lock .hypothesis .mypy_cache .pytest_cache .ruff_cache
-	find mr_damper_ros test scripts -name __pycache__ -prune -exec rm -rf {} +
+	find mr_damper_ros studies test scripts -name __pycache__ -prune -exec rm -rf {} +
 
 distclean: clean ## Remove the environments too
 	@rm -rf .venv .venv-noble .venv-doc

@@ -20,7 +20,6 @@ NODES = (
 TOOLS = (
     *(
         "check_rig",
-        "control_study",
         "demo",
         "export",
         "identify",
@@ -30,11 +29,9 @@ TOOLS = (
         "plan_campaign",
         "plan_run",
         "replay_recording",
-        "reproduce",
-        "thesis_bags",
         "validate",
     ),
-    *("truth_study", "watch"),
+    "watch",
 )
 
 
@@ -149,7 +146,6 @@ setup(
         f"{NAME}.control.export": ["*.in"],
         f"{NAME}.live": ["page/*", "page/vendor/*/*"],
         f"{NAME}.rig.supplies": ["profiles/*.yaml"],
-        f"{NAME}.study": ["*.csv"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

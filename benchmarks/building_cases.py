@@ -6,8 +6,17 @@ import math
 
 from benchmarks.figure import Figure
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
-from mr_damper_ros.study.building_chapter import CASES, LAG, Buildings, cases_won, tasks
-from mr_damper_ros.study.building_runs import WEIGHTED, BuildingResult, BuildingRun, simulate
+from studies.control.buildings import (
+    CASES,
+    LAG,
+    WEIGHTED,
+    BuildingResult,
+    BuildingRun,
+    Buildings,
+    cases_won,
+    simulate,
+    tasks,
+)
 
 
 def figures(longest: float = math.inf, workers: int = 2) -> list[Figure]:

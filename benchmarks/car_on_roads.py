@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from benchmarks.figure import Figure
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
-from mr_damper_ros.study.car_chapters import Drives, best_on
-from mr_damper_ros.study.car_drives import (
+from studies.control.car_chapters import Drives, best_on
+from studies.control.car_drives import (
     LAG,
     OFF,
     ON,

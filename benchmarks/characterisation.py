@@ -30,9 +30,9 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.study import earthquake, recordings
 from mr_damper_ros.tracking.engine import EngineSettings
 from mr_damper_ros.tracking.reports import Report
+from studies import earthquake, recordings
 
 KEPT = Path(__file__).with_suffix(".json")
 

@@ -11,9 +11,9 @@ from benchmarks.figure import Figure
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.study import earthquake, recordings
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import EngineSettings
+from studies import earthquake, recordings
 
 LAWS = ("sigmoid", "sigmoid_lag")
 

@@ -7,15 +7,15 @@ from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import CONDITIONS, Condition, is_clean
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.study.recordings import window_of
-from mr_damper_ros.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise
+from studies.recordings import window_of
+from studies.thesis.published_runs import DISPLACEMENT_NOISE, PHASE, synthesise
 
 
 def steady_window(parameters: Array, condition: Condition, *, samples: int, seed: int) -> Window:
     """Steady run of a damper of known parameters (16,) in a condition, at 1 kHz.
 
     The force has the noise of the thesis, the displacement that of
-    :mod:`mr_damper_ros.thesis.published_runs`.
+    :mod:`studies.thesis.published_runs`.
     """
     rig = EmulatedRig(
         ConstantDamper(parameters),

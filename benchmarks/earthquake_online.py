@@ -7,7 +7,7 @@ import math
 from benchmarks.figure import Figure
 from benchmarks.state_law import STATE_LAW
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.study import earthquake, recordings
+from studies import earthquake, recordings
 
 LAWS = {"fit": "sigmoid_lag", "springs_fit": STATE_LAW, "sixteen_fit": "sigmoid"}
 """The laws by the end of their keys."""

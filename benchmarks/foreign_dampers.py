@@ -40,8 +40,8 @@ from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.study.ground_motion import Shaking
 from mr_damper_ros.tracking.validity import DoubtKind
+from studies.control.ground_motion import Shaking
 
 PROCESSES = 2
 

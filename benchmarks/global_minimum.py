@@ -17,7 +17,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.study import recordings
+from studies import recordings
 
 LAWS = ("sigmoid", EXTENDED_MODEL)
 STARTS = 20

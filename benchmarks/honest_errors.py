@@ -27,12 +27,12 @@ from mr_damper_ros.models.published import THESIS_28_CELSIUS, find, parameters
 from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.thesis.published_runs import PHASE
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.trackers import TRACKERS
 from mr_damper_ros.tracking.window_assembler import RawWindow
+from studies.thesis.published_runs import PHASE
 
 WINDOWS = 600
 

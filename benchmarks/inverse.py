@@ -17,7 +17,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, PUBLISHED_METHODS, parameters
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.study import recordings
+from studies import recordings
 
 POINTS = 100_000
 BLOCK = 10

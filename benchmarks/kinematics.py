@@ -20,10 +20,10 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.study import recordings
-from mr_damper_ros.study.earthquake import records
-from mr_damper_ros.thesis import published_runs
 from mr_damper_ros.tracking.predictor import PredictorSettings
+from studies import recordings
+from studies.earthquake import records
+from studies.thesis import published_runs
 
 PERIOD = 1e-3
 NOISE = published_runs.DISPLACEMENT_NOISE

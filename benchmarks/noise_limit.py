@@ -19,7 +19,7 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
 )
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.thesis.published_runs import PHASE
+from studies.thesis.published_runs import PHASE
 
 CONDITION = "5.0mm_1Hz_1.5A"
 REALISATIONS = 500

@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.figure import Figure
 from mr_damper_ros.models.published import find
-from mr_damper_ros.thesis.de import evolve
-from mr_damper_ros.thesis.facts import SEARCH_HIGH, SEARCH_LOW
-from mr_damper_ros.thesis.runs import cycle
+from studies.thesis.de import evolve
+from studies.thesis.facts import SEARCH_HIGH, SEARCH_LOW
+from studies.thesis.runs import cycle
 
 CONDITION = "5.0mm_1Hz_0.0A"
 RUNS, ITERATIONS, WORKERS = 100, 500, 2

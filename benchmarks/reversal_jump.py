@@ -12,7 +12,7 @@ from mr_damper_ros.io.records import read_runs
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.study import earthquake, recordings
+from studies import earthquake, recordings
 
 LAWS = ("sigmoid", "sigmoid_lag")
 

@@ -28,10 +28,10 @@ from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.study.recordings import window_of
 from mr_damper_ros.tracking.current_parts import parts_by_current
 from mr_damper_ros.tracking.screening import Screening
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from studies.recordings import window_of
 
 SIXTEEN = ParameterSet(
     np.array(

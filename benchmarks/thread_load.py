@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.figure import Figure
 from mr_damper_ros.models.published import CONDITIONS, is_clean
-from mr_damper_ros.thesis.published_runs import synthesise
+from studies.thesis.published_runs import synthesise
 
 _VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

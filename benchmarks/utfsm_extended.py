@@ -6,7 +6,7 @@ from benchmarks.figure import Figure
 from benchmarks.utfsm_sixteen import median_nrmse_percent
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
-from mr_damper_ros.study import recordings
+from studies import recordings
 
 
 def figures() -> list[Figure]:

@@ -10,8 +10,8 @@ from benchmarks.figure import Figure
 from benchmarks.state_law import STATE_LAW
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
-from mr_damper_ros.study import recordings
-from mr_damper_ros.study.record_trials import error_of, set_without
+from studies import recordings
+from studies.truth.records import error_of, set_without
 
 
 def left_out_nrmse(utfsm: Path, law: str) -> list[float]:

@@ -6,7 +6,7 @@ from benchmarks.figure import Figure
 from benchmarks.utfsm_sixteen import median_nrmse_percent
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.study import recordings
+from studies import recordings
 
 _BOUNDS = {"modified_bouc_wen": (0.0, 10.5)}
 """The recording authors' own set of that model, for all 30 of their records, leaves 11.4 %."""

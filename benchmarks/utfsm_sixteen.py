@@ -10,7 +10,7 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
-from mr_damper_ros.study import recordings
+from studies import recordings
 
 
 def median_nrmse_percent(

@@ -19,7 +19,6 @@ NODES = (
 TOOLS = (
     *(
         "check_rig",
-        "control_study",
         "demo",
         "export",
         "identify",
@@ -29,11 +28,9 @@ TOOLS = (
         "plan_campaign",
         "plan_run",
         "replay_recording",
-        "reproduce",
-        "thesis_bags",
         "validate",
     ),
-    *("truth_study", "watch"),
+    "watch",
 )
 MESSAGES = sorted(path.stem for path in (ROOT / "msg_defs" / "msg").glob("*.msg"))
 

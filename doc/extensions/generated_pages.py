@@ -70,8 +70,6 @@ PROGRAMS = (
     "validate",
     "watch",
     "live_rig",
-    "thesis_bags",
-    "reproduce",
 )
 
 TYPES = {

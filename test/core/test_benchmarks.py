@@ -49,9 +49,9 @@ from mr_damper_ros.models.published import find, parameters
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.rig_check.record import Trouble
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.study import recordings
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
 from mr_damper_ros.tracking.trackers import TRACKERS
+from studies import recordings
 
 CONDITION = "5.0mm_1Hz_1.5A"
 

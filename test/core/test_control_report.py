@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.study import building_chapter, control_report
-from mr_damper_ros.study.building_runs import BANG_BANG, ON, WEIGHTED, BuildingResult, BuildingRun
-from mr_damper_ros.study.car_drives import Drive, DriveResult
-from mr_damper_ros.study.heated_drive import HeatedDrive, HeatedResult
-from mr_damper_ros.study.hybrid_run import HybridResult, HybridRun, missed
-from mr_damper_ros.tools import control_study
+from studies.control import buildings as building_chapter
+from studies.control import report as control_report
+from studies.control.buildings import BANG_BANG, ON, WEIGHTED, BuildingResult, BuildingRun
+from studies.control.car_drives import Drive, DriveResult
+from studies.control.heated import HeatedDrive, HeatedResult
+from studies.control.hybrid import HybridResult, HybridRun, missed
 
 
 def invented(text: str) -> float:
@@ -90,7 +90,7 @@ def report(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     ):
         monkeypatch.setattr(control_report, name, function)
     words = ["--quick", "--workers", "1", "--output", str(tmp_path)]
-    assert control_study.main(words) == 0
+    assert control_report.main(words) == 0
     return tmp_path
 
 

@@ -19,8 +19,8 @@ from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalMod
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig, invented_damper
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.rig_block import Moment
-from mr_damper_ros.study.building_runs import reversals
-from mr_damper_ros.study.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION, el_centro
+from studies.control.buildings import reversals
+from studies.control.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION, el_centro
 
 CAR = QuarterCar()
 

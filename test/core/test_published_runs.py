@@ -14,7 +14,7 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.thesis.published_runs import PHASE, recording_name, synthesise
+from studies.thesis.published_runs import PHASE, recording_name, synthesise
 
 
 def test_a_run_is_the_published_force_with_the_published_noise() -> None:

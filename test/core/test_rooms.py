@@ -12,15 +12,9 @@ PACKAGE = Path(__file__).resolve().parents[2] / "mr_damper_ros"
 ROOMS = (
     *("settings", "processes", "signals", "kinematics", "models", "estimation", "tracking"),
     *("control", "io", "emulation", "rig", "report", "api", "campaign", "rig_check", "lots"),
-    *("study", "live", "nodes", "tools"),
+    *("live", "nodes", "tools"),
 )
 """A room knows those before it, and none after it. The first two know nothing of dampers."""
-
-UNDER_THE_THESIS = ROOMS[: ROOMS.index("nodes")]
-"""What the reproduction of the thesis may use."""
-
-KNOWS_THE_THESIS = {"tools/reproduce.py", "tools/thesis_bags.py"}
-"""The only modules that may import the reproduction: nothing that runs on a rig does."""
 
 ROS = ("rclpy", "rcl_interfaces", "mr_damper_msgs", "sensor_msgs", "diagnostic_msgs", "std_msgs")
 
@@ -59,18 +53,16 @@ def imported(path: Path) -> Iterator[str]:
 def rooms_known_to(path: Path) -> set[str]:
     names = (name.split(".") for name in imported(path))
     places = {parts[1] for parts in names if parts[0] == "mr_damper_ros" and len(parts) > 1}
-    return places & {*ROOMS, "thesis"}
+    return places & {*ROOMS}
 
 
 def allowed(place: str) -> set[str]:
     """Rooms that a room may import from."""
-    if place == "thesis":
-        return {*UNDER_THE_THESIS, "thesis"}
     return set(ROOMS) if place == "" else set(ROOMS[: ROOMS.index(place) + 1])
 
 
 def test_every_module_is_in_a_room() -> None:
-    assert {room(path) for path in modules()} - {"", "thesis"} <= set(ROOMS)
+    assert {room(path) for path in modules()} - {""} <= set(ROOMS)
 
 
 def test_imports_point_one_way() -> None:
@@ -78,9 +70,19 @@ def test_imports_point_one_way() -> None:
         (inside(path), known)
         for path in modules()
         for known in rooms_known_to(path) - allowed(room(path))
-        if not (known == "thesis" and inside(path) in KNOWS_THE_THESIS)
     }
     assert wrong == set(), "a room may not know one that comes after it"
+
+
+def test_what_is_installed_knows_neither_studies_nor_benchmarks() -> None:
+    outside = ("studies", "benchmarks", "test")
+    wrong = {
+        (inside(path), name)
+        for path in modules()
+        for name in imported(path)
+        if name.split(".")[0] in outside
+    }
+    assert wrong == set()
 
 
 def test_ros_is_known_to_the_nodes_alone() -> None:

@@ -11,8 +11,8 @@ from bag_contents import information, messages, type_hashes
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.published import CONDITIONS, find
-from mr_damper_ros.thesis.published_runs import synthesise
-from mr_damper_ros.tools import thesis_bags
+from studies.thesis import bags as thesis_bags
+from studies.thesis.published_runs import synthesise
 
 COMMITTED = Path(__file__).resolve().parents[2] / "bags"
 NAMES = ["5.0mm_1Hz_0.0A", "5.0mm_1Hz_0.5A", "5.0mm_1Hz_1.5A", "7.5mm_1Hz_1.0A"]

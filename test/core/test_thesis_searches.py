@@ -28,21 +28,21 @@ from mr_damper_ros.report.document import (
     with_error,
     write_report,
 )
-from mr_damper_ros.thesis import (
+from studies.thesis import (
     campaign,
     facts,
     identifiability,
     one_set,
     optimisers,
     repeated,
+    sections,
     sensitivity,
 )
-from mr_damper_ros.thesis.campaign import Campaign, Settings
-from mr_damper_ros.thesis.compared import Compared
-from mr_damper_ros.thesis.de import STRATEGIES, evolve
-from mr_damper_ros.thesis.optimiser_methods import available
-from mr_damper_ros.thesis.runs import cycle
-from mr_damper_ros.tools import reproduce
+from studies.thesis.campaign import Campaign, Settings
+from studies.thesis.compared import Compared
+from studies.thesis.de import STRATEGIES, evolve
+from studies.thesis.optimiser_methods import available
+from studies.thesis.runs import cycle
 
 BOTTOM = 1e-6
 """Of bounds of size 6: the slowest strategy shrinks its population to a twentieth of this."""
@@ -202,7 +202,7 @@ def test_results_do_not_depend_on_workers_and_are_kept(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("inside", ["processes/a.py", "rig/faults/a.py", "models/a.csv", "a.py"])
 def test_kept_results_are_those_of_the_present_code(tmp_path, monkeypatch, inside):
-    monkeypatch.setattr(campaign, "_PACKAGE", tmp_path / "package")
+    monkeypatch.setattr(campaign, "_FOLDERS", (tmp_path / "package",))
     file = tmp_path / "package" / inside
     file.parent.mkdir(parents=True)
     results = []
@@ -221,7 +221,7 @@ def test_tables_do_not_depend_on_the_number_of_workers(tmp_path, capsys, monkeyp
     for workers in ("1", "2"):
         folder = tmp_path / workers
         words = ["--quick", "--runs", "2", "--seed", "3", "--only", "repeated"]
-        assert reproduce.main([*words, "--workers", workers, "--output", str(folder)]) == 0
+        assert sections.main([*words, "--workers", workers, "--output", str(folder)]) == 0
         tables.append({p.name: p.read_bytes() for p in (folder / "tables").iterdir()})
     assert capsys.readouterr().out.count("report.html") == 2
     assert "repeated_variance.csv" in tables[0]
@@ -231,7 +231,7 @@ def test_tables_do_not_depend_on_the_number_of_workers(tmp_path, capsys, monkeyp
 PROGRAM = """
 import sys, time
 from pathlib import Path
-from mr_damper_ros.thesis.campaign import Campaign, Settings
+from studies.thesis.campaign import Campaign, Settings
 def task(place, seconds):
     time.sleep(seconds)
     return place
@@ -451,8 +451,8 @@ def test_a_report_that_cannot_be_written_leaves_the_one_before(tmp_path, monkeyp
 
 def test_the_program_says_what_is_wrong(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("MR_DAMPER_DATA", str(tmp_path))
-    assert reproduce.main(["--output", str(tmp_path)]) == 2
+    assert sections.main(["--output", str(tmp_path)]) == 2
     assert "utfsm/processed" in capsys.readouterr().err
     monkeypatch.delenv("MR_DAMPER_DATA")
-    assert reproduce.main(["--runs", "1", "--output", str(tmp_path)]) == 2
+    assert sections.main(["--runs", "1", "--output", str(tmp_path)]) == 2
     assert "runs is 1" in capsys.readouterr().err

@@ -19,7 +19,7 @@ from mr_damper_ros.models.published import (
     parameters,
 )
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
-from mr_damper_ros.thesis import (
+from studies.thesis import (
     conditions,
     dependency,
     errata,
@@ -28,9 +28,9 @@ from mr_damper_ros.thesis import (
     repeated,
     sensitivity,
 )
-from mr_damper_ros.thesis.campaign import Campaign, Settings
-from mr_damper_ros.thesis.conditions import identified
-from mr_damper_ros.thesis.runs import CycleMisfit, cycle, window
+from studies.thesis.campaign import Campaign, Settings
+from studies.thesis.conditions import identified
+from studies.thesis.runs import CycleMisfit, cycle, window
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
 """Its k4 has the wrong sign, but so has the factor of the current: its loop is sound."""

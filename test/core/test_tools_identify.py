@@ -30,9 +30,9 @@ from mr_damper_ros.models.sigmoid.law import (
     SCALE_PARAMETER_NAMES,
     operating_point_coefficients,
 )
-from mr_damper_ros.thesis.published_runs import synthesise
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.progress import ProgressLine
+from studies.thesis.published_runs import synthesise
 
 BAGS = Path(__file__).parents[2] / "bags"
 ONE_RUN = BAGS / "5.0mm_1Hz_1.5A"

@@ -12,8 +12,8 @@ from scipy.io import savemat
 from scipy.signal import lfilter
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.study import truth_report
-from mr_damper_ros.study.hysteretic_oscillator import (
+from studies.truth import report as truth_report
+from studies.truth.hysteretic_oscillator import (
     COUNT,
     FORCE_RMS,
     PERIOD,
@@ -23,9 +23,8 @@ from mr_damper_ros.study.hysteretic_oscillator import (
     settled,
     sine_sweep,
 )
-from mr_damper_ros.study.oscillator_trials import EstimationTrial, estimate_oscillator
-from mr_damper_ros.study.truth_report import TruthExtent
-from mr_damper_ros.tools import truth_study
+from studies.truth.oscillator import EstimationTrial, estimate_oscillator
+from studies.truth.report import TruthExtent
 
 SECOND_ORDER = 2e-4
 """Of the span: (omega h)² / 12 of a period at the highest frequency, 150 Hz, and 15 kHz."""
@@ -118,7 +117,6 @@ def write_recordings(folder: Path) -> None:
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(truth_report, "SHORT", TINY)
-    monkeypatch.setattr(truth_study, "SHORT", TINY)
 
 
 @pytest.mark.usefixtures("tiny")
@@ -128,7 +126,7 @@ def test_the_report_holds_every_law_and_figure(
     write_recordings(tmp_path)
     monkeypatch.setenv("MR_DAMPER_DATA", str(tmp_path))
     out = tmp_path / "out"
-    assert truth_study.main(["--quick", "--workers", "1", "--output", str(out)]) == 0
+    assert truth_report.main(["--quick", "--workers", "1", "--output", str(out)]) == 0
     page = (out / "report.html").read_text(encoding="utf-8")
     for chapter in ("sinusoids", "earthquakes", "parameters", "oscillator"):
         assert f'<section id="{chapter}">' in page
@@ -151,7 +149,7 @@ def test_without_recordings_the_report_says_so(
 ) -> None:
     monkeypatch.delenv("MR_DAMPER_DATA", raising=False)
     words = ["--quick", "--workers", "1", "--output", str(tmp_path)]
-    assert truth_study.main(words) == 0
+    assert truth_report.main(words) == 0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "The recordings were not at hand" in page
     assert '<section id="oscillator">' in page

@@ -33,7 +33,7 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.thesis.published_runs import synthesise
+from studies.thesis.published_runs import synthesise
 
 AT_THE_NOISE = 1.0001
 """RMSE of a fit over that of the truth: the minimum lies no higher, and the search ends in it."""

@@ -14,12 +14,9 @@ from support import assert_one_sentence, installed_programs
 
 NODES = ("bridge", "controller", "identifier", "live", "model", "replay")
 TOOLS = (
-    "control_study",
     "demo",
     "identify",
     "import_record",
-    "reproduce",
-    "thesis_bags",
     "validate",
 )
 

@@ -1,0 +1,1 @@
+"""Controllers of the damper side by side on emulated plants (``python -m studies control``)."""

@@ -1,0 +1,104 @@
+"""How the ground shakes: one recorded earthquake and invented ones, by their seed.
+
+El Centro is the north-south component of 18 May 1940 (Imperial Valley), recorded by the United
+States Coast and Geodetic Survey, in the version of Peknold with 1559 values every 0.02 s that
+textbooks use (Chopra, Dynamics of Structures, appendix 6); its peak is 0.319 g. The records of
+Kobe and Maule that the benchmark uses too are not in this package: two invented motions stand in
+their place. They are noise with the spectrum of Kanai and Tajimi (Tajimi, 2nd World Conference on
+Earthquake Engineering, 1960), without its low end as Clough and Penzien propose, within an
+envelope.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+
+from mr_damper_ros.signals.arrays import Array
+
+GRAVITY = 9.80665
+_EVERY = 0.02
+_FINE = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class GroundMotion:
+    """Accelerations (n,) [m/s²] so many seconds (``every``) apart; straight lines in between."""
+
+    name: str
+    acceleration: Array
+    every: float
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last value [s]."""
+        return self.every * (self.acceleration.size - 1)
+
+    def at(self, time: Array) -> Array:
+        """The plant's input (n,) at these times (n,) [s]: the acceleration [m/s²]."""
+        known = self.every * np.arange(self.acceleration.size)
+        return np.interp(time, known, self.acceleration, right=0.0)
+
+    def scaled(self, factor: float) -> GroundMotion:
+        """So many times as strong."""
+        return GroundMotion(self.name, factor * self.acceleration, self.every)
+
+
+def el_centro() -> GroundMotion:
+    """The record of 1940, in full size."""
+    text = resources.files("studies.control").joinpath("el_centro_1940.csv").read_text("ascii")
+    values = np.array([int(value) for line in text.split() for value in line.split(",")])
+    return GroundMotion("El Centro 1940", 1e-5 * GRAVITY * values, _EVERY)
+
+
+@dataclass(frozen=True)
+class Shaking:
+    """An invented earthquake: peak [g], the ground's own frequency [Hz] and damping ratio [1].
+
+    It grows for ``rise`` seconds, is strong for so many and decays over ``decay`` [s].
+    """
+
+    name: str
+    peak: float
+    frequency: float
+    damping: float
+    rise: float
+    strong: float
+    decay: float
+    seed: int
+
+    def motion(self) -> GroundMotion:
+        """The motion of this seed."""
+        duration = self.rise + self.strong + 3.0 * self.decay
+        count = round(duration / _FINE)
+        rng = np.random.default_rng(self.seed)
+        rates = 2.0 * math.pi * np.fft.rfftfreq(count, _FINE)
+        square = (rates / (2.0 * math.pi * self.frequency)) ** 2
+        damped = 4.0 * self.damping**2 * square
+        power = (1.0 + damped) / ((1.0 - square) ** 2 + damped)
+        low = (rates / (2.0 * math.pi * 0.1 * self.frequency)) ** 2
+        power *= low**2 / ((1.0 - low) ** 2 + 4.0 * self.damping**2 * low)
+        power[rates > 2.0 * math.pi * 25.0] = 0.0
+        noise = np.fft.rfft(rng.standard_normal(count))
+        time = _FINE * np.arange(count)
+        envelope = np.minimum(time / self.rise, 1.0) ** 2
+        after = np.maximum(time - self.rise - self.strong, 0.0)
+        shaken = (
+            np.fft.irfft(noise * np.sqrt(power), count) * envelope * np.exp(-after / self.decay)
+        )
+        return GroundMotion(
+            self.name, self.peak * GRAVITY / float(np.max(np.abs(shaken))) * shaken, _FINE
+        )
+
+
+NEAR_FAULT = Shaking("near fault, invented", 0.83, 1.8, 0.35, 3.0, 5.0, 4.0, seed=1995)
+"""Of the size of Kobe's: short, strong, slow."""
+
+SUBDUCTION = Shaking("subduction, invented", 0.55, 3.5, 0.45, 8.0, 12.0, 6.0, seed=2010)
+"""Of the size of Maule's: long, and faster; shortened to its strong part."""
+
+REHEARSAL = Shaking("rehearsal, invented", 0.35, 2.5, 0.6, 4.0, 8.0, 4.0, seed=7)
+"""What weights are tried on: none of those that are judged."""

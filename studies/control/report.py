@@ -1,0 +1,170 @@
+"""The report of the control study: all tasks, in processes, and the page from them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.report.document import Chapter, styled, write_report
+from studies.control import buildings, car_chapters
+from studies.control.buildings import WEIGHTED, simulate
+from studies.control.car_chapters import Drives
+from studies.control.car_drives import (
+    BUMP_ROAD,
+    CONSTANTS,
+    CONTROLLERS,
+    LAG,
+    OFF,
+    ROADS,
+    STRATEGIES,
+    Drive,
+    drive,
+)
+from studies.control.heated import HeatedDrive, drive_heated, growth, heated_chapter
+from studies.control.hybrid import (
+    COMPENSATED,
+    LATE,
+    REFERENCE,
+    TASKS,
+    hybrid,
+    hybrid_chapter,
+    missed,
+)
+from studies.program import Say, Study, each_result
+
+PARTS = ("roads", "heated", "buildings", "hybrid")
+
+_TITLE = "Controllers of an MR damper side by side"
+
+_NOTICE = (
+    "Everything here is simulated: car, buildings and dampers are emulated, and nothing was tried "
+    "on hardware. The damper is commanded through the inverse of its identified law, by the code "
+    "that the controller node runs. All random numbers have fixed seeds."
+)
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Seconds of a drive, of the heated drive, of an earthquake at most, of the hybrid run."""
+
+    drive: float = 12.0
+    heated: float = 90.0
+    earthquake: float = math.inf
+    hybrid: float = 12.0
+
+
+FULL = Extent()
+QUICK = Extent(drive=4.0, heated=40.0, earthquake=6.0, hybrid=6.0)
+"""Shorter, to see that all works: its figures are not the real ones."""
+
+
+def build_report(options: argparse.Namespace, say: Say) -> Path:
+    """Simulate what the parts need and write the report; returns its page."""
+    extent = QUICK if options.quick else FULL
+    chapters: list[Chapter] = []
+    headlines: list[str] = []
+    with ProcessPool(options.workers) as pool, styled():
+        for part in PARTS:
+            if part in options.only:
+                say(f"{part} ...")
+                found, told = _PARTS[part](pool, extent, say)
+                chapters += found
+                headlines += told
+        short = "" if extent == FULL else " Quick variant: drives and earthquakes are cut short."
+        return write_report(options.output, _TITLE, _NOTICE + short, headlines, chapters)
+
+
+def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+    tasks = [(strategy, road, LAG) for road in ROADS for strategy in STRATEGIES]
+    tasks += [(strategy, road, 0.0) for road in ("A", "C", "E") for strategy in CONTROLLERS]
+    tasks += [(name, "C", 0.0) for name in (*STRATEGIES[:2], *CONSTANTS)]
+    drives = Drives(
+        each_result(
+            pool, drive, [Drive(*task, duration=extent.drive) for task in tasks], "drives", say
+        ),
+        extent.drive,
+    )
+    best = car_chapters.best_on(drives, "C")
+    here, off, on = (drives.of(name, "C", LAG) for name in (best, *STRATEGIES[:2]))
+    worst = max(
+        drives.of(name, "C", LAG).comfort / drives.of(name, "C", 0.0).comfort
+        for name in CONTROLLERS
+    )
+    bump, without = (drives.of(name, BUMP_ROAD, LAG) for name in (best, OFF))
+    chapters = [
+        car_chapters.damper_chapter(),
+        car_chapters.roads_chapter(drives),
+        car_chapters.bump_chapter(drives),
+        car_chapters.lag_chapter(drives),
+    ]
+    return chapters, [
+        "an invented damper whose truth is known, in a quarter car.",
+        f"on road C {best}, the best by comfort and holding together, gives {here.comfort:.2f} "
+        f"m/s² and {here.holding:.0%} of the tyre's load; passive-off {off.comfort:.2f} and "
+        f"{off.holding:.0%}, passive-on {on.comfort:.2f} and {on.holding:.0%}.",
+        f"over the bump the body's acceleration is {bump.comfort:.2f} m/s² (RMS; "
+        f"{bump.highest:.1f} at most) with {best}, {without.comfort:.2f} ({without.highest:.1f}) "
+        "with passive-off.",
+        f"a coil that lags by 10 ms costs at most {worst - 1.0:.0%} of comfort on road C.",
+    ]
+
+
+def _heated(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+    tasks = [HeatedDrive(learns, duration=extent.heated) for learns in (False, True)]
+    results = each_result(pool, drive_heated, tasks, "heated drives", say)
+    found = {task.learns: result for task, result in results.items()}
+    chapter = heated_chapter(found, tasks[0])
+    return [chapter], [
+        f"the force is missed by {growth(found[False]):.2f} times as much at the end as at the "
+        f"beginning with the set of 28 °C, {growth(found[True]):.2f} times with the set identified "
+        "on line."
+    ]
+
+
+def _buildings(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+    longest = extent.earthquake
+    results = each_result(pool, simulate, buildings.tasks(longest), "earthquakes", say)
+    found = buildings.Buildings(results, longest)
+    won = buildings.cases_won(found)
+    fastest = max(found.of(WEIGHTED, case, buildings.LAG).reversals for case in buildings.CASES)
+    chapter = buildings.building_chapter(found)
+    return [chapter], [
+        f"the weighted inverse is better than passive-on and bang-bang in both RMS criteria in "
+        f"{won} of {len(buildings.CASES)} cases, with at most {fastest:.0f} reversals of "
+        "the current a second."
+    ]
+
+
+def _hybrid(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+    tasks = [replace(task, duration=extent.hybrid) for task in TASKS]
+    results = each_result(pool, hybrid, tasks, "hybrid simulations", say)
+    found = dict(zip(TASKS, results.values(), strict=True))
+    reference = found[REFERENCE]
+    late, ahead = (missed(found[task].roof, reference.roof) for task in (LATE, COMPENSATED))
+    chapter = hybrid_chapter(found)
+    return [chapter], [
+        f"with the damper in an emulated machine that is late the roof is off by {late:.0%}, with "
+        f"a command that runs ahead by {ahead:.0%}."
+    ]
+
+
+_PARTS: dict[str, Callable[[ProcessPool, Extent, Say], tuple[list[Chapter], list[str]]]] = {
+    "roads": _roads,
+    "heated": _heated,
+    "buildings": _buildings,
+    "hybrid": _hybrid,
+}
+
+
+main = Study(
+    "control",
+    "Simulate a quarter car on roads of ISO 8608 and buildings in earthquakes, with an emulated MR "
+    "damper under several controllers, and write one report.",
+    PARTS,
+    "drives and earthquakes cut short",
+    build_report,
+).main

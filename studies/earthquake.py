@@ -1,0 +1,85 @@
+"""Earthquake records, predicted block by block by what the nodes are made of, in data time."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from mr_damper_ros.api.replay import replay
+from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
+from mr_damper_ros.estimation.global_fit import identify_global
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+from studies import recordings
+
+CURRENTS = (0.2, 0.6, 1.0)
+"""[A], of the columns of force in earthquake.mat."""
+
+_PERIOD = 1e-3
+_SMOOTHED = 300
+"""Samples over which the makers of the records averaged them."""
+
+_BLOCK = 20
+_MOVING = 1e-4
+"""The motion has begun once it has gone so far [m] from where it began."""
+
+_LEFT_OUT = 5.0
+"""Seconds of motion that do not count."""
+
+
+def records(utfsm: Path, moving_average: int | None = None) -> list[Recording]:
+    """The three records, as delivered, or with a moving average over so many samples undone."""
+    return [
+        read_record(
+            utfsm / "earthquake.mat",
+            ",".join(["displacement:mm", *["-"] * number, "force:N", "..."]),
+            current=current,
+            period=_PERIOD,
+            moving_average=moving_average,
+        )
+        for number, current in enumerate(CURRENTS)
+    ]
+
+
+def unsmoothed_records(utfsm: Path) -> list[Recording]:
+    """The three records as they were before their makers averaged them."""
+    return records(utfsm, _SMOOTHED)
+
+
+@cache
+def sinusoid_set(utfsm: Path, model: str) -> ParameterSet:
+    """The set of ``model`` for all processed sinusoid records."""
+    windows = recordings.processed_windows(utfsm)
+    start = start_set(model).values
+    return identify_global(MODELS[model], windows, start, EvolutionSettings()).parameter_set
+
+
+def predicted(record: Recording, start: ParameterSet, *, identify: bool) -> Array:
+    """Force [N] predicted block by block, with or without the identifier; shape (n,)."""
+    return replay(record, start, identify=identify, block_size=_BLOCK).predicted
+
+
+def fit_percent(record: Recording, force: Array) -> float:
+    """1 - NRMSE [%] after the first 5 s of motion."""
+    moved = np.abs(record.displacement - record.displacement[0]) > _MOVING
+    counted = slice(int(np.argmax(moved)) + round(_LEFT_OUT / record.period), None)
+    measured = record.force[counted]
+    error = force[counted] - measured
+    return 100.0 * (1.0 - float(np.sqrt(np.mean(error**2)) / np.std(measured)))
+
+
+def fits(utfsm: Path, model: str, *, identify: bool) -> list[float]:
+    """Fit [%] of each record, its smoothing undone, with the sinusoid set of a model to start from.
+
+    As delivered, displacement and force are averages, between which no law can hold.
+    """
+    start = sinusoid_set(utfsm, model)
+    return [
+        fit_percent(record, predicted(record, start, identify=identify))
+        for record in unsmoothed_records(utfsm)
+    ]

@@ -1,0 +1,97 @@
+"""``python -m studies bags``: the thesis' runs as bags, re-synthesised from its published sets."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from mr_damper_ros.io.bag_files import BagError
+from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.models.published import CONDITIONS, ERRATA, Condition, find, is_clean
+from mr_damper_ros.tools.console import run_tool
+from studies.thesis.published_runs import recording_name, synthesise
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the program; returns the exit code."""
+    return run_tool(_parser(), _make, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="studies bags",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Make bags of the thesis' runs, one folder for each condition, from the\n"
+        "published parameter sets. They are re-synthesised, not the original recordings.",
+        epilog="conditions:\n"
+        + "\n".join(
+            f"  {condition.name}{'' if is_clean(condition) else '   (erratum)'}"
+            for condition in CONDITIONS
+        ),
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the bags go")
+    parser.add_argument(
+        "--conditions",
+        nargs="+",
+        metavar="NAME",
+        help="make these only, such as 2.5mm_1Hz_0.0A (default: all that are clean)",
+    )
+    parser.add_argument(
+        "--errata",
+        action="store_true",
+        help="make the conditions, too, whose published row cannot be right; they are marked in "
+        "the name and in the metadata",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the noise (default %(default)s)")
+    parser.add_argument("--overwrite", action="store_true", help="replace bags that exist")
+    return parser
+
+
+def _chosen(options: argparse.Namespace) -> list[Condition]:
+    conditions = (
+        list(CONDITIONS)
+        if options.conditions is None
+        else list(dict.fromkeys(find(name) for name in options.conditions))
+    )
+    if options.errata:
+        return conditions
+    if options.conditions is not None:
+        for condition in conditions:
+            if not is_clean(condition):
+                raise ValueError(
+                    f"{condition.name} is an erratum ({ERRATA[condition]}): "
+                    "add --errata to make it all the same"
+                )
+    return [condition for condition in conditions if is_clean(condition)]
+
+
+def _make(options: argparse.Namespace) -> int:
+    if options.seed < 0:
+        raise ValueError(f"the seed is {options.seed}: it must not be negative")
+    chosen = _chosen(options)
+    paths = [options.folder / recording_name(condition) for condition in chosen]
+    existing = [path for path in paths if path.exists()]
+    if existing and not options.overwrite:
+        raise BagError(
+            f"{existing[0]} exists already: choose another folder or add --overwrite to replace it"
+        )
+    show = sys.stderr.isatty()
+    for number, (condition, path) in enumerate(zip(chosen, paths, strict=True), start=1):
+        if show:
+            sys.stderr.write(f"\r{number} of {len(chosen)}: {path.name}\033[K")
+            sys.stderr.flush()
+        write_bag(path, synthesise(condition, seed=options.seed), overwrite=options.overwrite)
+    if show:
+        sys.stderr.write("\r\033[K")
+    print(
+        f"{len(chosen)} {'bag' if len(chosen) == 1 else 'bags'} in {options.folder}, "
+        "re-synthesised from the published parameter sets; not the original recordings"
+    )
+    marked = [
+        path.name for condition, path in zip(chosen, paths, strict=True) if condition in ERRATA
+    ]
+    if marked:
+        print(f"errata, not to be compared with other conditions: {', '.join(marked)}")
+    return 0

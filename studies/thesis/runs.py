@@ -1,0 +1,138 @@
+"""Runs to identify from: re-synthesised conditions, whole and as one averaged cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.published import Condition, find
+from mr_damper_ros.models.sigmoid.law import (
+    coefficient_jacobian,
+    coefficient_parameter_jacobian,
+    force_from_coefficients,
+    operating_point_coefficients,
+    sign_of_pair,
+    sine_force,
+)
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.recording import Recording
+from studies.thesis.published_runs import synthesise
+
+LOOP_POINTS = 240
+
+PHASES = 250
+"""Phase bins of a cycle: the curvature of the loop within one is far below the noise."""
+
+
+@lru_cache(maxsize=64)
+def recording(name: str, seed: int) -> Recording:
+    """Re-synthesised run of a condition."""
+    return synthesise(find(name), seed=seed)
+
+
+@lru_cache(maxsize=64)
+def window(name: str, seed: int) -> Window:
+    """The same as a window: fitted sine, force, current."""
+    run = recording(name, seed)
+    return Window.from_samples(run.displacement, run.force, run.current, run.period)
+
+
+def title(name: str) -> str:
+    """Name of a condition for readers: ``2.5 mm, 1 Hz, 0.0 A``."""
+    condition = find(name)
+    return (
+        f"{1e3 * condition.amplitude:.1f} mm, {condition.frequency:g} Hz, {condition.current:.1f} A"
+    )
+
+
+def coefficients(parameters: Array, peak_velocity: float, current: float) -> Array:
+    """Seven operating-point coefficients (..., 7) of sets (..., 16), with positive f_t."""
+    parts = operating_point_coefficients(parameters, peak_velocity, current)
+    values = np.concatenate(parts, axis=-1)
+    values[..., :2] *= sign_of_pair(values[..., :1])
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """One cycle: displacement [m], velocity [m/s], acceleration [m/s²], force [N], shape (n,)."""
+
+    displacement: Array
+    velocity: Array
+    acceleration: Array
+    force: Array
+
+
+def loop(parameters: Array, condition: Condition, points: int = LOOP_POINTS) -> Loop:
+    """Loop of a parameter set (16,) in a condition, without noise."""
+    angle = np.linspace(0.0, 2.0 * np.pi, points)
+    omega = 2.0 * np.pi * condition.frequency
+    u = condition.amplitude * np.sin(angle)
+    v = condition.amplitude * omega * np.cos(angle)
+    a = -(omega**2) * u
+    return Loop(u, v, a, sine_force(parameters, u, v, a, condition.current))
+
+
+class CycleMisfit:
+    """Misfit of a steady run as a function of the sixteen parameters, on phase bins.
+
+    In a steady cycle the samples of one phase differ by noise only, so their mean and number say
+    all about the model; the scatter within the bins, about a line, is a constant. ``costs`` is the
+    mean square error [N²] over all samples, that constant included.
+    """
+
+    def __init__(self, run: Window, bins: int) -> None:
+        sine = run.motion.sine
+        if sine is None:
+            raise ValueError("the run is no steady sine: it has no phase to average over")
+        omega = 2.0 * np.pi * sine.frequency
+        phase = np.arctan2(run.motion.displacement * omega, run.motion.velocity)
+        bin_of = np.minimum(((phase / (2.0 * np.pi)) % 1.0 * bins).astype(int), bins - 1)
+        count = np.bincount(bin_of, minlength=bins)
+        used = count > 0
+        number = np.maximum(count, 1)
+
+        def mean(values: Array) -> Array:
+            return np.asarray(np.bincount(bin_of, values, minlength=bins) / number)
+
+        centre = 2.0 * np.pi / bins * (bin_of + 0.5)
+        # Within a bin the phase runs over less than a turn about its centre.
+        from_centre = (phase - centre + np.pi) % (2.0 * np.pi) - np.pi
+        step = from_centre - mean(from_centre)[bin_of]
+        deviation = run.force - mean(run.force)[bin_of]
+        slope = mean(step * deviation) / np.maximum(mean(step * step), 1e-300)
+        self.within = float(np.mean((deviation - slope[bin_of] * step) ** 2))
+        self.force = mean(run.force)[used]
+        angle = (2.0 * np.pi / bins * (np.arange(bins) + 0.5) + mean(from_centre))[used]
+        self.velocity = sine.amplitude * omega * np.cos(angle)
+        self.displacement = sine.amplitude * np.sin(angle)
+        self.weight = count[used] / run.sample_count
+        self.peak_velocity = sine.amplitude * omega
+        self.current = float(run.current[0])
+        self.sample_count = run.sample_count
+        self.power = float(np.var(run.force))
+
+    def residual(self, parameters: Array) -> Array:
+        """Model minus mean force [N], shape (..., bins)."""
+        c = operating_point_coefficients(parameters, self.peak_velocity, self.current)
+        return force_from_coefficients(c, self.velocity, -self.displacement) - self.force
+
+    def costs(self, parameters: Array) -> Array:
+        """Mean square error [N²] of sets of shape (..., 16)."""
+        return np.asarray(np.square(self.residual(parameters)) @ self.weight + self.within)
+
+    def jacobian(self, parameters: Array) -> Array:
+        """Derivatives of the residual (bins, 16) for one set."""
+        c = operating_point_coefficients(parameters, self.peak_velocity, self.current)
+        outer = coefficient_jacobian(c, self.velocity, -self.displacement)
+        inner = coefficient_parameter_jacobian(parameters, self.peak_velocity, self.current)
+        return np.asarray(outer @ inner[0])
+
+
+@lru_cache(maxsize=64)
+def cycle(name: str, seed: int, bins: int = PHASES) -> CycleMisfit:
+    """Misfit of a re-synthesised run on phase bins."""
+    return CycleMisfit(window(name, seed), bins)

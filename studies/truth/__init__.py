@@ -1,0 +1,1 @@
+"""What the force laws are worth on recordings and a benchmark (``python -m studies truth``)."""

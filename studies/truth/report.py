@@ -1,0 +1,179 @@
+"""The report of what the laws are worth: recordings, and a benchmark whose truth is known."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.processes.process_pool import ProcessPool
+from mr_damper_ros.report.document import Chapter, styled, write_report
+from studies import earthquake, recordings
+from studies.program import Say, Study, each_result
+from studies.truth.oscillator import (
+    EstimationTrial,
+    OscillatorTrial,
+    estimate_oscillator,
+    judge_on_oscillator,
+    oscillator_chapter,
+    oscillator_document,
+    oscillator_headline,
+)
+from studies.truth.records import (
+    EarthquakeTrial,
+    Recorded,
+    RecordTrial,
+    earthquake_chapter,
+    headlines,
+    judge_earthquake,
+    judge_records,
+    microseconds_per_sample,
+    parameter_chapter,
+    record_document,
+    sinusoid_chapter,
+)
+
+PARTS = ("recordings", "oscillator")
+
+_TITLE = "What the force laws are worth"
+
+_NO_RECORDINGS = (
+    "The recordings were not at hand (the variable MR_DAMPER_DATA is not set to a folder that "
+    "holds utfsm): here is only the benchmark, which is re-created. "
+)
+_NOTICE = (
+    "Nothing was tuned to what it is judged by, and all random numbers have fixed seeds. Times are "
+    "processor times."
+)
+
+_NEEDS_PEAKS = ("sigmoid", "sigmoid_lag")
+"""Laws of the peak velocity, which a mass that is moved knows only afterwards."""
+
+
+@dataclass(frozen=True)
+class TruthExtent:
+    """How much of everything is done.
+
+    ``laws`` that are tried, ``online`` those with the identifier running; ``every`` so many of the
+    currents of the sinusoid records; ``currents`` [A] and ``longest`` [s] of the earthquakes;
+    samples ``count``, steps a sample and seconds of a sweep of the benchmark.
+    """
+
+    laws: tuple[str, ...] = tuple(MODELS)
+    online: tuple[str, ...] = tuple(MODELS)
+    every: int = 1
+    currents: tuple[float, ...] = earthquake.CURRENTS
+    longest: float = math.inf
+    count: int = 8192
+    steps: int = 20
+    sweep: float = math.inf
+
+
+ALL = TruthExtent()
+SHORT = TruthExtent(
+    laws=("hyperbolic_tangent", "sigmoid", "sigmoid_lag", "series_springs"),
+    online=("sigmoid",),
+    every=4,
+    currents=(0.6,),
+    longest=20.0,
+    count=1024,
+    steps=5,
+    sweep=10.0,
+)
+"""Shorter, to see that all works: its figures are not the real ones."""
+
+
+def build_truth(options: argparse.Namespace, say: Say) -> Path:
+    """Do what the parts need, write ``report.html`` and ``truth.json``; returns the page."""
+    extent = SHORT if options.quick else ALL
+    chapters: list[Chapter] = []
+    told: list[str] = []
+    document: dict[str, object] = {"quick": extent != ALL}
+    utfsm = recordings.folder()
+    with ProcessPool(options.workers) as pool, styled():
+        if "recordings" in options.only and utfsm is not None:
+            found = _recorded(utfsm, pool, extent, say)
+            chapters += [sinusoid_chapter(found), earthquake_chapter(found)]
+            chapters.append(parameter_chapter(found))
+            told += headlines(found)
+            document["recordings"] = record_document(found)
+        if "oscillator" in options.only:
+            chapter, headline, figures = _oscillator(pool, extent, say)
+            chapters.append(chapter)
+            told.append(headline)
+            document["oscillator"] = figures
+        notice = _NO_RECORDINGS if utfsm is None else ""
+        notice += _NOTICE
+        if extent != ALL:
+            notice += " Quick variant: few laws, few and short records; not the real figures."
+        page = write_report(options.output, _TITLE, notice, told, chapters)
+    text = json.dumps(document, indent=2, allow_nan=False)
+    write_text(options.output / "truth.json", text + "\n")
+    return page
+
+
+def _recorded(utfsm: Path, pool: ProcessPool, extent: TruthExtent, say: Say) -> Recorded:
+    motions = list(recordings.processed_motions(utfsm))
+    tasks = [
+        RecordTrial(utfsm, law, left_out, extent.every)
+        for law in extent.laws
+        for left_out in (None, *motions)
+    ]
+    judged = each_result(pool, judge_records, tasks, "sinusoid records", say)
+    one_set = {task.law: result for task, result in judged.items() if task.left_out is None}
+    left_out = {
+        law: {
+            name: error
+            for task, result in judged.items()
+            if task.law == law and task.left_out is not None
+            for name, error in result.nrmse.items()
+        }
+        for law in extent.laws
+    }
+    trials = {
+        (law, current, follows): EarthquakeTrial(
+            utfsm, one_set[law].parameter_set, current, follows, extent.longest
+        )
+        for follows in (False, True)
+        for law in extent.laws
+        if not follows or law in extent.online
+        for current in extent.currents
+    }
+    shaken = each_result(pool, judge_earthquake, list(trials.values()), "earthquakes", say)
+    window = recordings.processed_windows(utfsm)[0]
+    return Recorded(
+        one_set,
+        left_out,
+        {key: shaken[trial] for key, trial in trials.items()},
+        {law: microseconds_per_sample(one_set[law].parameter_set, window) for law in extent.laws},
+    )
+
+
+def _oscillator(
+    pool: ProcessPool, extent: TruthExtent, say: Say
+) -> tuple[Chapter, str, dict[str, object]]:
+    tasks = [OscillatorTrial(law, extent.count, law not in _NEEDS_PEAKS) for law in extent.laws]
+    results = each_result(pool, judge_on_oscillator, tasks, "laws on the benchmark", say)
+    found = {task.law: result for task, result in results.items()}
+    say("the benchmark in its own form")
+    estimation = estimate_oscillator(EstimationTrial(extent.count, extent.steps, extent.sweep))
+    return (
+        oscillator_chapter(found, estimation),
+        oscillator_headline(found, estimation),
+        oscillator_document(found, estimation),
+    )
+
+
+main = Study(
+    "truth",
+    "Judge every force law on the recordings in the folder that the variable MR_DAMPER_DATA names, "
+    "where it is set, and on the re-created hysteretic benchmark of Noël and Schoukens; write one "
+    "report, report.html, and its figures, truth.json.",
+    PARTS,
+    "few laws, few and short records",
+    build_truth,
+).main
