@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks import following
 from benchmarks.figure import Figure
 from mr_damper_ros.emulation.emulator import ConstantDamper, scaled
-from mr_damper_ros.emulation.faults import ForceLoss
+from mr_damper_ros.emulation.faults import fault_of
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.tracking.tracker_settings import TrackerSettings
@@ -34,7 +34,7 @@ def windows_until_right(offset: float, settings: TrackerSettings) -> float:
         ConstantDamper(THESIS_28_CELSIUS),
         time + _AFTER,
         seed=round(100 * offset),
-        faults=[ForceLoss(FACTOR, time)],
+        faults=[fault_of(f"force_loss:{FACTOR}@{time}")],
     )
     cycle = following.one_cycle()
     truth = sine_force(scaled(THESIS_28_CELSIUS, FACTOR), *cycle, following.CURRENT)

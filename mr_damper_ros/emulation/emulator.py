@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mr_damper_ros.emulation.faults import Fault
+from mr_damper_ros.emulation.faults import Fault, at_load_cell, in_coil
 from mr_damper_ros.emulation.motions import Excitation, is_sine
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity, peak_velocity
@@ -362,14 +362,11 @@ class EmulatedRig:
             else self._peak.follow(velocity, acceleration)
         )
         motion = Motion(centred, velocity, acceleration, v_m, sine=None)
-        fed = current
-        for fault in self._faults:
-            fed = fault.energised(time, fed)
-        in_coil = coil_current(fed, self._coil, period, self._before)
-        self._before = fed[-1], in_coil[-1]
-        true_force = self._damper.force(motion, in_coil, self._celsius)
-        for fault in self._faults:
-            true_force = fault.resisted(time, moved, true_force)
+        fed = in_coil(self._faults, time, current)
+        coil = coil_current(fed, self._coil, period, self._before)
+        self._before = fed[-1], coil[-1]
+        force = self._damper.force(motion, coil, self._celsius)
+        true_force = at_load_cell(self._faults, time, moved, force)
         celsius = np.full(count, self._celsius)
         self._power[part] = true_force * velocity
         self._made += count

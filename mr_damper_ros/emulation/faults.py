@@ -1,14 +1,17 @@
-"""Faults of an emulated rig: in the machine, in the instruments, and on the way."""
+"""Faults of an emulated rig: in the machine, in the instruments, and on the way.
+
+A kind of fault is a row of :data:`KINDS`: where it acts, and a function of time and value.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from enum import Enum, auto
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,36 +26,88 @@ CHANNELS = ("displacement", "force", "current", "temperature")
 _ROUNDING = 1e-9
 """A sample that falls on the beginning already has the fault, whatever the rounding [s]."""
 
+_CHANGE = 0.1
+"""Time [s] that the machine takes to change its motion."""
+
+_OUTAGE = 0.02
+"""Length [s] of one of several short outages."""
+
 
 class FaultError(ValueError):
     """A fault that cannot be had; the message says what to change."""
+
+
+class Stage(Enum):
+    """Where a fault acts, and what its function takes besides the fault, and returns."""
+
+    MOTION = auto()
+    """An :class:`Excitation`: the motion that the machine makes."""
+
+    COIL = auto()
+    """:class:`Samples` of the current [A] in the coil; returns other values (n,)."""
+
+    FORCE = auto()
+    """:class:`Samples` of the force [N] between rod and load cell; returns other values (n,)."""
+
+    CHANNEL = auto()
+    """:class:`Samples` of one instrument; returns what it shows instead (n,)."""
+
+    BLOCK = auto()
+    """A :class:`RigBlock`, where more than one channel is concerned; returns another block."""
+
+    DELIVERY = auto()
+    """A block that is to be sent; returns the blocks that are sent now."""
+
+    LABEL = auto()
+    """A block; returns it with the stamp, the period and the number that it is sent with."""
+
+
+class Samples(NamedTuple):
+    """``values`` (n,) at the times ``time`` (n,) [s], ``period`` [s] apart, and the motion."""
+
+    time: Array
+    values: Array
+    period: float = math.nan
+    motion: Kinematics | None = None
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A row of the table of faults.
+
+    ``meaning`` is for the documentation. ``unit`` of the value is empty for a fault without one,
+    "channel" for that of the channel; ``usual`` and ``least`` are in it. A ``masked`` function
+    need not know when the fault is there: at other times its result is not used.
+    """
+
+    name: str
+    stage: Stage
+    meaning: str
+    act: Callable[[Fault, Any], Any]
+    unit: str = ""
+    usual: float = 1.0
+    least: float = -math.inf
+    masked: bool = True
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that it may be of; empty for one that is of none."""
+        return CHANNELS if self.stage is Stage.CHANNEL else ()
 
 
 @dataclass(eq=False)
 class Fault:
     """Something that is wrong from ``begin`` to ``end`` [s] since the rig started.
 
-    ``channel`` is the one of ``channels`` that it affects, empty for a fault that has none.
-    ``value`` says how much, in the unit that ``unit`` names; None stands for ``usual``. A fault is
-    a subclass that overrides the one method of where it acts, and a line in
-    :data:`mr_damper_ros.emulation.faults.KINDS`. It may remember samples: each rig copies
-    its own.
+    ``channel`` is that of a kind which acts on one. ``value`` says how much, in the unit of the
+    kind; None stands for the usual one. ``memory`` is what its function remembers: each rig
+    copies its own.
 
     Raises FaultError where the channel is none of its own, the value is not finite or out of
     range, or the end is not after the beginning.
     """
 
-    name: ClassVar[str]
-    meaning: ClassVar[str]
-    """What happens, for the documentation, in a few words."""
-
-    channels: ClassVar[tuple[str, ...]] = ()
-    unit: ClassVar[str] = ""
-    """Unit of the value; empty for a fault without one, "channel" for that of the channel."""
-
-    usual: ClassVar[float] = 1.0
-    least: ClassVar[float] = -math.inf
-
+    kind: Kind
     value: float | None = None
     begin: float = 0.0
     end: float = math.inf
@@ -60,30 +115,26 @@ class Fault:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.channel not in (self.channels or ("",)):
+        kind = self.kind
+        if self.channel not in (kind.channels or ("",)):
             raise FaultError(
-                f"the fault '{self.name}' cannot have the channel '{self.channel}': it has "
-                + (" or ".join(self.channels) or "none")
+                f"the fault '{kind.name}' cannot have the channel '{self.channel}': it has "
+                + (" or ".join(kind.channels) or "none")
             )
-        if self.value is None:
-            self.value = self.usual
-        if not (math.isfinite(self.value) and self.value >= self.least):
+        self.amount: float = kind.usual if self.value is None else self.value
+        self.value = self.amount
+        if not (math.isfinite(self.amount) and self.amount >= kind.least):
             raise FaultError(
-                f"the value of the fault '{self.name}' is {self.value}: it must be finite"
-                + ("" if math.isinf(self.least) else f" and at least {self.least:g}")
+                f"the value of the fault '{kind.name}' is {self.amount}: it must be finite"
+                + ("" if math.isinf(kind.least) else f" and at least {kind.least:g}")
             )
         if not 0.0 <= self.begin < self.end:
             raise FaultError(
-                f"the fault '{self.name}' is from {self.begin:g} to {self.end:g} s: it must begin "
+                f"the fault '{kind.name}' is from {self.begin:g} to {self.end:g} s: it must begin "
                 "at 0 or later, and end after that"
             )
         self.rng = np.random.default_rng(self.seed)
-
-    @property
-    def amount(self) -> float:
-        """The value."""
-        assert self.value is not None
-        return self.value
+        self.memory: Any = None
 
     def active(self, time: Array) -> np.ndarray:
         """Mask (n,) of the times [s] at which it is there."""
@@ -93,42 +144,36 @@ class Fault:
         """Whether it is there at the first sample of a block that is not yet labelled."""
         return bool(self.active(np.array([block.sequence * block.period]))[0])
 
-    # --- in the machine ------------------------------------------------------------------------
-
     def moved(self, excitation: Excitation) -> Excitation:
         """The motion that the machine makes instead."""
-        return excitation
+        if self.kind.stage is not Stage.MOTION:
+            return excitation
+        moved: Excitation = self.kind.act(self, excitation)
+        return moved
 
-    def energised(self, time: Array, current: Array) -> Array:
-        """Current [A] in the coil, shape (n,), where the supply says ``current``."""
-        return current
+    def changed(self, stage: Stage, samples: Samples) -> Array:
+        """The values (n,) of these samples behind a stage."""
+        if self.kind.stage is not stage:
+            return samples.values
+        values: Array = self.kind.act(self, samples)
+        there = self.active(samples.time)
+        return np.where(there, values, samples.values) if self.kind.masked else values
 
-    def resisted(self, time: Array, motion: Kinematics, force: Array) -> Array:
-        """Force [N] between rod and load cell, shape (n,), where the damper's is ``force``."""
-        return force
 
-    # --- in the instruments --------------------------------------------------------------------
+def _changed_by(faults: Sequence[Fault], stage: Stage, samples: Samples) -> Array:
+    for fault in faults:
+        samples = samples._replace(values=fault.changed(stage, samples))
+    return samples.values
 
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument of the channel says, shape (n,), where it should say ``values``.
 
-        Samples are ``period`` [s] apart.
-        """
-        return values
+def in_coil(faults: Sequence[Fault], time: Array, current: Array) -> Array:
+    """Current [A] in the coil, shape (n,), where the supply says ``current``."""
+    return _changed_by(faults, Stage.COIL, Samples(time, current))
 
-    def rewired(self, block: RigBlock) -> RigBlock:
-        """What a block holds instead, where the fault concerns more than one channel."""
-        return block
 
-    # --- on the way ----------------------------------------------------------------------------
-
-    def delivered(self, blocks: list[RigBlock]) -> list[RigBlock]:
-        """The blocks that are sent now, where these should be."""
-        return blocks
-
-    def labelled(self, block: RigBlock) -> RigBlock:
-        """The block with the stamp, the period and the number that it is sent with."""
-        return block
+def at_load_cell(faults: Sequence[Fault], time: Array, motion: Kinematics, force: Array) -> Array:
+    """Force [N] between rod and load cell, shape (n,), where the damper's is ``force``."""
+    return _changed_by(faults, Stage.FORCE, Samples(time, force, motion=motion))
 
 
 class Delivery(NamedTuple):
@@ -148,629 +193,208 @@ class Instruments:
         """What is sent once the rig has made a block: none, or one, or several."""
         time = (block.sequence + np.arange(block.sample_count, dtype=np.float64)) * block.period
         for fault in self._faults:
-            if fault.channel in CHANNELS:
-                right: Array = getattr(block, fault.channel)
-                said: dict[str, Any] = {fault.channel: fault.measured(time, right, block.period)}
-                block = replace(block, **said)
-            block = fault.rewired(block)
+            kind = fault.kind
+            if kind.stage is Stage.CHANNEL:
+                samples = Samples(time, getattr(block, fault.channel), block.period)
+                shown: dict[str, Any] = {fault.channel: fault.changed(Stage.CHANNEL, samples)}
+                block = replace(block, **shown)
+            elif kind.stage is Stage.BLOCK and (fault.concerns(block) or not kind.masked):
+                block = kind.act(fault, block)
         blocks = [block]
         for fault in self._faults:
-            blocks = fault.delivered(blocks)
-        deliveries = []
-        for made in blocks:
-            sent = made
-            for fault in self._faults:
-                if fault.concerns(made):
-                    sent = fault.labelled(sent)
-            deliveries.append(Delivery(sent, made.sequence))
-        return deliveries
-
-
-_CHANGE = 0.1
-"""Time [s] that the machine takes to change its motion."""
-
-
-class ForceLoss(Fault):
-    """The damper has lost oil, or its seal leaks."""
-
-    name = "force_loss"
-    meaning = "the damper's force is so many times what it was (a leak)"
-    unit = "1"
-    usual = 0.5
-
-    def resisted(self, time: Array, motion: Kinematics, force: Array) -> Array:
-        """Force [N]."""
-        return np.where(self.active(time), self.amount, 1.0) * force
-
-
-class Wear(Fault):
-    """The damper gets weaker, evenly from the beginning to the end, and stays so."""
+            if fault.kind.stage is Stage.DELIVERY:
+                blocks = [sent for made in blocks for sent in fault.kind.act(fault, made)]
+        return [Delivery(self._labelled(made), made.sequence) for made in blocks]
 
-    name = "wear"
-    meaning = "the damper's force changes evenly to so many times what it was, and stays there"
-    unit = "1"
-    usual = 0.7
+    def _labelled(self, made: RigBlock) -> RigBlock:
+        sent = made
+        for fault in self._faults:
+            if fault.kind.stage is Stage.LABEL and fault.concerns(made):
+                sent = fault.kind.act(fault, sent)
+        return sent
 
-    def resisted(self, time: Array, motion: Kinematics, force: Array) -> Array:
-        """Force [N]."""
-        if math.isinf(self.end):
-            return force
-        return np.interp(time, (self.begin, self.end), (1.0, self.amount)) * force
-
 
-class Friction(Fault):
-    """Something rubs."""
+# --- of any value -------------------------------------------------------------------------------
 
-    name = "friction"
-    meaning = "so much dry friction besides the damper"
-    unit = "N"
-    usual = 200.0
-    _SLOW = 1e-3
 
-    def resisted(self, time: Array, motion: Kinematics, force: Array) -> Array:
-        """Force [N]."""
-        rubbing = self.amount * np.tanh(motion.velocity / self._SLOW)
-        return force + np.where(self.active(time), rubbing, 0.0)
+def _gain(fault: Fault, samples: Samples) -> Array:
+    return fault.amount * samples.values
 
 
-class Spring(Fault):
-    """Something elastic got in between."""
+def _offset(fault: Fault, samples: Samples) -> Array:
+    return samples.values + fault.amount
 
-    name = "spring"
-    meaning = "a spring of so much stiffness beside the damper"
-    unit = "N/m"
-    usual = 1e5
 
-    def resisted(self, time: Array, motion: Kinematics, force: Array) -> Array:
-        """Force [N]."""
-        return force + np.where(self.active(time), self.amount * motion.displacement, 0.0)
+# --- in the machine -----------------------------------------------------------------------------
 
 
-class EndStop(Fault):
-    """The piston hits the end of its stroke."""
+def _wear(fault: Fault, samples: Samples) -> Array:
+    if math.isinf(fault.end):
+        return samples.values
+    times = fault.begin, fault.end
+    return np.interp(samples.time, times, (1.0, fault.amount)) * samples.values
 
-    name = "end_stop"
-    meaning = "beyond this displacement to either side a stop of 1 kN/mm"
-    unit = "m"
-    usual = 0.004
-    least = 0.0
-    _STIFFNESS = 1e6
 
-    def resisted(self, time: Array, motion: Kinematics, force: Array) -> Array:
-        """Force [N]."""
-        u = motion.displacement
-        beyond = u - np.clip(u, -self.amount, self.amount)
-        return force + np.where(self.active(time), self._STIFFNESS * beyond, 0.0)
+def _friction(fault: Fault, samples: Samples) -> Array:
+    assert samples.motion is not None
+    # The sign of the velocity, rounded within 1 mm/s.
+    return samples.values + fault.amount * np.tanh(samples.motion.velocity / 1e-3)
 
 
-class Backlash(Fault):
-    """The clevis has play: after each reversal the rod follows only when that is used up."""
+def _spring(fault: Fault, samples: Samples) -> Array:
+    assert samples.motion is not None
+    return samples.values + fault.amount * samples.motion.displacement
 
-    name = "backlash"
-    meaning = "so much play between machine and rod: no force until it is used up"
-    unit = "m"
-    usual = 0.5e-3
-    least = 0.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._rod = math.nan
+def _end_stop(fault: Fault, samples: Samples) -> Array:
+    assert samples.motion is not None
+    u = samples.motion.displacement
+    return samples.values + 1e6 * (u - np.clip(u, -fault.amount, fault.amount))
 
-    def resisted(self, time: Array, motion: Kinematics, force: Array) -> Array:
-        """Force [N]."""
-        there = self.active(time)
-        if not there.any():
-            return force
-        result = force.copy()
-        half = 0.5 * self.amount
-        for place in np.flatnonzero(there):
-            u = float(motion.displacement[place])
-            rod = u if math.isnan(self._rod) else min(max(self._rod, u - half), u + half)
-            if rod == self._rod:
-                result[place] = 0.0
-            self._rod = rod
-        return result
 
+def _backlash(fault: Fault, samples: Samples) -> Array:
+    """After each reversal the rod, which is remembered, follows only when the play is used up."""
+    assert samples.motion is not None
+    result, half = samples.values.copy(), 0.5 * fault.amount
+    for place in np.flatnonzero(fault.active(samples.time)):
+        u = float(samples.motion.displacement[place])
+        rod = u if fault.memory is None else min(max(fault.memory, u - half), u + half)
+        if rod == fault.memory:
+            result[place] = 0.0
+        fault.memory = rod
+    return result
 
-class CoilFactor(Fault):
-    """The coil gets another current than the supply reports: a short, a broken wire."""
 
-    name = "coil_factor"
-    meaning = "the coil gets so many times the current that the supply reports (0: a broken wire)"
-    unit = "1"
-    usual = 0.0
+def _amplitude(fault: Fault, excitation: Excitation) -> Excitation:
+    return EnvelopedMotion(excitation, fault.amount, fault.begin, fault.end, _CHANGE)
 
-    def energised(self, time: Array, current: Array) -> Array:
-        """Current [A] in the coil."""
-        return np.where(self.active(time), self.amount, 1.0) * current
 
+def _tempo(fault: Fault, excitation: Excitation) -> Excitation:
+    return WarpedMotion(excitation, fault.amount, fault.begin, fault.end, _CHANGE)
 
-class CoilOffset(Fault):
-    """The coil gets more than the supply reports."""
 
-    name = "coil_offset"
-    meaning = "the coil gets so much more current than the supply reports"
-    unit = "A"
-    usual = 0.1
+# --- in the instruments -------------------------------------------------------------------------
 
-    def energised(self, time: Array, current: Array) -> Array:
-        """Current [A] in the coil."""
-        return current + np.where(self.active(time), self.amount, 0.0)
 
+def _creep(fault: Fault, samples: Samples) -> Array:
+    return samples.values + fault.amount * (samples.time - fault.begin)
 
-class Amplitude(Fault):
-    """The machine moves by another amplitude."""
 
-    name = "amplitude"
-    meaning = "the motion is so many times what it was"
-    unit = "1"
-    usual = 0.1
+def _stuck(fault: Fault, samples: Samples) -> Array:
+    before = samples.values[samples.time < fault.begin - _ROUNDING]
+    if before.size:
+        fault.memory = float(before[-1])
+    return np.full(samples.values.size, fault.memory or 0.0)
 
-    def moved(self, excitation: Excitation) -> Excitation:
-        """The motion made larger or smaller, smoothly within a tenth of a second."""
-        return EnvelopedMotion(excitation, self.amount, self.begin, self.end, _CHANGE)
 
+def _outages(instead: float) -> Callable[[Fault, Samples], Array]:
+    """Short outages at random; the end of the last one is remembered."""
 
-class Tempo(Fault):
-    """The machine moves faster or slower, or stands still where it is."""
-
-    name = "tempo"
-    meaning = "the motion goes on so many times as fast; 0: the machine stands still"
-    unit = "1"
-    usual = 0.0
-    least = 0.0
-
-    def moved(self, excitation: Excitation) -> Excitation:
-        """The motion faster or slower, smoothly within a tenth of a second."""
-        return WarpedMotion(excitation, self.amount, self.begin, self.end, _CHANGE)
-
-
-_OUTAGE = 0.02
-"""Length [s] of one of several short outages."""
-
-_SPIKES = 5.0
-"""Spikes per second."""
-
-_MAINS = 50.0
-"""Frequency [Hz] of the hum."""
-
-
-class SensorFault(Fault):
-    """A fault of one instrument, of any of the channels."""
-
-    channels = CHANNELS
-
-
-class Gain(SensorFault):
-    """The instrument shows so many times what is there."""
-
-    name = "gain"
-    meaning = "so many times the right value; -1 reverses the sign, 0 is a lost signal"
-    unit = "1"
-    usual = 10.0
-
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        return np.where(self.active(time), self.amount, 1.0) * values
-
-
-class Offset(SensorFault):
-    """The zero of the instrument has jumped."""
-
-    name = "offset"
-    meaning = "so much more than the right value"
-    unit = "channel"
-
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        return values + np.where(self.active(time), self.amount, 0.0)
-
-
-class Creep(SensorFault):
-    """The zero of the instrument creeps away."""
-
-    name = "creep"
-    meaning = "the zero moves by so much a second"
-    unit = "channel/s"
-
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        return values + self.amount * np.where(self.active(time), time - self.begin, 0.0)
-
-
-class Stuck(SensorFault):
-    """The instrument keeps showing what it showed when it broke."""
-
-    name = "stuck"
-    meaning = "the last value before the beginning, again and again"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._last = 0.0
-
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        there = self.active(time)
-        before = values[~there & (time < self.begin)]
-        if before.size:
-            self._last = float(before[-1])
-        return np.where(there, self._last, values)
-
-
-class Dropouts(SensorFault):
-    """A loose contact."""
-
-    name = "dropouts"
-    meaning = "so many times a second, at random, zero for 20 ms"
-    unit = "1/s"
-    usual = 2.0
-    least = 0.0
-    _INSTEAD = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._until = -math.inf
-
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        begins = self.active(time) & (self.rng.random(time.size) < self.amount * period)
+    def act(fault: Fault, samples: Samples) -> Array:
+        time, values, period, _ = samples
+        begins = fault.active(time) & (fault.rng.random(time.size) < fault.amount * period)
         since = np.where(begins, time, -math.inf)
-        until = np.maximum.accumulate(np.maximum(since + _OUTAGE, self._until))
-        self._until = float(until[-1])
-        return np.where(time < until, self._INSTEAD, values)
+        last = -math.inf if fault.memory is None else fault.memory
+        until = np.maximum.accumulate(np.maximum(since + _OUTAGE, last))
+        fault.memory = float(until[-1])
+        return np.where(time < until, instead, values)
 
+    return act
 
-class NotNumbers(Dropouts):
-    """The converter has no value to give."""
 
-    name = "nan"
-    meaning = "so many times a second, at random, no number for 20 ms"
-    _INSTEAD = math.nan
+def _missing(fault: Fault, samples: Samples) -> Array:
+    return np.full(samples.values.size, math.nan)
 
 
-class Missing(SensorFault):
-    """The instrument is off."""
+def _spikes(fault: Fault, samples: Samples) -> Array:
+    drawn = fault.rng.random((2, samples.time.size))
+    hit = drawn[0] < 5.0 * samples.period
+    return samples.values + np.where(hit, fault.amount * np.sign(drawn[1] - 0.5), 0.0)
 
-    name = "missing"
-    meaning = "no number at all; a current or a temperature is then not published"
 
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        return np.where(self.active(time), math.nan, values)
+def _noise(fault: Fault, samples: Samples) -> Array:
+    return samples.values + fault.amount * fault.rng.standard_normal(samples.time.size)
 
 
-class Spikes(SensorFault):
-    """Disturbances by a switch or a radio."""
+def _hum(fault: Fault, samples: Samples) -> Array:
+    return samples.values + fault.amount * np.sin(2.0 * np.pi * 50.0 * samples.time)
 
-    name = "spikes"
-    meaning = "five times a second, at random, one sample is off by so much to either side"
-    unit = "channel"
 
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        drawn = self.rng.random((2, time.size))
-        hit = self.active(time) & (drawn[0] < _SPIKES * period)
-        return values + np.where(hit, self.amount * np.sign(drawn[1] - 0.5), 0.0)
+def _clip(fault: Fault, samples: Samples) -> Array:
+    return np.clip(samples.values, -fault.amount, fault.amount)
 
 
-class Noise(SensorFault):
-    """More noise than there was."""
+def _coarse(fault: Fault, samples: Samples) -> Array:
+    return np.round(samples.values / fault.amount) * fault.amount
 
-    name = "noise"
-    meaning = "white noise of this standard deviation besides"
-    unit = "channel"
-    least = 0.0
 
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        noise = self.rng.standard_normal(time.size)
-        return values + np.where(self.active(time), self.amount * noise, 0.0)
+def _delay(fault: Fault, samples: Samples) -> Array:
+    past: Array = np.empty(0) if fault.memory is None else fault.memory
+    count = round(fault.amount / samples.period)
+    known = np.concatenate([past, samples.values])
+    fault.memory = known[max(known.size - count, 0) :]
+    return known[np.maximum(np.arange(samples.values.size) + past.size - count, 0)]
 
 
-class Hum(SensorFault):
-    """The mains are heard."""
+def _sluggish(fault: Fault, samples: Samples) -> Array:
+    result = samples.values.copy()
+    part = samples.period / (fault.amount + samples.period)
+    for place in np.flatnonzero(fault.active(samples.time)):
+        value = float(samples.values[place])
+        before = value if fault.memory is None else fault.memory
+        result[place] = fault.memory = before + part * (value - before)
+    return result
 
-    name = "hum"
-    meaning = "a sine of 50 Hz and this amplitude besides"
-    unit = "channel"
 
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        sine = np.sin(2.0 * np.pi * _MAINS * time)
-        return values + np.where(self.active(time), self.amount * sine, 0.0)
+def _swapped(fault: Fault, block: RigBlock) -> RigBlock:
+    return replace(block, displacement=1e-6 * block.force, force=block.displacement / 1e-6)
 
 
-class Clip(SensorFault):
-    """The amplifier is at its end."""
+def _crosstalk(fault: Fault, block: RigBlock) -> RigBlock:
+    return replace(block, force=block.force + fault.amount * block.current)
 
-    name = "clip"
-    meaning = "no value beyond this one, to either side"
-    unit = "channel"
-    least = 0.0
 
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        clipped = np.clip(values, -self.amount, self.amount)
-        return np.where(self.active(time), clipped, values)
+def _repeated_buffer(fault: Fault, block: RigBlock) -> RigBlock:
+    if not fault.concerns(block):
+        fault.memory = block
+    last: RigBlock | None = fault.memory
+    if last is None or last.sample_count != block.sample_count:
+        return block
+    return replace(block, displacement=last.displacement, force=last.force)
 
 
-class Coarse(SensorFault):
-    """The converter has lost bits."""
+# --- on the way ---------------------------------------------------------------------------------
 
-    name = "coarse"
-    meaning = "rounded to whole multiples of so much"
-    unit = "channel"
-    least = 1e-12
 
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        rounded = np.round(values / self.amount) * self.amount
-        return np.where(self.active(time), rounded, values)
+def _chosen(fault: Fault, block: RigBlock) -> bool:
+    """Whether a block is one of those, by chance, that have the fault."""
+    return bool(fault.rng.random() < fault.amount) and fault.concerns(block)
 
 
-class Delay(SensorFault):
-    """The channel comes late, under the stamps of the others."""
+def _lost(fault: Fault, block: RigBlock) -> list[RigBlock]:
+    return [] if _chosen(fault, block) else [block]
 
-    name = "delay"
-    meaning = "the value of so long before"
-    unit = "s"
-    usual = 0.05
-    least = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._past: deque[float] = deque()
-
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        count = round(self.amount / period)
-        known = np.concatenate([self._past, values])
-        late = known[np.maximum(np.arange(values.size) + len(self._past) - count, 0)]
-        self._past = deque(known[max(known.size - count, 0) :].tolist())
-        return np.where(self.active(time), late, values)
-
-
-class Sluggish(SensorFault):
-    """A filter that nobody knows of."""
-
-    name = "sluggish"
-    meaning = "a first-order low-pass filter of this time constant"
-    unit = "s"
-    usual = 0.05
-    least = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._filtered = math.nan
-
-    def measured(self, time: Array, values: Array, period: float) -> Array:
-        """What the instrument says."""
-        result = values.copy()
-        part = period / (self.amount + period)
-        for place in np.flatnonzero(self.active(time)):
-            value = float(values[place])
-            if math.isnan(self._filtered):
-                self._filtered = value
-            self._filtered += part * (value - self._filtered)
-            result[place] = self._filtered
-        return result
-
-
-class Swapped(Fault):
-    """Two plugs were exchanged."""
-
-    name = "swapped"
-    meaning = "the force comes as displacement, in millimetres for kilonewtons, and the reverse"
-    _METRES_PER_NEWTON = 1e-6
-
-    def rewired(self, block: RigBlock) -> RigBlock:
-        """The block with both exchanged."""
-        if not self.concerns(block):
-            return block
-        return replace(
-            block,
-            displacement=block.force * self._METRES_PER_NEWTON,
-            force=block.displacement / self._METRES_PER_NEWTON,
-        )
-
-
-class Crosstalk(Fault):
-    """The current is heard in the load cell."""
-
-    name = "crosstalk"
-    meaning = "so much more force for each ampere of the coil"
-    unit = "N/A"
-    usual = 100.0
-
-    def rewired(self, block: RigBlock) -> RigBlock:
-        """The block with what leaks into its force."""
-        if not self.concerns(block):
-            return block
-        return replace(block, force=block.force + self.amount * block.current)
-
-
-class LostBlocks(Fault):
-    """The network loses some."""
-
-    name = "lost_blocks"
-    meaning = "this part of the blocks, at random, never comes; 1: an outage"
-    unit = "1"
-    usual = 0.05
-    least = 0.0
-
-    def delivered(self, blocks: list[RigBlock]) -> list[RigBlock]:
-        """The blocks that come."""
-        return [b for b in blocks if self.rng.random() >= self.amount or not self.concerns(b)]
-
-
-class DoubledBlocks(Fault):
-    """The network sends some twice."""
-
-    name = "doubled_blocks"
-    meaning = "this part of the blocks, at random, comes twice"
-    unit = "1"
-    usual = 0.1
-    least = 0.0
-
-    def delivered(self, blocks: list[RigBlock]) -> list[RigBlock]:
-        """The blocks that come."""
-        result = []
-        for block in blocks:
-            result.append(block)
-            if self.rng.random() < self.amount and self.concerns(block):
-                result.append(block)
-        return result
-
-
-class ReorderedBlocks(Fault):
-    """Some overtake others."""
-
-    name = "reordered_blocks"
-    meaning = "this part of the blocks, at random, comes after the next one"
-    unit = "1"
-    usual = 0.1
-    least = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._held: list[RigBlock] = []
-
-    def delivered(self, blocks: list[RigBlock]) -> list[RigBlock]:
-        """The blocks that come now."""
-        result = []
-        for block in blocks:
-            if not self._held and self.rng.random() < self.amount and self.concerns(block):
-                self._held = [block]
-                continue
-            result += [block, *self._held]
-            self._held = []
-        return result
-
-
-class LateBlocks(Fault):
-    """The network stalls now and then."""
-
-    name = "late_blocks"
-    meaning = "for so long nothing comes, then all at once; again a second later"
-    unit = "s"
-    usual = 0.3
-    least = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._held: list[RigBlock] = []
-
-    def delivered(self, blocks: list[RigBlock]) -> list[RigBlock]:
-        """The blocks that come now."""
-        result = []
-        for block in blocks:
-            since = block.sequence * block.period - self.begin
-            if self.concerns(block) and since % 1.0 < self.amount:
-                self._held.append(block)
-                continue
-            result += [*self._held, block]
-            self._held = []
-        return result
-
-
-class RepeatedBuffer(Fault):
-    """The converter's buffer is sent again and again, under new stamps."""
-
-    name = "repeated_buffer"
-    meaning = "the samples of the last block before, again and again under new stamps"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._last: RigBlock | None = None
-
-    def rewired(self, block: RigBlock) -> RigBlock:
-        """The block with the samples of that one."""
-        if not self.concerns(block):
-            self._last = block
-            return block
-        last = self._last
-        if last is None or last.sample_count != block.sample_count:
-            return block
-        return replace(block, displacement=last.displacement, force=last.force)
-
-
-class StampJitter(Fault):
-    """Stamps are those of a busy computer."""
-
-    name = "stamp_jitter"
-    meaning = "each block's stamp is off by up to this part of a sample period to either side"
-    unit = "1"
-    usual = 0.3
-    least = 0.0
-
-    def labelled(self, block: RigBlock) -> RigBlock:
-        """The block with its stamp."""
-        off = self.amount * (2.0 * self.rng.random() - 1.0) * block.period
-        return _ahead(block, off)
-
-
-class ClockJump(Fault):
-    """The clock of samples and supply was set."""
-
-    name = "clock_jump"
-    meaning = "all stamps are so much later (negative: earlier)"
-    unit = "s"
-    usual = 60.0
-
-    def labelled(self, block: RigBlock) -> RigBlock:
-        """The block with its stamp."""
-        return _ahead(block, self.amount)
-
-
-class ClockDrift(Fault):
-    """The clock of the samples is not the one that it was."""
-
-    name = "clock_drift"
-    meaning = "the stamps gain so much a second"
-    unit = "s/s"
-    usual = 1e-4
-
-    def labelled(self, block: RigBlock) -> RigBlock:
-        """The block with its stamp."""
-        return _ahead(block, self.amount * (block.sequence * block.period - self.begin))
-
-
-class WrongPeriod(Fault):
-    """The stated time between two samples is wrong; stamps are right."""
-
-    name = "wrong_period"
-    meaning = "the period is stated as so many times what it is; the stamps are right"
-    unit = "1"
-    usual = 2.0
-    least = 1e-6
-
-    def labelled(self, block: RigBlock) -> RigBlock:
-        """The block with its period."""
-        return replace(block, period=block.period * self.amount)
-
-
-class RecountedBlocks(Fault):
-    """The source was started again."""
-
-    name = "recount"
-    meaning = "the samples are counted from zero again"
-
-    def labelled(self, block: RigBlock) -> RigBlock:
-        """The block with its number."""
-        return replace(block, sequence=block.sequence - round(self.begin / block.period))
-
-
-class SupplyClock(Fault):
-    """The supply is stamped by another clock."""
-
-    name = "supply_clock"
-    meaning = "the stamps of the current are so much later than those of the samples"
-    unit = "s"
-    usual = 2.0
-
-    def labelled(self, block: RigBlock) -> RigBlock:
-        """The block with the lead of the supply's clock."""
-        return replace(block, supply_ahead_ns=round(self.amount * NANOSECONDS))
+
+def _doubled(fault: Fault, block: RigBlock) -> list[RigBlock]:
+    return [block, block] if _chosen(fault, block) else [block]
+
+
+def _reordered(fault: Fault, block: RigBlock) -> list[RigBlock]:
+    if not fault.memory and _chosen(fault, block):
+        fault.memory = [block]
+        return []
+    sent, fault.memory = [block, *(fault.memory or [])], []
+    return sent
+
+
+def _late(fault: Fault, block: RigBlock) -> list[RigBlock]:
+    waiting: list[RigBlock] = [*(fault.memory or []), block]
+    since = block.sequence * block.period - fault.begin
+    if fault.concerns(block) and since % 1.0 < fault.amount:
+        fault.memory = waiting
+        return []
+    fault.memory = []
+    return waiting
 
 
 def _ahead(block: RigBlock, seconds: float) -> RigBlock:
@@ -779,17 +403,115 @@ def _ahead(block: RigBlock, seconds: float) -> RigBlock:
     return replace(block, start_ns=block.start_ns + shift, ahead_ns=block.ahead_ns + shift)
 
 
-KINDS: tuple[type[Fault], ...] = (
-    *(ForceLoss, Wear, Friction, Spring, EndStop, Backlash, CoilFactor, CoilOffset),
-    *(Amplitude, Tempo),
-    *(Gain, Offset, Creep, Stuck, Dropouts, NotNumbers, Missing, Spikes, Noise, Hum, Clip, Coarse),
-    *(Delay, Sluggish, Swapped, Crosstalk),
-    *(LostBlocks, DoubledBlocks, ReorderedBlocks, LateBlocks, RepeatedBuffer),
-    *(StampJitter, ClockJump, ClockDrift, WrongPeriod, RecountedBlocks, SupplyClock),
-)
-"""Every kind of fault: a new one is a class and an entry here."""
+def _stamp_jitter(fault: Fault, block: RigBlock) -> RigBlock:
+    return _ahead(block, fault.amount * (2.0 * fault.rng.random() - 1.0) * block.period)
 
-FAULTS: dict[str, tuple[type[Fault], str]] = {
+
+def _clock_jump(fault: Fault, block: RigBlock) -> RigBlock:
+    return _ahead(block, fault.amount)
+
+
+def _clock_drift(fault: Fault, block: RigBlock) -> RigBlock:
+    return _ahead(block, fault.amount * (block.sequence * block.period - fault.begin))
+
+
+def _wrong_period(fault: Fault, block: RigBlock) -> RigBlock:
+    return replace(block, period=block.period * fault.amount)
+
+
+def _recount(fault: Fault, block: RigBlock) -> RigBlock:
+    return replace(block, sequence=block.sequence - round(fault.begin / block.period))
+
+
+def _supply_clock(fault: Fault, block: RigBlock) -> RigBlock:
+    return replace(block, supply_ahead_ns=round(fault.amount * NANOSECONDS))
+
+
+# fmt: off
+KINDS: tuple[Kind, ...] = (
+    Kind("force_loss", Stage.FORCE, "the damper's force is so many times what it was (a leak)",
+         _gain, "1", 0.5),
+    Kind("wear", Stage.FORCE,
+         "the damper's force changes evenly to so many times what it was, and stays there",
+         _wear, "1", 0.7, masked=False),
+    Kind("friction", Stage.FORCE, "so much dry friction besides the damper", _friction, "N", 200.0),
+    Kind("spring", Stage.FORCE, "a spring of so much stiffness beside the damper",
+         _spring, "N/m", 1e5),
+    Kind("end_stop", Stage.FORCE, "beyond this displacement to either side a stop of 1 kN/mm",
+         _end_stop, "m", 0.004, 0.0),
+    Kind("backlash", Stage.FORCE,
+         "so much play between machine and rod: no force until it is used up",
+         _backlash, "m", 0.5e-3, 0.0),
+    Kind("coil_factor", Stage.COIL,
+         "the coil gets so many times the current that the supply reports (0: a broken wire)",
+         _gain, "1", 0.0),
+    Kind("coil_offset", Stage.COIL, "the coil gets so much more current than the supply reports",
+         _offset, "A", 0.1),
+    Kind("amplitude", Stage.MOTION, "the motion is so many times what it was",
+         _amplitude, "1", 0.1),
+    Kind("tempo", Stage.MOTION, "the motion goes on so many times as fast; 0: it stands still",
+         _tempo, "1", 0.0, 0.0),
+    Kind("gain", Stage.CHANNEL,
+         "so many times the right value; -1 reverses the sign, 0 is a lost signal",
+         _gain, "1", 10.0),
+    Kind("offset", Stage.CHANNEL, "so much more than the right value", _offset, "channel"),
+    Kind("creep", Stage.CHANNEL, "the zero moves by so much a second", _creep, "channel/s"),
+    Kind("stuck", Stage.CHANNEL, "the last value before the beginning, again and again", _stuck),
+    Kind("dropouts", Stage.CHANNEL, "so many times a second, at random, zero for 20 ms",
+         _outages(0.0), "1/s", 2.0, 0.0, masked=False),
+    Kind("nan", Stage.CHANNEL, "so many times a second, at random, no number for 20 ms",
+         _outages(math.nan), "1/s", 2.0, 0.0, masked=False),
+    Kind("missing", Stage.CHANNEL,
+         "no number at all; a current or a temperature is then not published", _missing),
+    Kind("spikes", Stage.CHANNEL,
+         "five times a second, at random, one sample is off by so much to either side",
+         _spikes, "channel"),
+    Kind("noise", Stage.CHANNEL, "white noise of this standard deviation besides",
+         _noise, "channel", least=0.0),
+    Kind("hum", Stage.CHANNEL, "a sine of 50 Hz and this amplitude besides", _hum, "channel"),
+    Kind("clip", Stage.CHANNEL, "no value beyond this one, to either side",
+         _clip, "channel", least=0.0),
+    Kind("coarse", Stage.CHANNEL, "rounded to whole multiples of so much",
+         _coarse, "channel", least=1e-12),
+    Kind("delay", Stage.CHANNEL, "the value of so long before", _delay, "s", 0.05, 0.0),
+    Kind("sluggish", Stage.CHANNEL, "a first-order low-pass filter of this time constant",
+         _sluggish, "s", 0.05, 0.0),
+    Kind("swapped", Stage.BLOCK,
+         "the force comes as displacement, in millimetres for kilonewtons, and the reverse",
+         _swapped),
+    Kind("crosstalk", Stage.BLOCK, "so much more force for each ampere of the coil",
+         _crosstalk, "N/A", 100.0),
+    Kind("repeated_buffer", Stage.BLOCK,
+         "the samples of the last block before, again and again under new stamps",
+         _repeated_buffer, masked=False),
+    Kind("lost_blocks", Stage.DELIVERY,
+         "this part of the blocks, at random, never comes; 1: an outage", _lost, "1", 0.05, 0.0),
+    Kind("doubled_blocks", Stage.DELIVERY, "this part of the blocks, at random, comes twice",
+         _doubled, "1", 0.1, 0.0),
+    Kind("reordered_blocks", Stage.DELIVERY,
+         "this part of the blocks, at random, comes after the next one",
+         _reordered, "1", 0.1, 0.0),
+    Kind("late_blocks", Stage.DELIVERY,
+         "for so long nothing comes, then all at once; again a second later", _late, "s", 0.3, 0.0),
+    Kind("stamp_jitter", Stage.LABEL,
+         "each block's stamp is off by up to this part of a sample period to either side",
+         _stamp_jitter, "1", 0.3, 0.0),
+    Kind("clock_jump", Stage.LABEL, "all stamps are so much later (negative: earlier)",
+         _clock_jump, "s", 60.0),
+    Kind("clock_drift", Stage.LABEL, "the stamps gain so much a second",
+         _clock_drift, "s/s", 1e-4),
+    Kind("wrong_period", Stage.LABEL,
+         "the period is stated as so many times what it is; the stamps are right",
+         _wrong_period, "1", 2.0, 1e-6),
+    Kind("recount", Stage.LABEL, "the samples are counted from zero again", _recount),
+    Kind("supply_clock", Stage.LABEL,
+         "the stamps of the current are so much later than those of the samples",
+         _supply_clock, "s", 2.0),
+)
+"""Every kind of fault: a new one is a function and a row here."""
+# fmt: on
+
+FAULTS: dict[str, tuple[Kind, str]] = {
     f"{channel}_{kind.name}" if channel else kind.name: (kind, channel)
     for kind in KINDS
     for channel in kind.channels or ("",)
@@ -824,7 +546,7 @@ def fault_of(text: str, seed: int = 0) -> Fault:
         raise FaultError(f"the fault '{name}' takes no value: remove ':{match['value']}'")
     times = {key: float(match[key]) for key in ("begin", "end") if match[key] is not None}
     value = None if match["value"] is None else float(match["value"])
-    return kind(value, channel=channel, seed=seed, **times)
+    return Fault(kind, value, channel=channel, seed=seed, **times)
 
 
 def faults_of(texts: Sequence[str], seed: int = 0) -> list[Fault]:

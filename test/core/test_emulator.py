@@ -22,7 +22,7 @@ from mr_damper_ros.emulation.emulator import (
     ThermalModel,
     scaled,
 )
-from mr_damper_ros.emulation.faults import ForceLoss
+from mr_damper_ros.emulation.faults import fault_of
 from mr_damper_ros.emulation.motions import (
     Excitation,
     ExcitationError,
@@ -172,7 +172,7 @@ def warm_rig() -> EmulatedRig:
         CurrentSchedule((0.0, 0.15), (0.5, 1.5)),
         settings=RigSettings(displacement_noise=1e-6, seed=4),
         thermal=THERMAL,
-        faults=[ForceLoss(0.8, 0.2)],
+        faults=[fault_of("force_loss:0.8@0.2")],
     )
 
 
@@ -232,7 +232,7 @@ def test_the_current_steps_with_its_sample() -> None:
 def test_a_leak_takes_its_share_of_the_force_from_its_time_on() -> None:
     whole, leaking = (
         EmulatedRig(ConstantDamper(LITERATURE), SINE, 0.5, settings=SILENT, faults=faults)
-        for faults in ([], [ForceLoss(0.7, 0.2)])
+        for faults in ([], [fault_of("force_loss:0.7@0.2")])
     )
     ratio = leaking.next_block(400).force / whole.next_block(400).force
     np.testing.assert_array_equal(ratio[:200], 1.0)

@@ -14,9 +14,9 @@ from mr_damper_ros.emulation.faults import (
     CHANNELS,
     FAULTS,
     KINDS,
-    Fault,
     FaultError,
     Instruments,
+    Kind,
     fault_of,
     faults_of,
 )
@@ -212,5 +212,5 @@ def test_a_text_that_cannot_be_had_is_refused_in_a_sentence(text: str, problem: 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_documentation_has_every_kind(kind: type[Fault]) -> None:
+def test_the_documentation_has_every_kind(kind: Kind) -> None:
     assert f"_{kind.name}`" in PAGE.read_text() or f"`{kind.name}`" in PAGE.read_text()
