@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Generic, TypeVar
 
 from mr_damper_ros.kinematics.periodic_motion import PeriodicMotion
 from mr_damper_ros.settings.option_table import CheckedSettings, option
@@ -13,28 +14,53 @@ STAMP_TOLERANCE = 0.05
 """Seconds that a command may be stamped ahead: what the clocks of two computers may differ."""
 
 
-class Commander:
+T = TypeVar("T")
+
+
+class Commander(Generic[T]):
     """The latest of commands that come and stop coming; each holds for a while from its stamp on.
 
-    Times are seconds of one steady clock, which nobody sets. ``timeout`` [s] is how long a command
-    holds, ``tolerance`` [s] how far ahead it may be stamped. ``refused`` counts the commands that
-    were not taken.
+    Times are seconds of one steady clock. ``timeout`` [s] is how long a command holds,
+    ``tolerance`` [s] how far ahead it may be stamped. ``refused`` counts the refused commands.
     """
 
-    def __init__(self, timeout: float, tolerance: float = STAMP_TOLERANCE) -> None:
+    def __init__(self, first: T, timeout: float, tolerance: float = STAMP_TOLERANCE) -> None:
         self.refused = 0
+        self._wanted = first
         self._timeout = timeout
         self._tolerance = tolerance
         self._until = -math.inf
         self._stamp_ns: int | None = None
 
     def refuse(self, reason: str) -> str:
-        """Count a command that is not taken; returns the reason."""
+        """Count a refused command; returns the reason."""
         self.refused += 1
         return reason
 
-    def _objection(self, stamp_ns: int, age: float, now: float) -> str:
-        """Why a command that was decided ``age`` [s] ago cannot hold now; empty where it can."""
+    def command(self, wanted: T, stamp_ns: int, age: float, now: float) -> str:
+        """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
+
+        ``stamp_ns`` is the time of the decision: a command that was overtaken is refused.
+        """
+        objection = self._beyond(wanted) or self._untimely(stamp_ns, age, now)
+        if objection:
+            return self.refuse(objection)
+        # Another thread may ask in between: what is wanted is there before it holds.
+        self._wanted = self._within(wanted)
+        self._until = now + self._timeout - max(age, 0.0)
+        # One that is stamped ahead must not keep out those that are stamped right.
+        self._stamp_ns = stamp_ns + round(1e9 * min(age, 0.0))
+        return ""
+
+    def _beyond(self, wanted: T) -> str:
+        """Why a command is refused whenever it comes, in words; empty where it is not."""
+        return ""
+
+    def _within(self, wanted: T) -> T:
+        """What is made of a command."""
+        return wanted
+
+    def _untimely(self, stamp_ns: int, age: float, now: float) -> str:
         if age < -self._tolerance:
             return (
                 f"the command is stamped {-age:.3g} s ahead, where {self._tolerance:g} s are "
@@ -49,12 +75,6 @@ class Commander:
             return "the command came after a newer one"
         return ""
 
-    def _hold(self, stamp_ns: int, age: float, now: float) -> None:
-        """Let a command hold from its stamp on, or from now where that is ahead."""
-        # One that is stamped ahead must not keep out those that are stamped right.
-        self._stamp_ns = stamp_ns + round(1e9 * min(age, 0.0))
-        self._until = now + self._timeout - max(age, 0.0)
-
 
 @dataclass(frozen=True)
 class MotionLimits:
@@ -65,40 +85,23 @@ class MotionLimits:
     command_timeout: float
 
 
-class MotionCommander(Commander):
-    """A motion that is commanded, each command for a while.
-
-    When the commands stop, the machine comes to rest. ``commanded``: whether there ever was a
-    command; before, it moves by itself.
-    """
+class MotionCommander(Commander[PeriodicMotion | None]):
+    """A motion that is commanded, None for rest. Without commands the machine comes to rest."""
 
     def __init__(self, limits: MotionLimits) -> None:
-        super().__init__(limits.command_timeout)
+        super().__init__(None, limits.command_timeout)
         self.limits = limits
-        self.commanded = False
-        self._wanted: PeriodicMotion | None = None
 
-    def command(self, motion: PeriodicMotion | None, stamp_ns: int, age: float, now: float) -> str:
-        """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
-
-        None stands for rest. ``stamp_ns`` is the time of the decision: a command that was
-        overtaken is refused.
-        """
-        objection = self._objection(stamp_ns, age, now) or self._beyond(motion)
-        if objection:
-            return self.refuse(objection)
-        # Another thread may ask in between: what is wanted is there before it holds.
-        self._wanted = motion
-        self._hold(stamp_ns, age, now)
-        self.commanded = True
-        return ""
+    @property
+    def commanded(self) -> bool:
+        """Whether there ever was a command; before, the machine moves by itself."""
+        return self._stamp_ns is not None
 
     def wanted(self, now: float) -> PeriodicMotion | None:
         """The motion to make now; None for rest."""
         return self._wanted if now < self._until else None
 
     def _beyond(self, motion: PeriodicMotion | None) -> str:
-        """Which limit a motion is beyond, in words; empty where it is within."""
         limits = self.limits
         if motion is None:
             return ""
@@ -160,7 +163,7 @@ class Origin(Enum):
     TIMED_OUT = "zero, for the commands have stopped"
 
 
-class CurrentCommander(Commander):
+class CurrentCommander(Commander[float]):
     """Current [A] from commands, each of which holds for a while, or set by hand, which lasts.
 
     A command takes the place of what was set by hand; when the commands stop, the current is zero
@@ -169,7 +172,7 @@ class CurrentCommander(Commander):
     """
 
     def __init__(self, settings: CommandSettings, by_hand: float = 0.0) -> None:
-        super().__init__(settings.command_timeout, settings.stamp_tolerance)
+        super().__init__(0.0, settings.command_timeout, settings.stamp_tolerance)
         self.settings = settings
         self.cut = 0
         self._given, self._at = 0.0, 0.0
@@ -177,28 +180,8 @@ class CurrentCommander(Commander):
 
     def set_by_hand(self, current: float) -> None:
         """Give this current from now on, until a command comes."""
-        # Another thread may step in between: what is wanted is there before it holds.
-        self._wanted, self._stamp_ns = self._within(current), None
+        self._wanted, self._stamp_ns = self._limited(current), None
         self._until = math.inf
-
-    def command(self, current: float, stamp_ns: int, age: float, now: float) -> str:
-        """Take in a command that was decided ``age`` [s] ago; returns why not, empty if it holds.
-
-        ``stamp_ns`` is the time of the decision: a command that was overtaken is refused.
-        """
-        objection = (
-            self._objection(stamp_ns, age, now)
-            if math.isfinite(current)
-            else "the commanded current is not finite"
-        )
-        if objection:
-            return self.refuse(objection)
-        within = self._within(current)
-        self.cut += within != current
-        # Another thread may step in between: what is wanted is there before it holds.
-        self._wanted = within
-        self._hold(stamp_ns, age, now)
-        return ""
 
     def origin(self, now: float) -> Origin:
         """Where the current comes from now."""
@@ -228,5 +211,13 @@ class CurrentCommander(Commander):
         """Begin at zero current: the output has just been switched on."""
         self._given, self._at = 0.0, now
 
+    def _beyond(self, current: float) -> str:
+        return "" if math.isfinite(current) else "the commanded current is not finite"
+
     def _within(self, current: float) -> float:
+        within = self._limited(current)
+        self.cut += within != current
+        return within
+
+    def _limited(self, current: float) -> float:
         return min(max(current, self.settings.smallest_current), self.settings.largest_current)

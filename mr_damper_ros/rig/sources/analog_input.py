@@ -19,6 +19,9 @@ MOST_READ = 10_000
 IDLE = 0.005
 """Seconds until a device that had nothing is looked at again."""
 
+BUFFERED = 10.0
+"""Seconds that the driver keeps for a computer that is busy."""
+
 
 class Readings(NamedTuple):
     """``values`` (channels, n) [V], in the order of the channels, taken at a ``rate`` [Hz].

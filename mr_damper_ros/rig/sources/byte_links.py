@@ -11,15 +11,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from mr_damper_ros.rig.sources.device_source import Device
+from mr_damper_ros.rig.sources.device_source import POLL, SILENCE, Device
 
-_POLL = 0.1
-_CONNECTS_WITHIN = 2.0
-_MOST = 4096
-_LARGEST_DATAGRAM = 65535
-
-_OTHERS_AFTER = 2.0
-"""Seconds of silence after which datagrams of another sender are taken."""
+_LARGEST = 65535
+"""Bytes that are read at once: those of the largest datagram."""
 
 _KEEP_ALIVE = (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3))
 """A silent peer is asked whether it is there: a cable that was pulled says nothing by itself."""
@@ -82,7 +77,7 @@ class _SerialLine:
             *_termios_error(),
         )
         try:
-            self._port = serial.Serial(port, baud, timeout=_POLL, exclusive=True)
+            self._port = serial.Serial(port, baud, timeout=POLL, exclusive=True)
         except self._failures as error:
             raise OSError(f"{port}: {_why(error)}") from error
 
@@ -90,7 +85,7 @@ class _SerialLine:
         try:
             data = self._port.read(1)
             if data:
-                data += self._port.read(min(self._port.in_waiting, _MOST))
+                data += self._port.read(min(self._port.in_waiting, _LARGEST))
         except self._failures as error:
             raise ConnectionError(f"{self._name} was lost: {_why(error)}") from error
         return data or None
@@ -104,10 +99,8 @@ class _TcpConnection:
     def __init__(self, address: LinkAddress) -> None:
         self._name = str(address)
         try:
-            self._socket = socket.create_connection(
-                (address.host, address.number), _CONNECTS_WITHIN
-            )
-            self._socket.settimeout(_POLL)
+            self._socket = socket.create_connection((address.host, address.number), SILENCE)
+            self._socket.settimeout(POLL)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             for name, value in _KEEP_ALIVE:
                 if hasattr(socket, name):
@@ -117,7 +110,7 @@ class _TcpConnection:
 
     def read(self) -> bytes | None:
         try:
-            data = self._socket.recv(_MOST)
+            data = self._socket.recv(_LARGEST)
         except TimeoutError:
             return None
         except OSError as error:
@@ -142,19 +135,19 @@ class _Datagrams:
         except (OSError, UnicodeError) as error:
             self._socket.close()
             raise OSError(f"no datagrams can be received at {address}: {_why(error)}") from error
-        self._socket.settimeout(_POLL)
+        self._socket.settimeout(POLL)
         self._sender: Any = None
         self._heard = 0.0
 
     def read(self) -> bytes | None:
         try:
-            data, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
+            data, sender = self._socket.recvfrom(_LARGEST)
         except TimeoutError:
             return None
         except OSError as error:
             raise ConnectionError(f"{self._name} was lost: {_why(error)}") from error
         now = time.monotonic()
-        if sender != self._sender and now - self._heard < _OTHERS_AFTER:
+        if sender != self._sender and now - self._heard < SILENCE:
             return None
         self._sender, self._heard = sender, now
         return data or None

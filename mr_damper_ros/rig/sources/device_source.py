@@ -22,14 +22,11 @@ T_co = TypeVar("T_co", covariant=True)
 _MOST_WAITING = 256
 """Portions that wait to be taken; a device that brings more is not read meanwhile."""
 
-_RETRY = 0.5
-"""Seconds between two attempts to connect."""
+POLL = 0.1
+"""Seconds after which whatever waits for a device looks whether it is to end."""
 
-_POLL = 0.1
-"""Seconds after which a thread that waits looks whether it is to end."""
-
-_PATIENCE = 2.0
-"""Seconds that the end of the thread is waited for; it ends by itself when the driver returns."""
+SILENCE = 2.0
+"""Seconds without an answer after which a device, a sender or a driver counts as silent."""
 
 
 class Device(Protocol[T_co]):
@@ -69,7 +66,7 @@ class DeviceReader(Generic[T]):
     def take(self) -> list[Portion[T]]:
         """All that has come; waits for a tenth of a second where nothing has."""
         try:
-            found = [self._waiting.get(timeout=_POLL)]
+            found = [self._waiting.get(timeout=POLL)]
             # No more than were there: who brings without end must not keep us.
             for _ in range(self._waiting.qsize()):
                 found.append(self._waiting.get_nowait())
@@ -80,7 +77,7 @@ class DeviceReader(Generic[T]):
     def close(self) -> None:
         """End it, without waiting for a driver that hangs."""
         self._ended.set()
-        self._thread.join(_PATIENCE)
+        self._thread.join(SILENCE)
 
     def _run(self) -> None:
         while not self._ended.is_set():
@@ -97,7 +94,7 @@ class DeviceReader(Generic[T]):
             finally:
                 if device is not None:
                     device.close()
-            self._ended.wait(_RETRY)
+            self._ended.wait(5.0 * POLL)  # until the next attempt to connect
 
     def _read(self, device: Device[T]) -> None:
         while not self._ended.is_set():
@@ -107,7 +104,7 @@ class DeviceReader(Generic[T]):
             portion = Portion(data, time.monotonic_ns(), self.connections)
             while not self._ended.is_set():
                 try:
-                    self._waiting.put(portion, timeout=_POLL)
+                    self._waiting.put(portion, timeout=POLL)
                     break
                 except queue.Full:
                     continue
@@ -144,10 +141,6 @@ class HostClock:
         return False
 
 
-_SILENCE = 2.0
-"""Seconds without anything after which a device counts as silent."""
-
-
 class DeviceSource(Source, Generic[T]):
     """Samples from a device that brings portions of type ``T``."""
 
@@ -161,7 +154,7 @@ class DeviceSource(Source, Generic[T]):
 
     @property
     def _silent(self) -> bool:
-        return time.monotonic() - self._heard > _SILENCE
+        return time.monotonic() - self._heard > SILENCE
 
     @abstractmethod
     def _samples(self, portion: Portion[T], *, begins: bool) -> Iterable[TimedSample | None]:

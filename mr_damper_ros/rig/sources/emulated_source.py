@@ -31,19 +31,15 @@ from mr_damper_ros.emulation.motions import (
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.commander import (
-    CommandSettings,
-    CurrentCommander,
     MotionCommander,
     MotionLimits,
     Origin,
 )
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.rig.sources.source import MOST_CURRENT, Source, StreamSettings, emulated_supply
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.rig_block import RigBlock
 
 _THESIS_TEMPERATURES = "thesis_temperatures"
-
-_MOST_CURRENT = 10.0
 
 
 @dataclass(frozen=True)
@@ -114,8 +110,8 @@ class EmulatedOptions(ParameterTable):
         1.5,
         "Supply current [A]. It may be changed while the rig runs: this is the knob of the supply, "
         "which holds until a command comes.",
-        minimum=-_MOST_CURRENT,
-        maximum=_MOST_CURRENT,
+        minimum=-MOST_CURRENT,
+        maximum=MOST_CURRENT,
     )
     largest_amplitude: float = option(
         0.05,
@@ -242,12 +238,7 @@ class EmulatedSource(Source):
         given = self.settings
         self._damper = _damper(given)
         self._excitation = _excitation(given)
-        limits = CommandSettings(
-            largest_current=_MOST_CURRENT,
-            smallest_current=-_MOST_CURRENT,
-            command_timeout=given.command_timeout,
-        )
-        self.commander = CurrentCommander(limits, given.current)
+        self.commander = emulated_supply(given.current, given.command_timeout)
         self.mover = MotionCommander(
             MotionLimits(given.largest_amplitude, given.largest_velocity, given.command_timeout)
         )

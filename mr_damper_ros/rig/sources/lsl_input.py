@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.rig.sources.analog_input import MOST_READ, AnalogChannels, Connect, Readings
-
-_LOOKS, _OPENS = 1.0, 2.0
-"""Seconds in which a stream is looked for, and opened."""
-
-_POLL = 0.1
-_BUFFERED = 10
+from mr_damper_ros.rig.sources.analog_input import (
+    BUFFERED,
+    MOST_READ,
+    AnalogChannels,
+    Connect,
+    Readings,
+)
+from mr_damper_ros.rig.sources.device_source import POLL, SILENCE
 
 
 def connector(channels: AnalogChannels) -> Connect:
@@ -36,7 +37,7 @@ class _LslInlet:
             *(pylsl.util.LostError, pylsl.util.InternalError),
             *(TimeoutError, RuntimeError, ValueError),
         )
-        found = pylsl.resolve_byprop("name", channels.device, 1, _LOOKS)
+        found = pylsl.resolve_byprop("name", channels.device, 1, SILENCE)
         if not found:
             raise OSError(f"there is no stream '{channels.device}' on the network")
         if found[0].channel_format() == pylsl.cf_string:
@@ -44,13 +45,13 @@ class _LslInlet:
         try:
             self._inlet = pylsl.StreamInlet(
                 found[0],
-                max_buflen=_BUFFERED,
+                max_buflen=round(BUFFERED),
                 recover=False,
                 processing_flags=pylsl.proc_clocksync,
                 as_numpy=True,
             )
-            labels = self._inlet.info(_OPENS).get_channel_labels() or []
-            self._inlet.open_stream(_OPENS)
+            labels = self._inlet.info(SILENCE).get_channel_labels() or []
+            self._inlet.open_stream(SILENCE)
         except self._failures as error:
             raise OSError(f"the stream '{self._name}' cannot be opened: {error}") from error
         count = found[0].channel_count()
@@ -58,7 +59,7 @@ class _LslInlet:
 
     def read(self) -> Readings | None:
         try:
-            samples, stamps = self._inlet.pull_chunk(_POLL, MOST_READ, min_samples=1)
+            samples, stamps = self._inlet.pull_chunk(POLL, MOST_READ, min_samples=1)
         except self._failures as error:
             raise ConnectionError(f"the stream '{self._name}' was lost") from error
         if len(stamps) == 0:

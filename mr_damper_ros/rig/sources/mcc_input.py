@@ -11,15 +11,13 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.rig.sources.analog_input import (
+    BUFFERED,
     IDLE,
     MOST_READ,
     AnalogChannels,
     Connect,
     Readings,
 )
-
-_BUFFERED = 10.0
-"""Seconds that the driver keeps for a computer that is busy."""
 
 
 def connector(channels: AnalogChannels) -> Connect:
@@ -79,7 +77,7 @@ class _MccScan:
             raise OSError(f"it has no channel {high}: {count} can be {wiring}")
         self._places = [place - low for place in places]
         across = high - low + 1
-        self._held = max(round(_BUFFERED * channels.rate), 1)
+        self._held = max(round(BUFFERED * channels.rate), 1)
         self._buffer = uldaq.create_float_buffer(across, self._held)
         self._values = np.frombuffer(self._buffer).reshape(self._held, across)
         self._taken = 0

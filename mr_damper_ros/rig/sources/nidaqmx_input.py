@@ -10,17 +10,14 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.rig.sources.analog_input import (
+    BUFFERED,
     IDLE,
     MOST_READ,
     AnalogChannels,
     Connect,
     Readings,
 )
-
-_BUFFERED = 10.0
-"""Seconds that the driver keeps for a computer that is busy."""
-
-_TIMEOUT = 0.1
+from mr_damper_ros.rig.sources.device_source import POLL
 
 
 def connector(channels: AnalogChannels) -> Connect:
@@ -57,7 +54,7 @@ class _NidaqmxTask:
             self._task.timing.cfg_samp_clk_timing(
                 channels.rate,
                 sample_mode=constants.AcquisitionType.CONTINUOUS,
-                samps_per_chan=round(_BUFFERED * channels.rate),
+                samps_per_chan=round(BUFFERED * channels.rate),
             )
             self._rate = float(self._task.timing.samp_clk_rate)
             self._reader = nidaqmx.stream_readers.AnalogMultiChannelReader(self._task.in_stream)
@@ -74,7 +71,7 @@ class _NidaqmxTask:
                 time.sleep(IDLE)
                 return None
             values = np.empty((self._count, ready))
-            taken = self._reader.read_many_sample(values, ready, _TIMEOUT)
+            taken = self._reader.read_many_sample(values, ready, POLL)
         except self._failures as error:
             raise ConnectionError(f"{self._name} was lost: {_why(error)}") from error
         return Readings(values[:, :taken], self._rate)

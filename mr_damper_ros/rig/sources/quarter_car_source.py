@@ -17,14 +17,12 @@ from mr_damper_ros.emulation.plant_rig import (
     invented_damper,
 )
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.rig.sources.source import MOST_CURRENT, Source, StreamSettings, emulated_supply
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.rig_block import Moment, RigBlock
 
 _BUMP = "bump"
 _INVENTED = "invented"
-_MOST_CURRENT = 10.0
 _CAR = QuarterCar()
 
 
@@ -59,8 +57,8 @@ class QuarterCarOptions(ParameterTable):
         0.0,
         "Supply current [A]. It may be changed while the car drives: this is the knob of the "
         "supply, which holds until a command comes.",
-        minimum=-_MOST_CURRENT,
-        maximum=_MOST_CURRENT,
+        minimum=-MOST_CURRENT,
+        maximum=MOST_CURRENT,
     )
     command_timeout: float = option(
         0.5,
@@ -130,12 +128,7 @@ class QuarterCarSource(Source):
             else ParameterSet.from_yaml(Path(given.damper).read_text(encoding="utf-8"))
         )
         self._damper = BuiltInDamper(known, given.hot_force)
-        limits = CommandSettings(
-            largest_current=_MOST_CURRENT,
-            smallest_current=-_MOST_CURRENT,
-            command_timeout=given.command_timeout,
-        )
-        self.commander = CurrentCommander(limits, given.current)
+        self.commander = emulated_supply(given.current, given.command_timeout)
         return []
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -77,21 +78,18 @@ class BagOptions(ParameterTable):
         return ""
 
 
-class BagSource(Source):
-    """The recordings in a bag, one after the other."""
+class RecordedSource(Source):
+    """Recordings, one after the other."""
 
-    options = BagOptions
-    prefix = ""
+    _recordings: Sequence[Recording] = ()
 
-    def __init__(self, settings: BagOptions, stream: StreamSettings) -> None:
-        super().__init__(settings, stream)
-        self._recordings: Sequence[Recording] = ()
+    @abstractmethod
+    def _read(self) -> list[Recording]:
+        """The recordings of the file; raises ValueError or OSError."""
 
     def open(self) -> list[str]:
-        """Read the bag."""
-        from mr_damper_ros.io.bag_reader import read_bag
-
-        self._recordings = read_bag(self.settings.bag)
+        """Read the file."""
+        self._recordings = self._read()
         return checked(self._recordings)
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
@@ -101,6 +99,18 @@ class BagSource(Source):
     def close(self) -> None:
         """Forget the recordings."""
         self._recordings = ()
+
+
+class BagSource(RecordedSource):
+    """The recordings in a bag, one after the other."""
+
+    options = BagOptions
+    prefix = ""
+
+    def _read(self) -> list[Recording]:
+        from mr_damper_ros.io.bag_reader import read_bag
+
+        return read_bag(self.settings.bag)
 
 
 @dataclass(frozen=True)
@@ -141,35 +151,22 @@ class RecordOptions(ParameterTable):
         return ""
 
 
-class RecordSource(Source):
+class RecordSource(RecordedSource):
     """The samples of a text, CSV or MAT file."""
 
     options = RecordOptions
     prefix = "record."
 
-    def __init__(self, settings: RecordOptions, stream: StreamSettings) -> None:
-        super().__init__(settings, stream)
-        self._recordings: Sequence[Recording] = ()
-
-    def open(self) -> list[str]:
-        """Read the file."""
+    def _read(self) -> list[Recording]:
         from mr_damper_ros.io.records import read_record
 
         given = self.settings
-        recording = read_record(
-            given.file,
-            given.columns,
-            current=None if math.isnan(given.current) else given.current,
-            period=None if math.isnan(given.period) else given.period,
-            variable=given.variable or None,
-        )
-        self._recordings = [recording]
-        return checked(self._recordings)
-
-    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
-        """The samples of the record."""
-        return recorded_blocks(self._recordings, self.stream, start_ns)
-
-    def close(self) -> None:
-        """Forget the record."""
-        self._recordings = ()
+        return [
+            read_record(
+                given.file,
+                given.columns,
+                current=None if math.isnan(given.current) else given.current,
+                period=None if math.isnan(given.period) else given.period,
+                variable=given.variable or None,
+            )
+        ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from mr_damper_ros.rig.blocks import Measured
 from mr_damper_ros.rig.sources.rows import Row
@@ -16,9 +17,6 @@ _WRONG_RATE = 0.02
 
 _ODD_AHEAD, _ODD_BACK = 10.0, 1.0
 """Seconds that a stamp may be ahead of the time that has passed, and back."""
-
-_COUNTER_OF_32 = 2.0**32
-"""So far such a counter counts before it begins at 0 again, as micros() of a microcontroller."""
 
 _ODD_IN_A_ROW = 16
 """So many stamps that do not go on are a clock that was set; fewer are wrong."""
@@ -33,26 +31,29 @@ class TimedSample(NamedTuple):
     measured: Measured
 
 
-class RowTimes(Protocol):
+class RowTimes(ABC):
     """Finds numbers and times of rows as they arrive."""
 
+    @abstractmethod
     def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
         """Take in a row; returns the samples that are certain now."""
 
-    def skip(self) -> None:
-        """A row has come that cannot be read."""
-
-    def interrupted(self) -> None:
-        """The connection was lost: it is not known how many rows did not come."""
-
+    @abstractmethod
     def fault(self) -> str:
         """What is wrong with the times, in a sentence; empty for nothing."""
 
+    @abstractmethod
     def values(self) -> Mapping[str, object]:
         """What has come, and what of it was of no use."""
 
+    def skip(self) -> None:  # noqa: B027 (stamps tell what is missing)
+        """Leave out a row that cannot be read."""
 
-class CountedRows:
+    def interrupted(self) -> None:  # noqa: B027
+        """Note that the connection was lost, and an unknown number of rows with it."""
+
+
+class CountedRows(RowTimes):
     """Rows by their count, or by their order."""
 
     def __init__(self, times: CountedTimes) -> None:
@@ -97,12 +98,13 @@ class CountedRows:
         return vars(self._times.counts)
 
 
-class StampedRows:
+class StampedRows(RowTimes):
     """Rows by the time that the sender puts to them, whose unit is so many seconds."""
 
     def __init__(self, unit: float) -> None:
         self._channel: StampedChannel[Measured] = StampedChannel(0.0)
-        self._around, self._turns = _COUNTER_OF_32 * unit, 0.0
+        # A counter of 32 bits begins at 0 again, as micros() of a microcontroller.
+        self._around, self._turns = 2.0**32 * unit, 0.0
         self._last: tuple[float, int] | None = None
         self._odd_in_a_row = 0
         self._odd = 0
@@ -127,12 +129,6 @@ class StampedRows:
             )
             for sample in samples
         ]
-
-    def skip(self) -> None:
-        """See :class:`RowTimes`."""
-
-    def interrupted(self) -> None:
-        """See :class:`RowTimes`; the stamps tell it."""
 
     def fault(self) -> str:
         """See :class:`RowTimes`."""

@@ -298,12 +298,6 @@ def check_layout(layout: str, form: RowFormat) -> None:
             )
 
 
-_RATE = 1000.0
-"""Samples per second [Hz] where none is stated."""
-
-_IDLE = 0.01
-
-
 class SimulatedSender:
     """Sends 5 mm at 1 Hz, 1 kN, 1.5 A and 25 °C in a format; records after the ``mark``."""
 
@@ -311,14 +305,14 @@ class SimulatedSender:
         self, form: RowFormat, rate: float, layout: str = "", mark: bytes = b"", check: str = "none"
     ) -> None:
         self._form = form
-        self._rate = _RATE if math.isnan(rate) else rate
+        self._rate = 1000.0 if math.isnan(rate) else rate
         self._layout, self._mark, self._check = layout, mark, CHECKS[check]
         self._began = time.monotonic()
         self._sent = 0
 
     def read(self) -> bytes | None:
         """What is due by now."""
-        time.sleep(_IDLE)
+        time.sleep(0.01)
         until = math.floor((time.monotonic() - self._began) * self._rate)
         first, self._sent = self._sent, until
         return b"".join(self.row(k) for k in range(first, until)) or None
