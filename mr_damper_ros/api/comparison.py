@@ -20,6 +20,7 @@ from mr_damper_ros.api.measured_runs import MeasuredRun, RunSource, measured_run
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_bytes
+from mr_damper_ros.report.document import figure_of, styled
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 from mr_damper_ros.tracking.predictor import PredictorSettings
@@ -83,6 +84,47 @@ def error_over(comparisons: Iterable[Comparison]) -> ErrorSums:
     return pooled(comparison.error for comparison in comparisons)
 
 
+class ComparedRun:
+    """What is the same for each run of a result: name and error of its ``comparison``."""
+
+    comparison: Comparison
+
+    @property
+    def name(self) -> str:
+        """Name of the run: the path of its bag, or that of the recording."""
+        return self.comparison.name
+
+    @property
+    def error(self) -> ErrorSums:
+        """RMSE, NRMSE and R² of the set on this run."""
+        return self.comparison.error
+
+
+class ComparedRuns:
+    """What is the same for each result with ``runs``: their error together, and their figures."""
+
+    runs: tuple[ComparedRun, ...]
+
+    @property
+    def error(self) -> ErrorSums:
+        """RMSE, NRMSE and R² of the set on the samples of all runs together."""
+        return error_over(run.comparison for run in self.runs)
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error of the force over all runs [N]."""
+        return self.error.rmse
+
+    @property
+    def nrmse(self) -> float:
+        """RMSE over the standard deviation of the force [1], all runs together."""
+        return self.error.nrmse
+
+    def plot(self, run: int = 0) -> Figure:
+        """Figure of one run: both loops, the force and the residual over time, its histogram."""
+        return comparison_figure(self.runs[run].comparison)
+
+
 def error_entry(error: ErrorSums) -> dict[str, Any]:
     """RMSE [N], NRMSE, R2 and the number of samples as JSON can hold them."""
     return {
@@ -98,15 +140,9 @@ FORMATS = ("png", "svg", "pdf")
 _LEGEND = 0.06
 """Part of the height that the legend takes."""
 
-_WIDTH, _HEIGHT = 7.2, 7.6
 _MEASURED = {"color": "0.65", "linestyle": "none", "marker": ".", "markersize": 3.0}
 _PREDICTED = {"color": "#8f1023", "linewidth": 1.2}
 """Light dots and a dark line: they differ in grey and in form too."""
-
-_LINE = 92
-"""Characters that fit into the width of the figure."""
-
-_BINS = 40
 
 
 def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
@@ -115,11 +151,7 @@ def comparison_figure(comparison: Comparison, title: str = "") -> Figure:
     ``title``: what the prediction is, where that needs saying; name, NRMSE and provenance of the
     run are told in any case.
     """
-    from matplotlib import rc_context, rcdefaults
-
-    with rc_context():
-        # The user's settings must not make the figure unreadable.
-        rcdefaults()
+    with styled():
         return _drawn(comparison, title)
 
 
@@ -150,26 +182,9 @@ def _file_name(name: str, taken: set[str]) -> str:
 
 
 def _drawn(comparison: Comparison, title: str) -> Figure:
-    # Drawing without a screen must not depend on the user's back end.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    class ShownFigure(Figure):  # type: ignore[misc]
-        """A figure that a notebook shows."""
-
-        def _repr_png_(self) -> bytes:
-            from io import BytesIO
-
-            content = BytesIO()
-            self.savefig(content, format="png", dpi=100)
-            return content.getvalue()
-
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
+    figure = figure_of(7.2, 7.6)
     # Room for the legend: loc="outside …" is not known to the Matplotlib of Ubuntu 24.04.
-    layout = ConstrainedLayoutEngine(rect=(0.0, _LEGEND, 1.0, 1.0 - _LEGEND))
-    figure = ShownFigure(figsize=(_WIDTH, _HEIGHT), layout=layout)
-    FigureCanvasAgg(figure)
+    figure.get_layout_engine().set(rect=(0.0, _LEGEND, 1.0, 1.0 - _LEGEND))
     axes: dict[str, Any] = figure.subplot_mosaic(
         [["velocity"] * 2 + ["displacement"] * 2, ["force"] * 4, ["residual"] * 3 + ["histogram"]],
         height_ratios=[1.25, 1.0, 0.7],
@@ -181,7 +196,7 @@ def _drawn(comparison: Comparison, title: str) -> Figure:
     _pair(axes["force"], c.time, c, gaps)
     axes["residual"].plot(*_broken(gaps, c.time, c.residual), color="0.25", linewidth=0.6)
     axes["residual"].axhline(0.0, color="0.6", linewidth=0.6)
-    axes["histogram"].hist(c.residual, _BINS, orientation="horizontal", color="0.55")
+    axes["histogram"].hist(c.residual, 40, orientation="horizontal", color="0.55")
     axes["histogram"].sharey(axes["residual"])
     axes["histogram"].tick_params(labelleft=False)
     labels = {
@@ -196,10 +211,9 @@ def _drawn(comparison: Comparison, title: str) -> Figure:
         axes[name].set_ylabel(beside)
         axes[name].grid(color="0.9", linewidth=0.6)
         axes[name].set_axisbelow(True)
-        axes[name].spines[["top", "right"]].set_visible(False)
     figure.suptitle(_title(comparison, title), fontsize="medium")
     handles, names = axes["velocity"].get_legend_handles_labels()
-    figure.legend(handles, names, loc="lower center", ncols=2, frameon=False, markerscale=2.5)
+    figure.legend(handles, names, loc="lower center", ncols=2, markerscale=2.5)
     return figure
 
 
@@ -218,7 +232,7 @@ def _title(comparison: Comparison, title: str) -> str:
     lines = [Path(comparison.name).name, f"NRMSE {error.nrmse:.2%}, RMSE {error.rmse:.3g} N"]
     if title:
         lines.insert(1, title)
-    lines += textwrap.wrap(comparison.provenance, _LINE)
+    lines += textwrap.wrap(comparison.provenance, 92)  # characters of the width
     return "\n".join(lines)
 
 
@@ -226,25 +240,15 @@ _MARGINS = PredictorSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class ValidatedRun:
+class ValidatedRun(ComparedRun):
     """Error of the set on one run; ``remark`` says where the run is not what the set is for."""
 
     comparison: Comparison
     remark: str
 
-    @property
-    def name(self) -> str:
-        """Name of the run: the path of its bag, or that of the recording."""
-        return self.comparison.name
-
-    @property
-    def error(self) -> ErrorSums:
-        """RMSE, NRMSE and R² of the set on this run."""
-        return self.comparison.error
-
 
 @dataclass(frozen=True, eq=False)
-class Validation:
+class Validation(ComparedRuns):
     """Outcome of :func:`validate`: the set and its error on each run, in the order given.
 
     ``remarks`` say what seems wrong with the runs.
@@ -253,22 +257,6 @@ class Validation:
     parameter_set: ParameterSet
     runs: tuple[ValidatedRun, ...]
     remarks: tuple[str, ...] = ()
-
-    @property
-    def error(self) -> ErrorSums:
-        """RMSE, NRMSE and R² of the set on the samples of all runs together."""
-        return error_over(run.comparison for run in self.runs)
-
-    @property
-    def nrmse(self) -> float:
-        """RMSE over the standard deviation of the force [1], all runs together."""
-        return self.error.nrmse
-
-    def plot(self, run: int = 0) -> Figure:
-        """Figure of one run: both loops, the force and the residual over time, its histogram."""
-        from mr_damper_ros.api.comparison import comparison_figure
-
-        return comparison_figure(self.runs[run].comparison)
 
     def document(self) -> dict[str, Any]:
         """The result as JSON can hold it."""

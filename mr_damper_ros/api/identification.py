@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.api import findings
-from mr_damper_ros.api.comparison import Comparison, compare, error_entry, error_over
+from mr_damper_ros.api.comparison import (
+    ComparedRun,
+    ComparedRuns,
+    Comparison,
+    compare,
+    error_entry,
+    error_over,
+)
 from mr_damper_ros.api.findings import (
     Estimate,
     Findings,
@@ -51,11 +58,10 @@ from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.error_sums import ErrorSums
 from mr_damper_ros.tracking.state_directory import read_parameter_file
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 MOST_LEFT = 0.3
 """A set that leaves more than this part of the force's standard deviation explains too little."""
@@ -68,7 +74,7 @@ _GIVEN_THE_REST = (
 
 
 @dataclass(frozen=True, eq=False)
-class FittedRun:
+class FittedRun(ComparedRun):
     """What the identified set makes of one run.
 
     ``operating_point``: peak velocity [m/s] and current [A] that stand for the run;
@@ -82,19 +88,9 @@ class FittedRun:
     coefficients: dict[str, Estimate]
     level: Level | None = None
 
-    @property
-    def name(self) -> str:
-        """Name of the run: the path of its bag, or that of the recording."""
-        return self.measured.name
-
-    @property
-    def error(self) -> ErrorSums:
-        """RMSE, NRMSE and R² of the set on this run."""
-        return self.comparison.error
-
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(ComparedRuns):
     """Outcome of :func:`identify`.
 
     ``parameter_set`` is what was found, ``runs`` how it fits each run, in the order given;
@@ -127,21 +123,6 @@ class Identification:
     def covariance(self) -> Array:
         """Covariance (p, p) of the parameters, zero where one was held."""
         return self.searches.best.covariance
-
-    @property
-    def error(self) -> ErrorSums:
-        """RMSE, NRMSE and R² of the set on the samples of all runs together."""
-        return error_over(run.comparison for run in self.runs)
-
-    @property
-    def rmse(self) -> float:
-        """Root mean square error of the force over all runs [N]."""
-        return self.error.rmse
-
-    @property
-    def nrmse(self) -> float:
-        """RMSE over the standard deviation of the force [1], all runs together."""
-        return self.error.nrmse
 
     @property
     def evaluations(self) -> int:
@@ -220,12 +201,6 @@ class Identification:
             return Findings([], {})
         found = temperature_maps(measured, self.parameter_set)
         return findings.temperatures(found.identified)
-
-    def plot(self, run: int = 0) -> Figure:
-        """Figure of one run: both loops, the force and the residual over time, its histogram."""
-        from mr_damper_ros.api.comparison import comparison_figure
-
-        return comparison_figure(self.runs[run].comparison)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the parameter set as YAML, for ``ParameterSet.load``, ``validate`` and the nodes.

@@ -55,13 +55,25 @@ def styled() -> Iterator[None]:
         yield
 
 
-def panels(rows: int, columns: int, width: float, height: float, **options: Any) -> tuple[Any, Any]:
-    """A figure of ``width`` by ``height`` inches and its axes, shape (rows, columns)."""
+def figure_of(width: float, height: float) -> Any:
+    """A figure of ``width`` by ``height`` inches, drawn without a screen, that a notebook shows."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    class NotebookFigure(Figure):  # type: ignore[misc]
+        def _repr_png_(self) -> bytes:
+            content = io.BytesIO()
+            self.savefig(content, format="png", dpi=100)
+            return content.getvalue()
+
+    figure = NotebookFigure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
+    return figure
+
+
+def panels(rows: int, columns: int, width: float, height: float, **options: Any) -> tuple[Any, Any]:
+    """A figure of ``width`` by ``height`` inches and its axes, shape (rows, columns)."""
+    figure = figure_of(width, height)
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 

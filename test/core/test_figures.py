@@ -86,7 +86,7 @@ def test_the_users_settings_change_nothing_and_are_kept() -> None:
     with matplotlib.rc_context({"font.size": 30.0}):
         figure = comparison_figure(comparison())
         assert matplotlib.rcParams["font.size"] == 30.0
-    assert figure.axes[0].xaxis.label.get_fontsize() == 10.0
+    assert figure.axes[0].xaxis.label.get_fontsize() == 8.5
 
 
 def test_runs_of_the_same_name_go_to_files_of_their_own(tmp_path: Path) -> None:
