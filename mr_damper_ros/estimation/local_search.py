@@ -71,6 +71,7 @@ class StopRequestedError(Exception):
 
 
 P = TypeVar("P", bound=Problem)
+Q = TypeVar("Q", bound=Problem)
 
 
 class LocalSearch(Generic[P]):
@@ -89,6 +90,10 @@ class LocalSearch(Generic[P]):
         self.evaluations = 0
         self.exhausted = False
         self._should_stop = should_stop
+
+    def of(self, problem: Q, start: Array) -> LocalSearch[Q]:
+        """A search of another problem, that may be stopped like this one; it counts on its own."""
+        return LocalSearch(problem, start, self._should_stop)
 
     def residual(self, unknowns: Array) -> Array:
         """Residual (n,) of the problem, counted."""

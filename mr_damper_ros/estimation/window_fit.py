@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import (
+    ErrorCovariances,
     correlation_length,
     error_covariances,
     normal_inverse,
@@ -42,6 +43,34 @@ POOR_START = 0.25
 
 _HOPELESS = 1000.0
 """A start that leaves so many times the sum of squares of the other is not worth polishing."""
+
+
+_CONTRADICTED = 1e-3
+"""A change so rare, were the running set right, says that it is not."""
+
+_MORE_LEFT = 1.25
+"""A running set that makes the fit of a sine leave so many times as much is refuted by it."""
+
+_MOST_DOUBLINGS = 10
+
+WANDER = 0.03
+"""Standard deviation of what the change of one scale between two windows does to the force [1].
+
+Heating changes the force by less within a window (thesis: 26 % in ten minutes). A sudden change is
+another matter: where the window contradicts the running set, they may wander further.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class WindowPrior:
+    """What is known before a window: the running set, parameters (p,).
+
+    ``fastest`` [m/s] is the largest peak velocity that it holds for, infinite where that is not
+    known: what an unknown does to the force is seen in the window and in a sine so fast.
+    """
+
+    parameters: Array
+    fastest: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +119,15 @@ def fit_window(
     *,
     method: str = "nelder_mead",
     robust: bool = False,
+    prior: WindowPrior | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> WindowFit:
     """Fit what of a model one window determines, from the parameters ``start`` of shape (p,).
 
     A start that leaves more than a quarter of the force's variance competes with those that the
     model reads off the window. ``robust`` bounds the influence of outliers (Huber's weights).
+    ``prior`` joins the samples in what is minimised; it must agree with the start in what a window
+    does not determine. Where the window determines the unknowns, the fit hardly changes.
     ``should_stop`` is asked at every evaluation; where it says so, the best so far is returned with
     ``success`` False.
 
@@ -107,29 +139,39 @@ def fit_window(
     if spread == 0.0:
         raise DataError("the force does not change: there is nothing to identify")
     contest = _Contest(model, window, should_stop)
+    cycle = samples_per_cycle(window)
     weights = np.ones(window.sample_count)
+    weighed: _Weighed | None = None
     ending = Ending.CONVERGED
     try:
         search = contest.enter(start)
         # "not <=" also holds for a cost that is not a number.
         if not _mean_square(search) <= POOR_START * spread**2:
             search = contest.settle()
-        effort = search.problem.effort
+        problem, effort = search.problem, search.problem.effort
         if method == "nelder_mead":
             search.nelder_mead()
-        search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)
-        if search.exhausted:
+        if prior is not None:
+            weighed = _Weighed.of(model, window, prior, cycle)
+        if weighed is None:
+            search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)
+            exhausted, unknowns = search.exhausted, search.best
+            if robust:
+                weights = search.reweighted_least_squares()
+                unknowns = search.best
+        else:
+            unknowns, exhausted = weighed.most_probable(search, robust=robust)
+        if exhausted:
             ending = Ending.EXHAUSTED
-        if robust:
-            weights = search.reweighted_least_squares()
     except StopRequestedError:
         ending = Ending.STOPPED
-        search = contest.best
-    problem, unknowns = search.problem, search.best
-    settled = problem.settled
-    jacobian, residual = problem.jacobian(unknowns), problem.residual(unknowns)
-    cycle = samples_per_cycle(window)
-    errors = error_covariances(jacobian[settled], residual[settled], cycle, weights[settled])
+        problem, unknowns, weighed = contest.best.problem, contest.best.best, None
+    if weighed is not None:
+        problem, errors = weighed.problem, weighed.errors_at(unknowns)
+    else:
+        settled = problem.settled
+        jacobian, residual = problem.jacobian(unknowns), problem.residual(unknowns)
+        errors = error_covariances(jacobian[settled], residual[settled], cycle, weights[settled])
     return fit_of(
         problem,
         unknowns,
@@ -238,130 +280,106 @@ def _mean_square(search: LocalSearch[WindowProblem]) -> float:
     return search.best_cost / max(int(np.count_nonzero(search.problem.settled)), 1)
 
 
-_CONTRADICTED = 1e-3
-"""A change so rare, were the running set right, says that it is not."""
-
-_MORE_LEFT = 1.25
-"""A running set that makes the fit of a sine leave so many times as much is refuted by it."""
-
-_MOST_DOUBLINGS = 10
-
-WANDER = 0.03
-"""Standard deviation of what the change of one scale between two windows does to the force [1].
-
-Heating changes the force by less within a window (thesis: 26 % in ten minutes). A sudden change is
-another matter: where the window contradicts the running set, they may wander further.
-"""
-
-
-def with_prior(
-    model: Model,
-    fit: WindowFit,
-    window: Window,
-    running: Array,
-    *,
-    fastest: float = math.inf,
-    robust: bool = False,
-) -> WindowFit:
-    """The fit of a window on its own, weighed against the running set (p,).
-
-    ``fastest`` [m/s] is the largest peak velocity that the running set holds for, infinite where
-    that is not known: what an unknown does to the force is seen in the window and in a sine so
-    fast. Where the window determines the unknowns, the fit hardly changes.
-    """
-    from scipy.special import chdtri  # here: see mr_damper_ros.entry_points
-
-    problem = model.window_problem(window, running)
-    prior = problem.start
-    width = problem.usual_change(WANDER, fastest)
-    if not np.isfinite(width).all():
-        return fit  # A set without any force knows nothing.
-    noise = _effective_noise(problem, fit, window)
-    alone = float(np.linalg.norm(problem.residual(fit.scales)))
-    evaluations = fit.evaluations
-    most = float(chdtri(width.size, _CONTRADICTED))  # of so many squared normal numbers
-    for _ in range(_MOST_DOUBLINGS):
-        search = LocalSearch(_Weighed(problem, prior, noise / width), prior)
-        search.try_out(prior)
-        search.try_out(fit.scales)
-        search.least_squares()
-        if robust:
-            search.reweighted_least_squares()
-        unknowns = search.best
-        evaluations += search.evaluations
-        usual = float(np.sum(((unknowns - prior) / width) ** 2)) <= most
-        left = float(np.linalg.norm(problem.residual(unknowns)))
-        # In random motion a fit on its own leaves less because it follows what no law has.
-        if usual and (window.motion.sine is None or left <= _MORE_LEFT * alone):
-            break
-        # The damper has changed by more than it usually does: less is known than was thought.
-        width = 2.0 * width
-    covariance, discrepancy = _errors_of_weighed(
-        problem.jacobian(unknowns) * width / max(noise, 1e-300), width, fit
-    )
-    weighed = fit_of(
-        problem,
-        unknowns,
-        covariance,
-        discrepancy=discrepancy,
-        method=fit.method,
-        evaluations=evaluations,
-    )
-    return replace(weighed, success=fit.success, message=fit.message)
-
-
-def _effective_noise(problem: WindowProblem, fit: WindowFit, window: Window) -> float:
-    """Standard deviation [N] of white noise that would leave the unknowns as uncertain."""
-    left = problem.residual(fit.scales)
-    if not math.isfinite(samples_per_cycle(window)) or fit.discrepancy is None:
-        length = max(correlation_length(left), 1)
-        # A fit with as many unknowns leaves less of few independent samples than is there.
-        freedom = max(left.size / length - fit.scales.size, 1.0)
-        return float(np.sqrt(np.sum(left**2) / freedom))
-    white = np.diag(normal_inverse(problem.jacobian(fit.scales)))
-    whole = np.diag(fit.covariance) + np.diag(fit.discrepancy)
-    known = np.isfinite(whole) & (white > 0.0)
-    if not known.any():
-        return float(np.sqrt(np.mean(left**2)))
-    return math.sqrt(max(float(np.median(whole[known] / white[known])), 0.0))
-
-
-def _errors_of_weighed(jacobian: Array, width: Array, fit: WindowFit) -> tuple[Array, Array]:
-    """Covariances (f, f) of the weighed unknowns: repeatability and discrepancy.
-
-    ``jacobian`` (n, f) by unknowns in units of the prior's ``width`` (f,), residual in units of its
-    noise. What the window says comes through to the part ``gain``; the rest is the running set's,
-    which is the same from window to window and no nearer to the truth than the prior says.
-    """
-    information = jacobian.T @ jacobian
-    gain = np.linalg.solve(np.eye(width.size) + information, information)
-    units = np.outer(width, width)
-
-    def passed_on(covariance: Array) -> Array:
-        # What the window leaves open it does not pass on either.
-        return gain @ np.nan_to_num(covariance / units) @ gain.T
-
-    held = np.eye(width.size) - gain
-    discrepancy = np.zeros_like(units) if fit.discrepancy is None else fit.discrepancy
-    return (
-        np.asarray(passed_on(fit.covariance) * units),
-        np.asarray((passed_on(discrepancy) + held @ held.T) * units),
-    )
-
-
 class _Weighed:
-    """Residual of a window, and below it that of the prior, in the unit of the samples' noise."""
+    """Residual of a window, and below it that of the prior, in the unit of the samples' noise.
 
-    def __init__(self, problem: WindowProblem, prior: Array, weights: Array) -> None:
-        self._problem = problem
-        self._prior = prior
-        self._weights = weights
+    ``width`` (f,): standard deviation of the unknowns before the window; ``noise`` [N] that of
+    white noise of the samples which would leave the unknowns as uncertain as they are.
+    """
+
+    def __init__(self, problem: WindowProblem, width: Array, cycle: float) -> None:
         self.bounds = problem.bounds
+        self.problem = problem
+        self._known = problem.start
+        self._width = width
+        self._cycle = cycle
+        self._noise = 0.0
+
+    @classmethod
+    def of(cls, model: Model, window: Window, prior: WindowPrior, cycle: float) -> _Weighed | None:
+        """None for a set without any force, which knows nothing."""
+        running = model.window_problem(window, prior.parameters)
+        width = running.usual_change(WANDER, prior.fastest)
+        return cls(running, width, cycle) if np.isfinite(width).all() else None
 
     def residual(self, unknowns: Array) -> Array:
-        return np.concatenate(
-            (self._problem.residual(unknowns), self._weights * (unknowns - self._prior))
-        )
+        """That of the samples [N] (n,), then of the prior (f,)."""
+        apart = (unknowns - self._known) / self._width
+        return np.concatenate((self.problem.residual(unknowns), self._noise * apart))
 
     def jacobian(self, unknowns: Array) -> Array:
-        return np.vstack((self._problem.jacobian(unknowns), np.diag(self._weights)))
+        """Derivatives (n + f, f) of it."""
+        return np.vstack((self.problem.jacobian(unknowns), np.diag(self._noise / self._width)))
+
+    def most_probable(
+        self, search: LocalSearch[WindowProblem], *, robust: bool
+    ) -> tuple[Array, bool]:
+        """Unknowns (f,), and whether the last search was exhausted.
+
+        What the law leaves of the samples at best says how much they count, so ``search`` goes
+        to the minimum of the samples alone first.
+        """
+        from scipy.special import chdtri  # here: see mr_damper_ros.entry_points
+
+        effort = self.problem.effort
+        # Of so many squared normal numbers.
+        most = float(chdtri(self._width.size, _CONTRADICTED))
+        search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)
+        at_best = float(np.linalg.norm(self.problem.residual(search.best)))
+        self._errors, self._noise = self._at_best(search.best)
+        for _ in range(_MOST_DOUBLINGS):
+            weighed = search.of(self, search.best)
+            for start in (self._known, search.best):
+                weighed.try_out(start)
+            weighed.least_squares()
+            if robust:
+                weighed.reweighted_least_squares()
+            unknowns = weighed.best
+            usual = float(np.sum(((unknowns - self._known) / self._width) ** 2)) <= most
+            left = float(np.linalg.norm(self.problem.residual(unknowns)))
+            # In random motion a fit on its own leaves less because it follows what no law has.
+            steady = self.problem.window.motion.sine is not None
+            if usual and not (steady and left > _MORE_LEFT * at_best):
+                break
+            # The damper has changed by more than it usually does: less is known than was thought.
+            self._width = 2.0 * self._width
+        return unknowns, weighed.exhausted
+
+    def _at_best(self, unknowns: Array) -> tuple[ErrorCovariances, float]:
+        """Errors of a fit to the samples alone, which ended at (f,), and the noise [N]."""
+        problem, settled = self.problem, self.problem.settled
+        jacobian, left = problem.jacobian(unknowns), problem.residual(unknowns)
+        errors = error_covariances(jacobian[settled], left[settled], self._cycle)
+        if math.isfinite(self._cycle):
+            white = np.diag(normal_inverse(jacobian))
+            whole = np.diag(errors.repeatability) + np.diag(errors.discrepancy)
+            known = np.isfinite(whole) & (white > 0.0)
+            ratio = np.median(whole[known] / white[known]) if known.any() else np.mean(left**2)
+            return errors, math.sqrt(max(float(ratio), 0.0))
+        length = max(correlation_length(left), 1)
+        # A fit with as many unknowns leaves less of few independent samples than is there.
+        freedom = max(left.size / length - self._width.size, 1.0)
+        return errors, float(np.sqrt(np.sum(left**2) / freedom))
+
+    def errors_at(self, unknowns: Array) -> ErrorCovariances:
+        """The errors of the most probable unknowns (f,).
+
+        What the window says comes through to the part ``gain``; the rest is the running set's,
+        which is the same from window to window and no nearer to the truth than the prior says.
+        """
+        errors = self._errors
+        jacobian = self.problem.jacobian(unknowns)
+        scaled = jacobian * self._width / max(self._noise, 1e-300)
+        information = scaled.T @ scaled
+        held = np.linalg.inv(np.eye(self._width.size) + information)
+        gain = held @ information
+        units = np.outer(self._width, self._width)
+
+        def scaled_by_gain(covariance: Array) -> Array:
+            # What the window leaves open it does not pass on either.
+            return gain @ np.nan_to_num(covariance / units) @ gain.T
+
+        return ErrorCovariances(
+            scaled_by_gain(errors.repeatability) * units,
+            (scaled_by_gain(errors.discrepancy) + held @ held.T) * units,
+        )

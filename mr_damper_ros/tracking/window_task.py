@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mr_damper_ros.estimation.adaptation import adapted
-from mr_damper_ros.estimation.window_fit import WindowFit, fit_window, with_prior
+from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.arrays import Array
@@ -86,26 +86,26 @@ def run_fit(task: FitTask, should_stop: Callable[[], bool] | None = None) -> Fit
         held_back = held_back_samples(window.sample_count, seen_samples(task, window))
         model, start = task.model, _start_of(task, window)
         _, fastest = task.running.peak_velocity_range
+        prior = WindowPrior(start, fastest) if task.known else None
         trained = fit_window(
             model,
             window.part(~held_back),
             start,
             method=settings.method,
             robust=settings.robust,
+            prior=prior,
             should_stop=should_stop,
         )
-        if task.known:
-            part = window.part(~held_back)
-            trained = with_prior(
-                model, trained, part, start, fastest=fastest, robust=settings.robust
-            )
         evidence = evidence_of(task, held_back, window, trained.parameters)
         # What is published uses every sample; the held-back part only judged whether to.
         final = fit_window(
-            model, window, trained.parameters, method="least_squares", robust=settings.robust
+            model,
+            window,
+            trained.parameters,
+            method="least_squares",
+            robust=settings.robust,
+            prior=prior,
         )
-        if task.known:
-            final = with_prior(model, final, window, start, fastest=fastest, robust=settings.robust)
     except DataError as error:
         return FitResult(fault_of_data(str(error)))
     except (ValueError, ArithmeticError) as error:

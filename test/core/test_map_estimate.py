@@ -11,7 +11,7 @@ from random_motion import BandLimitedRandom
 from benchmarks.other_dampers import DAMPERS
 from mr_damper_ros.emulation.emulator import EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.estimation.window_fit import WANDER, WindowFit, fit_window, with_prior
+from mr_damper_ros.estimation.window_fit import WANDER, WindowFit, WindowPrior, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, SCALE_INDICES
@@ -82,12 +82,19 @@ def own(window: Window) -> WindowFit:
     return fit_window(SIGMOID, window, RUNNING, method="least_squares")
 
 
+def weigh(
+    window: Window, running: Array = RUNNING, name: str = "sigmoid", fastest: float = np.inf
+) -> WindowFit:
+    prior = WindowPrior(running, fastest)
+    return fit_window(MODELS[name], window, running, method="least_squares", prior=prior)
+
+
 def test_a_steady_sine_is_fitted_as_without_a_running_set() -> None:
     off = RUNNING.copy()
     off[SCALE_INDICES] *= 1.01
     window = steady()
     alone = own(window)
-    weighed = with_prior(SIGMOID, alone, window, off)
+    weighed = weigh(window, off)
     errors = np.sqrt(np.diag(alone.covariance))
     assert np.max(np.abs(weighed.scales - alone.scales) / errors) < UNMOVED
     assert weighed.rmse < AS_WELL * alone.rmse
@@ -99,7 +106,7 @@ def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
     for seed in range(5):
         window = random_window(1000 * seed, 1000, seed=seed)
         alone = own(window)
-        weighed = with_prior(SIGMOID, alone, window, RUNNING)
+        weighed = weigh(window)
         errors.append(
             [
                 known.rms(SIGMOID.window_force(elsewhere, fit.parameters) - elsewhere.force)
@@ -119,7 +126,7 @@ def test_a_slope_that_a_window_hardly_shows_stays(seed: int) -> None:
     rest = BandLimitedRandom(rms=30.0, low=2.0, high=20.0, seed=seed).at(time).displacement
     made = Window(whole.motion, SIGMOID.window_force(whole, RUNNING) + rest, whole.current, 1e-3)
     window = made.part(whole.motion.velocity > -0.002)
-    weighed = with_prior(SIGMOID, own(window), window, RUNNING, fastest=0.1)
+    weighed = weigh(window, fastest=0.1)
     backwards = COEFFICIENT_NAMES.index("k_e")
     moved = abs(weighed.scales[backwards] - RUNNING[SCALE_INDICES][backwards])
     assert 0.1 * moved < WANDER
@@ -127,7 +134,7 @@ def test_a_slope_that_a_window_hardly_shows_stays(seed: int) -> None:
 
 def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
     window = random_window(0, 1000)
-    weighed = with_prior(SIGMOID, own(window), window, RUNNING)
+    weighed = weigh(window)
     jacobian = ScaleMisfit(window, RUNNING).jacobian(ScaleMisfit(window, RUNNING).start)
     force = known.rms(SIGMOID.window_force(window, RUNNING))
     effects = np.sqrt(np.mean(jacobian**2, axis=0) * np.diag(weighed.covariance)) / force
@@ -139,7 +146,7 @@ def test_a_sudden_change_is_followed_at_once() -> None:
     stronger[SCALE_INDICES[0]] *= 2.0
     window = steady(stronger)
     alone = own(window)
-    weighed = with_prior(SIGMOID, alone, window, RUNNING)
+    weighed = weigh(window)
     assert weighed.rmse < AS_WELL * alone.rmse
 
 
@@ -162,7 +169,7 @@ def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it
     cycle = window(2.3, 12.3)
     poor = own(window(0.3, 7.0)).parameters
     alone = own(cycle)
-    weighed = with_prior(SIGMOID, alone, cycle, poor)
+    weighed = weigh(cycle, poor)
     assert weighed.rmse < NEARLY_AS_WELL * alone.rmse
 
 
@@ -172,7 +179,7 @@ def test_a_running_set_without_force_does_not_spoil_the_fit(fastest: float) -> N
     nothing[0] = 0.0
     window = steady()
     alone = own(window)
-    weighed = with_prior(SIGMOID, alone, window, nothing, fastest=fastest)
+    weighed = weigh(window, nothing, fastest=fastest)
     assert weighed.rmse < AS_WELL * alone.rmse
 
 
@@ -180,8 +187,7 @@ def test_a_running_set_without_force_does_not_spoil_the_fit(fastest: float) -> N
 def test_viscous_damping_that_a_slow_window_hardly_shows_stays(name: str) -> None:
     model, running = MODELS[name], known.EXAMPLES[name]
     window = random_window(1500, 1500, name=name, size=0.15, seed=1)
-    alone = fit_window(model, window, running, method="least_squares")
-    weighed = with_prior(model, alone, window, running, fastest=FAST)
+    weighed = weigh(window, running, name, FAST)
     rate, time = 6.0, np.arange(4000) * 1e-3
     sine = Window.from_samples(FAST / rate * np.sin(rate * time), np.zeros(4000), 1.0, 1e-3)
     before, after = (model.window_force(sine, v) for v in (running, weighed.parameters))
@@ -193,7 +199,6 @@ def test_a_motion_that_dies_away_spoils_no_law(name: str) -> None:
     model, running = MODELS[name], known.EXAMPLES[name]
     elsewhere = random_window(3000, 4000, name=name, unmodelled=0.0)
     window = random_window(1500, 1500, name=name, size=0.15, seed=1)
-    alone = fit_window(model, window, running, method="least_squares")
-    weighed = with_prior(model, alone, window, running)
+    weighed = weigh(window, running, name)
     error = known.rms(model.window_force(elsewhere, weighed.parameters) - elsewhere.force)
     assert error < SPOILT * np.std(elsewhere.force)
