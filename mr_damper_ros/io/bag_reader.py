@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from mr_damper_ros.io.bag_files import (
     TEMPERATURE_TOPIC,
     TEMPERATURE_TYPE,
     BagError,
+    OpenBag,
     opened_bag,
 )
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES
@@ -31,9 +32,6 @@ from mr_damper_ros.signals.recording import (
 )
 from mr_damper_ros.signals.uniform_grid import Placed, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError, ZeroOrderHold
-
-_FOREVER = 1e9
-"""Seconds; longer than any recording."""
 
 _HOLD_BACK = 1.0
 """Seconds for which blocks that overtook others wait for them: a file is in no hurry."""
@@ -54,36 +52,32 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     Raises BagError, in one sentence, where the bag is damaged or does not hold the streams.
     """
     with opened_bag(path, maximum_samples) as bag:
-        samples = bag.topic(MTS_TOPIC, SAMPLES_TYPE)
-        current = bag.topic(CURRENT_TOPIC, CURRENT_TYPE)
-        temperature = bag.topic(TEMPERATURE_TOPIC, TEMPERATURE_TYPE, required=False)
-        segments = _Segments(bag.name, samples, maximum_samples)
-        currents = _Currents(bag.name, current)
-        celsius: list[tuple[int, float]] = []
-        wanted = {samples, current, temperature} - {""}
-        for topic, message in bag.decoded(wanted):
-            if topic == samples:
-                segments.add(message)
-            elif topic == current:
-                currents.add(message)
+        segments: list[_Segment] = []
+        rounds: list[_Round] = []
+        celsius: list[TemperatureReading] = []
+        grid, blocks = UniformGrid(hold_back=_HOLD_BACK), 0
+        for item in _items(bag, maximum_samples):
+            if isinstance(item, SampleBlock):
+                blocks += 1
+                _place(segments, grid.follow(item))
+            elif isinstance(item, TemperatureReading):
+                celsius.append(item)
             else:
-                celsius.append((_stamp_ns(message), float(message.temperature)))
-        segments.finish()
-        details = dict(bag.details)
-    if not segments.found:
-        raise BagError(f"the bag '{bag.name}' holds no samples: the topic {samples} is empty")
-    if not currents.rounds:
+                _hold(bag.name, rounds, item)
+        _place(segments, grid.flush())
+        name, details = bag.details.pop("name", bag.name), dict(bag.details)
+    if not blocks:
+        raise BagError(f"the bag '{bag.name}' holds no samples: the topic {MTS_TOPIC} is empty")
+    if not rounds:
         raise BagError(
-            f"the bag '{bag.name}' holds no current: the topic {current} is empty; "
+            f"the bag '{bag.name}' holds no current: the topic {CURRENT_TOPIC} is empty; "
             "record at least one message of the supply's current"
         )
-    name = details.pop("name", bag.name)
-    recordings = []
-    for segment in segments.found:
-        current_round = currents.rounds[min(segment.round, len(currents.rounds) - 1)]
-        recording = _assemble(name, segment, current_round, celsius, details)
-        if recording is not None:
-            recordings.append(recording)
+    assembled = (
+        _assemble(name, segment, rounds[min(segment.round, len(rounds) - 1)], celsius, details)
+        for segment in segments
+    )
+    recordings = [recording for recording in assembled if recording is not None]
     if not recordings:
         raise BagError(
             f"every sample in the bag '{bag.name}' is older than the first current: "
@@ -92,7 +86,7 @@ def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> lis
     if len(recordings) == 1:
         return recordings
     return [
-        Recording(**{**vars(recording), "name": f"{name}, part {number}"})
+        replace(recording, name=f"{name}, part {number}")
         for number, recording in enumerate(recordings, start=1)
     ]
 
@@ -104,22 +98,36 @@ def bag_stream(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> I
     damaged, holds more than ``maximum_samples`` or lacks the streams.
     """
     with opened_bag(path, maximum_samples) as bag:
-        samples = bag.topic(MTS_TOPIC, SAMPLES_TYPE)
-        current = bag.topic(CURRENT_TOPIC, CURRENT_TYPE)
-        temperature = bag.topic(TEMPERATURE_TOPIC, TEMPERATURE_TYPE, required=False)
-        for topic, message in bag.decoded({samples, current, temperature} - {""}):
-            if topic == samples:
-                yield _block(message, bag.name, topic)
-            elif topic == current:
-                yield CurrentReading(_stamp_ns(message), float(message.current))
-            else:
-                yield TemperatureReading(float(message.temperature))
+        yield from _items(bag, maximum_samples)
 
 
-def _block(message: Any, bag: str, topic: str) -> SampleBlock:
+def _items(bag: OpenBag, maximum_samples: int) -> Iterator[StreamItem]:
+    samples = bag.topic(MTS_TOPIC, SAMPLES_TYPE)
+    current = bag.topic(CURRENT_TOPIC, CURRENT_TYPE)
+    temperature = bag.topic(TEMPERATURE_TOPIC, TEMPERATURE_TYPE, required=False)
+    left = maximum_samples
+    for topic, message in bag.decoded({samples, current, temperature} - {""}):
+        stamp = message.header.stamp
+        stamp_ns = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+        if topic == current:
+            yield CurrentReading(stamp_ns, float(message.current))
+        elif topic == temperature:
+            yield TemperatureReading(stamp_ns, float(message.temperature))
+        else:
+            block = _block(message, stamp_ns, bag.name, topic)
+            left -= block.sample_count
+            if left < 0:
+                raise BagError(
+                    f"the bag '{bag.name}' is too large: make bags of parts of it with "
+                    "ros2 bag convert"
+                )
+            yield block
+
+
+def _block(message: Any, stamp_ns: int, bag: str, topic: str) -> SampleBlock:
     try:
         return SampleBlock(
-            start_ns=_stamp_ns(message),
+            start_ns=stamp_ns,
             sequence=int(message.seq),
             period=float(message.period),
             displacement=np.asarray(message.displacement, dtype=float),
@@ -132,10 +140,6 @@ def _block(message: Any, bag: str, topic: str) -> SampleBlock:
         ) from error
 
 
-def _stamp_ns(message: Any) -> int:
-    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
-
-
 @dataclass
 class _Segment:
     """Blocks that follow each other; ``round`` counts how often time was set back before."""
@@ -144,40 +148,15 @@ class _Segment:
     blocks: list[SampleBlock]
 
 
-class _Segments:
-    def __init__(self, bag: str, topic: str, maximum_samples: int) -> None:
-        self._bag, self._topic = bag, topic
-        self._left = maximum_samples
-        self._sequence = UniformGrid(hold_back=_HOLD_BACK)
-        self._round = 0
-        self.found: list[_Segment] = []
-
-    def add(self, message: Any) -> None:
-        block = _block(message, self._bag, self._topic)
-        self._left -= block.sample_count
-        if self._left < 0:
-            raise BagError(
-                f"the bag '{self._bag}' is too large: make bags of parts of it with "
-                "ros2 bag convert"
-            )
-        for placed in self._sequence.follow(block):
-            self._add(placed)
-
-    def finish(self) -> None:
-        """Take what still waits for samples that never came."""
-        for placed in self._sequence.flush():
-            self._add(placed)
-
-    def _add(self, placed: Placed) -> None:
-        kind = placed.continuity.kind
-        if kind == "repeat":
-            return
-        if kind == "jump_back":
-            self._round += 1
+def _place(segments: list[_Segment], placed: Iterable[Placed]) -> None:
+    """Add blocks of the grid to the last segment, or to a new one where they do not follow."""
+    for one in placed:
+        kind = one.continuity.kind
         if kind in ("next", "bridged"):
-            self.found[-1].blocks.append(placed.block)
-        else:
-            self.found.append(_Segment(self._round, [placed.block]))
+            segments[-1].blocks.append(one.block)
+        elif kind != "repeat":
+            before = segments[-1].round if segments else 0
+            segments.append(_Segment(before + (kind == "jump_back"), [one.block]))
 
 
 @dataclass
@@ -188,32 +167,26 @@ class _Round:
     held: ZeroOrderHold
 
 
-class _Currents:
-    """The current; a bag that was recorded from a loop has several rounds of it."""
-
-    def __init__(self, bag: str, topic: str) -> None:
-        self._bag, self._topic = bag, topic
-        self.rounds: list[_Round] = []
-
-    def add(self, message: Any) -> None:
-        stamp, value = _stamp_ns(message), float(message.current)
-        last = self.rounds[-1].held.last_stamp_ns if self.rounds else None
-        if last is None or stamp < last - _JUMP_BACK * NANOSECONDS:
-            self.rounds.append(_Round(stamp, ZeroOrderHold(keep=_FOREVER)))
-        try:
-            self.rounds[-1].held.add(stamp, value)
-        except CurrentError as error:
-            raise BagError(
-                f"the bag '{self._bag}' cannot be used: the current on {self._topic} stamped "
-                f"{stamp / NANOSECONDS:.3f} s is {value}"
-            ) from error
+def _hold(bag: str, rounds: list[_Round], reading: CurrentReading) -> None:
+    """Add a value of the current; a bag that was recorded from a loop has several rounds of it."""
+    stamp_ns, value = reading
+    last = rounds[-1].held.last_stamp_ns if rounds else None
+    if last is None or stamp_ns < last - _JUMP_BACK * NANOSECONDS:
+        rounds.append(_Round(stamp_ns, ZeroOrderHold(keep=math.inf)))
+    try:
+        rounds[-1].held.add(stamp_ns, value)
+    except CurrentError as error:
+        raise BagError(
+            f"the bag '{bag}' cannot be used: the current on {CURRENT_TOPIC} stamped "
+            f"{stamp_ns / NANOSECONDS:.3f} s is {value}"
+        ) from error
 
 
 def _assemble(
     name: str,
     segment: _Segment,
     current: _Round,
-    celsius: list[tuple[int, float]],
+    celsius: list[TemperatureReading],
     details: dict[str, str],
 ) -> Recording | None:
     """Recording of a segment, or None where the current is not known for any of it."""
@@ -240,7 +213,7 @@ def _assemble(
 
 
 def _interpolated(
-    celsius: list[tuple[int, float]], start_ns: int, period: float, count: int
+    celsius: list[TemperatureReading], start_ns: int, period: float, count: int
 ) -> Array | None:
     known = sorted((stamp - start_ns, value) for stamp, value in celsius if math.isfinite(value))
     if not known:

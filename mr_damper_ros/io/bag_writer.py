@@ -39,7 +39,7 @@ from mr_damper_ros.io.bag_files import (
     BagError,
 )
 from mr_damper_ros.io.mcap_checksums import add_checksums
-from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.blocks import NANOSECONDS, STAMP_LIMIT
 from mr_damper_ros.signals.recording import Recording
 
 _FRAME = "damper"
@@ -49,9 +49,6 @@ _CURRENT_PERIOD = 0.1
 """Seconds after which a current that did not change is written again."""
 
 _TEMPERATURE_PERIOD = 1.0
-
-_STAMP_LIMIT = 2**31 * NANOSECONDS
-"""The seconds of a stamp are a signed number of 32 bits."""
 
 _INFINITE = QosTime(9223372036, 854775807)
 
@@ -125,7 +122,7 @@ def write_bag(
         )
     if block_size < 1:
         raise BagError(f"the block size is {block_size}: give at least 1 sample")
-    if not 0 <= recording.start_ns <= recording.stamp_ns(recording.sample_count) < _STAMP_LIMIT:
+    if not 0 <= recording.start_ns <= recording.stamp_ns(recording.sample_count) < STAMP_LIMIT:
         raise BagError(
             f"'{recording.name}' starts {recording.start_ns / NANOSECONDS:.0f} s after 1970, and "
             "the stamps of messages reach from 1970 to 2038: give it another start"

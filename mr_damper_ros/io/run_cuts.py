@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mr_damper_ros.io.sampled_record import GAP, SampledRecord, integrated
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.kinematics.window import turning_points
+from mr_damper_ros.signals.arrays import Array, white_noise
 
 _BLOCK = 0.1
 """Seconds of a block; a rest is found to this accuracy, and so much of it is left to a run."""
@@ -24,9 +25,6 @@ _REST_OF_STROKE = 0.3
 _STILL = 0.002
 """The rod rests where the displacement keeps within this part of its span,"""
 
-_SECOND_DIFFERENCE = 0.6745 * 6.0**0.5
-"""Median size of the second difference of white noise, in its standard deviations."""
-
 _NOISE_SPANS = 8.0
 """or within so many standard deviations of its noise."""
 
@@ -36,8 +34,8 @@ _CURRENT_STEP = 0.05
 _JOLT = 0.02
 """What moves less than this part of the largest motion of the file is no run."""
 
-_TURNED = 0.05
-"""The motion has turned when it has gone this part of the span from the middle."""
+_TURNED = 0.1
+"""The motion has turned when it has gone this part of the span back."""
 
 _SAME = 0.2
 """Strokes are of one phase where height, duration and force differ by no more than this,"""
@@ -168,7 +166,7 @@ def _motions(record: SampledRecord, rows: slice) -> Iterator[slice]:
             yield rows
         return
     blocks = position[: count * length].reshape(count, length)
-    noise = float(np.median(np.abs(np.diff(position, 2)))) / _SECOND_DIFFERENCE
+    noise = white_noise(position)
     still = max(_STILL * span, _NOISE_SPANS * noise)
     high = np.lib.stride_tricks.sliding_window_view(blocks.max(axis=1), window).max(axis=1)
     low = np.lib.stride_tricks.sliding_window_view(blocks.min(axis=1), window).min(axis=1)
@@ -193,19 +191,8 @@ def _equal(flags: NDArray[np.bool_]) -> list[tuple[int, int, bool]]:
 
 
 def _turns(position: Array) -> list[int]:
-    """Indices of the extremes between which the rod goes through the middle, shape (k,)."""
-    middle = 0.5 * (float(position.max()) + float(position.min()))
-    away = _TURNED * float(np.ptp(position))
-    side = np.where(position > middle + away, 1, np.where(position < middle - away, -1, 0))
-    known = np.flatnonzero(side)
-    if known.size == 0:
-        return []
-    changes = known[np.flatnonzero(np.diff(side[known])) + 1]
-    places = [int(known[0]), *changes.tolist(), position.size]
-    return [
-        first + int(np.argmax(side[first] * position[first:last]))
-        for first, last in pairwise(places)
-    ]
+    """Indices of the extremes between which the rod goes some of its way, shape (k,)."""
+    return turning_points(position.tolist(), _TURNED * float(np.ptp(position)))[1:-1].tolist()
 
 
 def _phases(record: SampledRecord, rows: slice) -> list[slice]:

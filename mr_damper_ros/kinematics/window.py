@@ -60,7 +60,7 @@ def _holds_cycle(u: Array) -> bool:
     turn = min(max(_TURN * span, noise), _LARGEST_TURN * span)
     if not turn > 0.0:
         return False
-    places = _turning_points(u.tolist(), turn)
+    places = turning_points(u.tolist(), turn)
     ways = np.diff(u[places])
     up, down = float(ways[ways > 0.0].sum()), float(-ways[ways < 0.0].sum())
     turns = places.size - 2
@@ -76,7 +76,7 @@ def _is_whole(stroke: Array, span: float) -> bool:
     return bool(np.ptp(stroke) >= _WHOLE_STROKE * span and thirds[0] < _SLOWER * thirds[1])
 
 
-def _turning_points(u: list[float], turn: float) -> np.ndarray:
+def turning_points(u: list[float], turn: float) -> np.ndarray:
     """Places of the first sample, the turns of at least this way back, and the last sample."""
     places = [0]
     low = high = 0

@@ -170,8 +170,9 @@ class CurrentReading(NamedTuple):
 
 
 class TemperatureReading(NamedTuple):
-    """The temperature [°C] of the damper now."""
+    """The temperature [°C] of the damper at a stamp."""
 
+    stamp_ns: int
     celsius: float
 
 
@@ -193,7 +194,7 @@ def stream_of(recording: Recording, block_size: int = BLOCK_SIZE) -> Iterator[St
         for place in (*inside.tolist(), last):
             yield CurrentReading(recording.stamp_ns(place), float(recording.current[place]))
         if recording.temperature is not None:
-            yield TemperatureReading(float(recording.temperature[last]))
+            yield TemperatureReading(recording.stamp_ns(last), float(recording.temperature[last]))
         part = slice(first, last + 1)
         yield SampleBlock(
             recording.stamp_ns(first),

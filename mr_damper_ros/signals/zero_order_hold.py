@@ -31,8 +31,8 @@ class ZeroOrderHold:
     """Stamped values of the supply current, held from each stamp to the next."""
 
     def __init__(self, keep: float) -> None:
-        """Keep at least the last ``keep`` seconds of values."""
-        self._keep_ns = round(keep * NANOSECONDS)
+        """Keep at least the last ``keep`` seconds of values; infinite: all of them."""
+        self._keep_ns = round(min(keep * NANOSECONDS, 2.0**62))
         self._stamps = array("q")
         self._values = array("d")
         self._jumped = False

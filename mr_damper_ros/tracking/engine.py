@@ -145,7 +145,7 @@ class Engine:
             elif isinstance(item, CurrentReading):
                 self.add_current(*item)
             else:
-                self.add_temperature(*item)
+                self.add_temperature(item.celsius)
         self.finish()
 
     def finish(self) -> None:
