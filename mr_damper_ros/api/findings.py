@@ -126,9 +126,8 @@ _CYCLES = 2.0
 """Cycles of a piece; of a motion that is no sine a piece takes ``_DURATION`` seconds."""
 
 _DURATION = 4.0
-_MOST_PIECES = 300
 _SAMPLES = 500
-"""Samples of a piece are thinned to about so many."""
+"""Samples of a piece are thinned to about so many, and there are no more pieces."""
 
 _STEADY_CURRENT = 0.02
 """Change [A] of the current that a piece may have."""
@@ -160,7 +159,7 @@ def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
     frequency = window.motion.frequency
     duration = _CYCLES / frequency if np.isfinite(frequency) else _DURATION
     count = int(window.sample_count * window.period / duration)
-    edges = np.linspace(0, window.sample_count, min(max(count, 1), _MOST_PIECES) + 1).astype(int)
+    edges = np.linspace(0, window.sample_count, min(max(count, 1), _SAMPLES) + 1).astype(int)
     for first, last in pairwise(edges):
         place = slice(int(first), int(last))
         if float(np.ptp(window.current[place])) <= _STEADY_CURRENT:
@@ -169,9 +168,6 @@ def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:
 
 _MEASURE = "in residuals of the runs fitted one by one"
 """What a search leaves: the root of its cost."""
-
-_POINTS = 9
-"""Temperatures at which a map is written out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +318,7 @@ def temperatures(maps: Sequence[TemperatureMap]) -> Findings:
             f"{found.slope(middle):+.2%} per kelvin, from {found.low:.3g} to {found.high:.3g} °C; "
             f"it tells the temperature to {kelvin:.2g} K"
         )
-        points = [(c, found.scale(c)) for c in np.linspace(found.low, found.high, _POINTS).tolist()]
+        points = [(c, found.scale(c)) for c in np.linspace(found.low, found.high, 9).tolist()]
         entries.append(
             {
                 "operating_point": {"peak_velocity": speed, "current": current},

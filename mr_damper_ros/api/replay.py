@@ -267,10 +267,6 @@ def _replayed(name: str, stream: Iterable[StreamItem], engine: Engine) -> Replay
     )
 
 
-_BLOCK = 100
-"""Samples that come at once; the windows do not depend on it."""
-
-
 def follow(
     tracker: WindowTracker, recording: Recording, *, window: float = 2.0, hop: float = 1.0
 ) -> Iterator[Report]:
@@ -296,7 +292,7 @@ def follow(
     [nan, 1.0, 1.0, 0.9, 0.9, 0.9]
     """
     assembler = WindowAssembler(window, hop)
-    for item in stream_of(recording, _BLOCK):
+    for item in stream_of(recording):
         if isinstance(item, CurrentReading):
             ready = assembler.add_current(*item)
         elif isinstance(item, SampleBlock):

@@ -19,6 +19,7 @@ from mr_damper_ros.campaign.folder import (
     read_campaign_runs,
     read_steps,
 )
+from mr_damper_ros.campaign.runs import DriveSettings
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
 from mr_damper_ros.estimation.global_fit import identify_global
@@ -69,11 +70,9 @@ def planned(
 _TRIES = 2
 """A run that cannot be used is made once more."""
 
-_CURRENT_TOLERANCE = 0.05
-"""The median current of a stretch may differ so much [A] from the one wanted, or"""
-
 _CURRENT_SHARE = 0.05
-"""by this part of it where that is more."""
+"""The median current of a stretch may differ by this part of the one wanted, or by what a driven
+run may where that is more."""
 
 _AMPLITUDE_SHARE = 0.3
 """The amplitude of a run may differ by this part of the one wanted."""
@@ -280,7 +279,7 @@ def fault_of_run(run: PlannedRun, recording: Recording) -> str:
             )
     for place, (current, part) in enumerate(zip(run.currents, parts, strict=True)):
         measured = float(np.median(recording.current[part]))
-        if abs(measured - current) > max(_CURRENT_TOLERANCE, _CURRENT_SHARE * current):
+        if abs(measured - current) > max(DriveSettings.current_tolerance, _CURRENT_SHARE * current):
             return (
                 f"the current is {measured:.3g} A in part {place + 1} of the run, where "
                 f"{current:.3g} A were wanted: is the supply on?"

@@ -24,6 +24,7 @@ from mr_damper_ros.report.document import (
     DASHES,
     GREY,
     INK,
+    WIDTH,
     Block,
     Chapter,
     Picture,
@@ -38,16 +39,6 @@ from mr_damper_ros.report.document import (
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 from mr_damper_ros.signals.recording import Recording
-
-_WIDTH = 6.8
-_COLUMNS = 3
-"""Panels of loops in a row."""
-
-_DOTS = 400
-"""Measured samples that are drawn of a stretch, at most."""
-
-_LEAST_KNOWN = 5
-"""So many operating points are named as those where the force is known least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +183,7 @@ def _percent(value: float) -> str:
 
 
 def _error(campaign: _Campaign) -> list[Block]:
-    figure, axes = panels(1, 1, _WIDTH, 3.0)
+    figure, axes = panels(1, 1, WIDTH, 3.0)
     axis = axes[0, 0]
     numbers = np.arange(1, len(campaign.steps) + 1)
     errors = 100.0 * np.stack([step.plan.now.errors for step in campaign.steps])
@@ -221,7 +212,7 @@ def _error(campaign: _Campaign) -> list[Block]:
 
 def _map(campaign: _Campaign) -> list[Block]:
     speeds, currents, errors = campaign.map
-    figure, axes = panels(1, 1, _WIDTH, 3.6)
+    figure, axes = panels(1, 1, WIDTH, 3.6)
     axis = axes[0, 0]
     percent = 100.0 * errors
     # Equal cells: the numbers in them are to be read.
@@ -263,9 +254,9 @@ def _mark_runs(axis: Any, campaign: _Campaign, speeds: Array, currents: Array) -
 def _loops(campaign: _Campaign) -> list[Block]:
     found = campaign.last.parameter_set
     count = len(campaign.runs)
-    columns = min(_COLUMNS, count)
+    columns = min(3, count)
     rows = -(-count // columns)
-    figure, axes = panels(rows, columns, _WIDTH, 0.5 + 2.1 * rows)
+    figure, axes = panels(rows, columns, WIDTH, 0.5 + 2.1 * rows)
     for axis in axes.flat[count:]:
         axis.set_axis_off()
     for number, ((run, recording), axis) in enumerate(
@@ -273,7 +264,7 @@ def _loops(campaign: _Campaign) -> list[Block]:
     ):
         for place, window in enumerate(run.windows(recording)):
             velocity = window.motion.velocity
-            every = max(velocity.size // _DOTS, 1)
+            every = max(velocity.size // 400, 1)
             axis.plot(velocity[::every], 1e-3 * window.force[::every], ".", color=GREY, ms=1.5)
             predicted = found.force(window)
             cycle = slice(0, min(round(1.0 / (run.frequency * window.period)) + 1, velocity.size))
@@ -346,7 +337,7 @@ def _set(campaign: _Campaign) -> list[Block]:
 def _unknown(campaign: _Campaign) -> list[Block]:
     plan, found = campaign.last.plan, campaign.last.parameter_set
     points, errors = plan.now.points, plan.now.errors
-    order = np.argsort(-errors)[:_LEAST_KNOWN]
+    order = np.argsort(-errors)[:5]
     rows = [(points[k][0], points[k][1], _percent(float(errors[k]))) for k in order]
     blocks: list[Block] = [
         Table(

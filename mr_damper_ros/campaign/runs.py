@@ -24,9 +24,6 @@ from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.signals.uniform_grid import Placed
 from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
 
-_CYCLE_SAMPLES = 64
-"""Samples of a cycle that are looked at, at most."""
-
 STEADY = 0.02
 """Part of the amplitude by which two cycles of a steady motion differ at most."""
 
@@ -333,9 +330,6 @@ def write_signal(run: PlannedRun, path: Path, sample_rate: float = 1000.0) -> No
 _PLACES = 8
 """In every cycle, the run may begin at so many places."""
 
-_MOST_PLACES = 2000
-"""No more places are looked at in a long recording."""
-
 _SETTINGS = DriveSettings()
 """A run is as wanted where it would be on a machine that is driven."""
 
@@ -402,7 +396,7 @@ def _most_as_wanted(run: PlannedRun, recording: Recording) -> Recording:
     match = RepeatedMatch(run.motion, recording.period)
     count = max(round(run.duration / recording.period), match.count)
     stride = max(round(1.0 / (_PLACES * run.highest_frequency * recording.period)), 1)
-    stride = max(stride, recording.sample_count // _MOST_PLACES)
+    stride = max(stride, recording.sample_count // 2000)
     best, least, seen = None, _SETTINGS.amplitude_tolerance, math.inf
     for begin in range(0, recording.sample_count - count + 1, stride):
         part = slice(begin, begin + count)

@@ -29,9 +29,6 @@ _ROUNDING = 1e-9
 _CHANGE = 0.1
 """Time [s] that the machine takes to change its motion."""
 
-_OUTAGE = 0.02
-"""Length [s] of one of several short outages."""
-
 
 class FaultError(ValueError):
     """A fault that cannot be had; the message says what to change."""
@@ -295,7 +292,7 @@ def _outages(instead: float) -> Callable[[Fault, Samples], Array]:
         begins = fault.active(time) & (fault.rng.random(time.size) < fault.amount * period)
         since = np.where(begins, time, -math.inf)
         last = -math.inf if fault.memory is None else fault.memory
-        until = np.maximum.accumulate(np.maximum(since + _OUTAGE, last))
+        until = np.maximum.accumulate(np.maximum(since + 0.02, last))
         fault.memory = float(until[-1])
         return np.where(time < until, instead, values)
 

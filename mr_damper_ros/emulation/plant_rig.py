@@ -16,7 +16,7 @@ import numpy as np
 
 from mr_damper_ros.control.inverse_model import in_coil
 from mr_damper_ros.control.linear_plant import LinearPlant, MovingPlant
-from mr_damper_ros.emulation.emulator import CurrentSchedule, RigSettings, ThermalModel
+from mr_damper_ros.emulation.emulator import CHUNK, CurrentSchedule, RigSettings, ThermalModel
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.models import MODELS
@@ -26,13 +26,6 @@ from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.rig_block import RigBlock
-
-_CHUNK = 100
-"""Samples of one temperature and one draw of noise; fixed, so that blocks do not matter."""
-
-
-_AT_ONCE = 250
-"""Samples for which the surroundings are asked at once."""
 
 _ACCELERATION_MEMORY = 0.008
 """Time constant [s] of the acceleration that the law's peak velocity is reckoned from: that of the
@@ -134,7 +127,7 @@ class PlantRig:
         self._made = self._reckoned = 0
         self._ahead: deque[list[float]] = deque()
         self._rng = np.random.default_rng(self._settings.seed)
-        self._noise = np.empty((2, _CHUNK))
+        self._noise = np.empty((2, CHUNK))
         self._heat = 0.0
         self.motion: PlantMotion | None = None
         """Of the last block."""
@@ -175,17 +168,17 @@ class PlantRig:
     def _moved_next(self) -> list[float]:
         """What comes from outside in the steps of the next sample."""
         if not self._ahead:
-            steps = self._reckoned + np.arange(_AT_ONCE * self._substeps, dtype=np.float64)
+            steps = self._reckoned + np.arange(CHUNK * self._substeps, dtype=np.float64)
             self._reckoned += steps.size
-            inputs = self._surroundings.at(steps * self._step).reshape(_AT_ONCE, self._substeps)
+            inputs = self._surroundings.at(steps * self._step).reshape(CHUNK, self._substeps)
             self._ahead.extend(inputs.tolist())
         return self._ahead.popleft()
 
     def _next_sample(self, supplied: float, moved: list[float]) -> tuple[float, ...]:
         """Displacement, measured force, temperature; true force, velocity, coil."""
-        place = self._made % _CHUNK
+        place = self._made % CHUNK
         if place == 0:
-            self._noise = self._rng.standard_normal((2, _CHUNK))
+            self._noise = self._rng.standard_normal((2, CHUNK))
         heat = 0.0
         for each in moved:
             now = self._plant.damper
@@ -220,9 +213,9 @@ class PlantRig:
     def _warm(self, heat: float) -> None:
         """Take the heat [J] of a sample."""
         self._heat += heat
-        if self._made % _CHUNK == 0:
+        if self._made % CHUNK == 0:
             if self._thermal is not None:
-                duration = _CHUNK * self._settings.period
+                duration = CHUNK * self._settings.period
                 self._celsius = self._thermal.after(self._celsius, self._heat / duration, duration)
             self._heat = 0.0
 

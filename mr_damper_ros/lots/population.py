@@ -37,7 +37,7 @@ _POOR = 1.5
 _OWN_ERRORS = 3.0
 """A damper stands out only by more than so many of its own standard errors."""
 
-_TO_SIGMA = 1.4826
+_TO_SIGMA = 1.0 / NormalDist().inv_cdf(0.75)
 """From the median absolute deviation to the standard deviation, for a normal distribution."""
 
 _PHASES = 64
@@ -45,9 +45,6 @@ _PHASES = 64
 
 _EDGE = 0.02
 """A damper identified up to nearly a point, to this part, counts there."""
-
-_AMPLITUDE = 0.01
-"""Amplitude [m] of that cycle; at one peak velocity, the force hardly depends on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +91,10 @@ class KnownDamper:
 
 @lru_cache(maxsize=64)
 def _cycle(peak_velocity: float, current: float) -> Window:
+    amplitude = 0.01  # [m]; at one peak velocity, the force hardly depends on it
     phase = 2.0 * math.pi * (np.arange(_PHASES) + 0.5) / _PHASES
-    period = 2.0 * math.pi * _AMPLITUDE / (peak_velocity * _PHASES)
-    return Window.from_samples(_AMPLITUDE * np.sin(phase), np.zeros(_PHASES), current, period)
+    period = 2.0 * math.pi * amplitude / (peak_velocity * _PHASES)
+    return Window.from_samples(amplitude * np.sin(phase), np.zeros(_PHASES), current, period)
 
 
 @dataclass(frozen=True, eq=False)

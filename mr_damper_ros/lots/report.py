@@ -17,6 +17,7 @@ from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.report.document import (
     GREY,
     INK,
+    WIDTH,
     Block,
     Chapter,
     Picture,
@@ -32,10 +33,6 @@ Row = Mapping[str, Any]
 
 _MOST_SHOWN = 100
 """Rows of a table on the page; the files hold all."""
-
-_WIDTH = 6.8
-_ROW_HEIGHT = 0.42
-"""Inches that a quantity takes in the figure of the spread."""
 
 
 def write_csv(rows: Sequence[Row], path: Path) -> None:
@@ -130,7 +127,7 @@ def _forces(population: Population) -> list[Block]:
 
 def _spread_figure(population: Population) -> Picture:
     spreads = [spread for spread in population.forces if spread.known.size]
-    figure, axes = panels(1, 1, _WIDTH, 0.9 + _ROW_HEIGHT * len(spreads))
+    figure, axes = panels(1, 1, WIDTH, 0.9 + 0.42 * len(spreads))
     axis = axes[0, 0]
     rng = np.random.default_rng(0)
     named = {outlier.damper for outlier in population.outliers}
@@ -190,7 +187,7 @@ def _fits(population: Population) -> list[Block]:
     if not population.dampers:
         return [Text("No damper was identified.")]
     nrmse = 100.0 * np.array([damper.nrmse for damper in population.dampers])
-    figure, axes = panels(1, 1, _WIDTH, 2.4)
+    figure, axes = panels(1, 1, WIDTH, 2.4)
     axes[0, 0].hist(nrmse, bins=min(40, max(5, nrmse.size // 5)), color=GREY)
     axes[0, 0].set_xlabel("NRMSE [%]")
     axes[0, 0].set_ylabel("dampers")

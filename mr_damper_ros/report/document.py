@@ -23,6 +23,9 @@ DASHES: tuple[Any, ...] = ("-", "--", (0, (1, 1)), "-.", (0, (6, 1, 1, 1, 1, 1))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 GREY = "0.62"
 
+WIDTH = 6.8
+"""Inches of a figure on a page."""
+
 _SETTINGS = {
     "font.size": 8.5,
     "axes.titlesize": 8.5,
@@ -237,16 +240,6 @@ def _block(folder: Path, block: Block) -> str:
     )
 
 
-_WIDE = 12
-"""A table of more columns is set smaller in print."""
-
-_SHORT = 27
-"""Characters below which the text of a cell stays on a line."""
-
-_LONG = 40
-"""A table of more rows may go over pages."""
-
-
 def _table(table: Table) -> str:
     numbers = [_numeric(column[0]) for column in zip(*table.rows, strict=True)]
     head = "".join(
@@ -256,11 +249,12 @@ def _table(table: Table) -> str:
     rows = []
     for row in table.rows:
         cells = "".join(
-            f"<td{_classes(number=number, short=len(text) < _SHORT)}>{html.escape(text)}</td>"
+            f"<td{_classes(number=number, short=len(text) < 27)}>{html.escape(text)}</td>"
             for text, number in zip(map(shown, row), numbers, strict=True)
         )
         rows.append(f"<tr>{cells}</tr>")
-    kind = _classes(table=True, wide=len(table.columns) > _WIDE, long=len(table.rows) > _LONG)
+    # In print, a wide table is set smaller, and a long one may go over pages.
+    kind = _classes(table=True, wide=len(table.columns) > 12, long=len(table.rows) > 40)
     return (
         f'<div{kind}><p class="caption">{html.escape(table.caption)}</p>'
         f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"

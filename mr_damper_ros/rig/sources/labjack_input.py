@@ -11,7 +11,6 @@ import numpy as np
 
 from mr_damper_ros.rig.sources.analog_input import IDLE, AnalogChannels, Connect, Readings
 
-_READS_PER_SECOND = 50
 _SINGLE_ENDED = 199
 """What LJM calls the ground as the negative input of a channel."""
 
@@ -56,7 +55,7 @@ class _LabjackStream:
             if unknown in addresses:
                 name = channels.names[addresses.index(unknown)]
                 raise OSError(f"it has no channel {name}: they are AIN0, AIN1 and so on")
-            scans = max(round(channels.rate / _READS_PER_SECOND), 1)
+            scans = max(round(channels.rate / 50.0), 1)
             self._rate = float(
                 ljm.eStreamStart(self._handle, scans, self._count, addresses, channels.rate)
             )

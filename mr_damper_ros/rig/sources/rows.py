@@ -16,8 +16,6 @@ from mr_damper_ros.rig.blocks import Measured
 
 _COUNT = re.compile(r"count(?::(?P<bits>\d+))?")
 _BITS = (8, 16, 32, 64)
-_LONGEST = 2.0**31
-"""Seconds: no clock shows more that stamps can hold."""
 
 
 class Row(NamedTuple):
@@ -60,7 +58,7 @@ class RowFormat:
             return None
         time = found.pop("time", None)
         measured = Measured(**found)
-        if not measured.possible or (time is not None and not 0.0 <= time < _LONGEST):
+        if not measured.possible or (time is not None and not 0.0 <= time < 2.0**31):
             return None
         return Row(measured, number, time)
 
@@ -121,8 +119,6 @@ def _whole(cell: float | bytes) -> int:
 _LONGEST_LINE = 1024
 """Bytes; what is longer is no line of numbers."""
 
-_SHOWN = 40
-
 _LAYOUT = re.compile(r"[<>](?:\d*x|[bBhHiIqQefd])+")
 _SURE = 3
 """Records in a row that must fit before a stream that was out of step is believed."""
@@ -144,7 +140,7 @@ class RowDecoder(ABC):
         """The rows that are complete now; None for each that was there and cannot be read."""
 
     def _unreadable(self, data: bytes) -> None:
-        shown = data[:_SHOWN].decode("ascii", "replace")
+        shown = data[:40].decode("ascii", "replace")
         self.example = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in shown)
 
 

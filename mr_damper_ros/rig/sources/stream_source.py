@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from mr_damper_ros.rig.sources.row_times import RowTimes, TimedSample
     from mr_damper_ros.rig.sources.rows import RowDecoder, RowFormat
 
-_RATES = (1.0, 1e5)
-
 _MANY = 0.05
 """Part of the rows that cannot be read which is told."""
 
@@ -82,7 +80,7 @@ class StreamOptions(ParameterTable):
             return f"stream: {error}"
         if form.time_unit is None and math.isnan(self.rate):
             return "stream.columns hold no time: give stream.rate, the samples per second"
-        if not (math.isnan(self.rate) or _RATES[0] <= self.rate <= _RATES[1]):
+        if not (math.isnan(self.rate) or 1.0 <= self.rate <= 1e5):
             return f"stream.rate is {self.rate:g} Hz: it must be from 1 to 100000 Hz"
         if form.time_unit is not None and not math.isnan(self.rate):
             return "stream.columns hold the time, and stream.rate is given, too: leave one out"

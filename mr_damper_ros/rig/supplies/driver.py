@@ -12,11 +12,9 @@ from mr_damper_ros.rig.commander import CurrentCommander
 from mr_damper_ros.rig.supplies.scpi_link import LinkLostError
 from mr_damper_ros.rig.supplies.supply import ScpiSupply, SupplyError
 
-_ASK_FOR_ERRORS = 1.0
-"""Seconds between two looks into the instrument's queue of errors."""
-
 _SETTLING = 1.0
-"""Seconds that a coil and a supply may take to reach a new current."""
+"""Seconds that a coil and a supply may take to reach a new current, and between two looks into the
+instrument's queue of errors."""
 
 
 @dataclass
@@ -73,7 +71,7 @@ class SupplyDriver:
 
     def check(self, now: float) -> None:
         """Read one of the instrument's complaints, now and then, and while there are more."""
-        if now - self._asked < _ASK_FOR_ERRORS:
+        if now - self._asked < _SETTLING:
             return
         complaint = self._supply.next_error()
         if complaint:

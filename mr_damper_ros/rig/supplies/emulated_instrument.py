@@ -14,9 +14,6 @@ from collections.abc import Callable
 
 from mr_damper_ros.rig.supplies.scpi_link import LinkLostError
 
-_QUEUE = 10
-"""Errors that wait; the last place then says that there were more."""
-
 _YES = {"ON": True, "1": True, "OFF": False, "0": False}
 
 
@@ -115,7 +112,7 @@ class EmulatedInstrument:
             self._delay = value
 
     def _complain(self, error: str) -> None:
-        if len(self._errors) >= _QUEUE:
+        if len(self._errors) >= 10:  # the last place says that there were more
             self._errors[-1] = '-350,"Queue overflow"'
         else:
             self._errors.append(error)

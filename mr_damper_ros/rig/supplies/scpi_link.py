@@ -13,9 +13,6 @@ _PORT = 5025
 
 _LONGEST_ANSWER = 4096
 
-_LOOK = 0.05
-"""Seconds after which somebody who waits looks whether there is still time."""
-
 
 class LinkLostError(OSError):
     """The instrument does not answer, or cannot be reached; the message is a sentence."""
@@ -82,7 +79,7 @@ class SocketLink:
         self.write(line)
         while b"\n" not in self._rest:
             try:
-                self._socket.settimeout(min(self._left(asked), _LOOK))
+                self._socket.settimeout(min(self._left(asked), 0.05))
                 part = self._socket.recv(_LONGEST_ANSWER)
             except TimeoutError:
                 continue
