@@ -11,7 +11,7 @@ TESTED := pytest -n 2 --dist worksteal
 PROGRAMS := install/mr_damper_ros/lib/mr_damper_ros
 STYLED := mr_damper_ros studies test scripts setup.py $(wildcard launch benchmarks doc examples)
 
-.PHONY: help setup demo live thesis control truth doc bench soak test test-noble test-wheel lint format clean distclean
+.PHONY: help setup demo live thesis control truth config doc bench soak test test-noble test-wheel lint format clean distclean
 
 help: ## List the targets
 	@sed -nE 's/^([a-z-]+):[^#]*## (.*)/\1|\2/p' Makefile | while IFS='|' read -r name text; do
@@ -40,6 +40,10 @@ control: setup ## Compare controllers of the damper in car and buildings: build/
 truth: setup ## Judge every force law on recordings and a benchmark: build/truth/report.html
 	@. ./env.bash
 	exec python -m studies truth $(ARGS)
+
+config: setup ## Write config/*.yaml from the options of the nodes
+	@. ./env.bash
+	python -m scripts.write_config
 
 doc: ## Build the documentation into build/doc/index.html; warnings are errors
 	@scripts/setup.bash doc

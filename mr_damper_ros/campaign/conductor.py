@@ -63,8 +63,9 @@ class ConductSettings(CheckedSettings):
 
     manual: bool = option(
         False,
-        "A person sets the press and the supply: nothing is commanded, the node says what to set, "
-        "and takes the samples once they are as wanted. The current stays the same within a run.",
+        "A person sets the press and the supply: nothing is commanded; the log, the diagnostics "
+        "and the feedback of the action say what to set, and the samples are taken once they are "
+        "as wanted. The current stays the same within a run.",
     )
     rest_time: float = option(
         0.0,

@@ -43,16 +43,16 @@ class DriveSettings(CheckedSettings):
 
     settle_timeout: float = option(
         60.0,
-        "Longest time [s] until the machine moves steadily as commanded, besides ten cycles of "
-        "a sine or ten times the length of another motion; a machine that is set by hand is waited "
-        "for without end.",
+        "Longest time [s] until the machine moves steadily as commanded, besides ten cycles of a "
+        "sine or ten times the length of another motion; then the campaign ends and says what is "
+        "wrong. A press that is set by hand is waited for without end.",
         minimum=1.0,
         maximum=3600.0,
     )
     amplitude_tolerance: float = option(
         0.1,
-        "How far amplitude and frequency may be off those commanded, relative; the samples are "
-        "used as they were measured.",
+        "How far amplitude and frequency may be off those commanded, relative. The samples are "
+        "used as they were measured, whatever was commanded.",
         minimum=0.001,
         maximum=0.3,
     )

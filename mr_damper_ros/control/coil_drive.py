@@ -19,7 +19,11 @@ class SupplyLimits(CheckedSettings):
     """What may be asked of the supply."""
 
     lowest_current: float = option(
-        0.0, "Lowest current [A] that is commanded.", minimum=-10.0, maximum=10.0
+        0.0,
+        "The lowest current that is commanded [A], within those that the parameters were "
+        "identified at.",
+        minimum=-10.0,
+        maximum=10.0,
     )
     highest_current: float = option(
         2.0,

@@ -22,8 +22,9 @@ class FallbackSettings(CheckedSettings):
 
     safe_current: float = option(
         0.0,
-        "Current [A] that is commanded where nothing can be relied on; within the range of "
-        "currents that the parameters were identified at, else control never begins.",
+        "What is commanded where nothing can be relied on [A], also when the node ends. It must "
+        "lie within the range of currents that the parameters were identified at: the force at a "
+        "current outside of it is not valid, so that control would never begin.",
         minimum=-10.0,
         maximum=10.0,
     )

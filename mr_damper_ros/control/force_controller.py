@@ -50,24 +50,26 @@ class ForceControlSettings(SupplyLimits):
     )
     horizon: float = option(
         0.01,
-        "Time [s] in which a lagging coil should have the current; at least a block. Shorter "
-        "follows faster, and asks more of the supply.",
+        "Time in which a lagging coil should have its current [s]; at least a block. The lag is "
+        "coil_time_constant of the parameters. Shorter follows faster and asks more of the supply.",
         minimum=0.0001,
         maximum=1.0,
     )
     force_deadband: float = option(
         5.0,
-        "The current stays as long as another would bring the force closer by no more than this "
-        "[N].",
+        "Against chatter: the current stays as long as another would bring the force closer by no "
+        "more than this [N].",
         minimum=0.0,
         maximum=1e6,
     )
     probe_step: float = option(
         0.0,
         "Where a desired force needs a current beyond those that the damper was identified at, the "
-        "controller tries so much more [A], and as much again while the measured force confirms "
-        "the predicted one; up to highest_current. 0: it stays within the identified currents. A "
-        "rig without a load cell (maximum_error 0) cannot.",
+        "diagnostics say so. With a step [A] here the controller then tries so much more, and as "
+        "much again with every second in which it was needed and the measured force confirmed the "
+        "predicted one, up to highest_current; once that is wrong it goes back to what was "
+        "identified for half a minute. 0: it stays within the identified currents. It needs a load "
+        "cell (maximum_error).",
         minimum=0.0,
         maximum=1.0,
     )

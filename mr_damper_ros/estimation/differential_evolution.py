@@ -29,12 +29,30 @@ class EvolutionSettings(CheckedSettings):
     """
 
     strategy: str = option(
-        "rand1bin", "How differential evolution makes new individuals.", choices=STRATEGIES
+        "rand1bin",
+        "rand1bin, best1bin, currenttobest1bin or rand2bin, in SciPy's words: how a new individual "
+        "is made from others.",
+        choices=STRATEGIES,
     )
-    mutation: float = option(0.8, "Differential weight F.", minimum=0.01, maximum=1.99)
-    recombination: float = option(0.8, "Crossover probability CR.", minimum=0.0, maximum=1.0)
-    generations: int = option(500, "At most so many generations.", minimum=1, maximum=1_000_000)
-    population: int = option(15, "Individuals per unknown.", minimum=5, maximum=1000)
+    mutation: float = option(
+        0.8,
+        "Differential weight F, between 0 and 2: the length of the steps.",
+        minimum=0.01,
+        maximum=1.99,
+    )
+    recombination: float = option(
+        0.8,
+        "Crossover probability CR, 0 to 1: how much of an individual is exchanged at once.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    generations: int = option(
+        500,
+        "Generations at most; the search ends earlier where the population has converged.",
+        minimum=1,
+        maximum=1_000_000,
+    )
+    population: int = option(15, "Individuals per unknown parameter.", minimum=5, maximum=1000)
     seed: int = option(
         0,
         "Seed of the random numbers: the same seed and data give the same result.",

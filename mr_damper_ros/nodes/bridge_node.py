@@ -30,23 +30,33 @@ _MIRROR = "joint_states"
 
 @dataclass(frozen=True)
 class BridgeParameters(ParameterTable):
-    """Parameters of the bridge node."""
+    """Parameters of the bridge node.
+
+    It publishes displacement and force of the test machine on mts/samples, the supply's current on
+    supply/current, the temperature (where it is known) on temperature, and a thinned-out mirror of
+    the samples on joint_states. The first sample is stamped with the time of activation; from there
+    on stamps follow the clock of the samples, whatever stamps a recording has.
+    """
 
     source: str = option(
         "emulated",
-        "Where the samples come from: an emulated rig, a bag, a record file, a serial line or the "
-        "network (stream), a data acquisition device (daq), topics of other nodes.",
+        "Where the samples come from: emulated (an emulated rig), bag (a recorded bag), record (a "
+        "text, CSV or MAT file), stream (a serial line, TCP, UDP), daq (a data acquisition device) "
+        "or topics (of other nodes).",
         choices=tuple(ALL_SOURCES),
         read_only=True,
     )
     autostart: bool = option(
         True,
-        "Configure and activate at the start; false leaves both to a lifecycle manager.",
+        "Configure and activate at the start. With false, a lifecycle manager or `ros2 lifecycle "
+        "set` does both: configuring opens the source, activating streams from its beginning.",
         start_only=True,
     )
     rate: float = option(
         1.0,
-        "Speed relative to the data's time; 0 streams as fast as the subscribers take it.",
+        "Speed relative to the data's time: 2.0 is twice as fast. 0.0 streams as fast as those "
+        "subscribers can take it that keep all messages, as the identifier does; others may lose "
+        "some.",
         minimum=0.0,
         maximum=1000.0,
         read_only=True,
@@ -59,21 +69,24 @@ class BridgeParameters(ParameterTable):
     )
     block_size: int = option(
         10,
-        "Samples per message; 1 has the least delay, more cost less.",
+        "Samples per message. 1 has the least delay; a message costs about the same with 1 or 1000 "
+        "samples, so more samples cost less.",
         minimum=1,
         maximum=MOST_SAMPLES,
         read_only=True,
     )
     current_rate: float = option(
         10.0,
-        "Readings of the supply current per second [Hz]; where it steps, there is one more.",
+        "Readings of the supply current per second [Hz], of the data's time. There is an extra "
+        "reading where the current moves by more than 5 mA in between.",
         minimum=0.01,
         maximum=100_000.0,
         read_only=True,
     )
     mirror_rate: float = option(
         50.0,
-        "Messages per second [Hz] on joint_states, a mirror for standard tools; 0 for none.",
+        "Messages per second [Hz], of the data's time, on joint_states (position: displacement "
+        "[m], effort: force [N], velocity: mean since the message before [m/s]); 0.0 for none.",
         minimum=0.0,
         maximum=100_000.0,
         read_only=True,
@@ -83,15 +96,15 @@ class BridgeParameters(ParameterTable):
     )
     force_lateness: float = option(
         0.0,
-        "Time [s] by which the force is measured later than the displacement, negative for "
-        "earlier; it is set right. check_rig tells it.",
+        "Time [s] by which the force is measured later than the displacement, through a filter or "
+        "a multiplexer; negative for earlier. It is set right. `check_rig` tells it.",
         minimum=-0.1,
         maximum=0.1,
         read_only=True,
     )
     wait_for_subscribers: int = option(
         0,
-        "Number of nodes that must have subscribed before the first sample is sent.",
+        "Number of nodes that must have subscribed to the topics before the first sample is sent.",
         minimum=0,
         maximum=1000,
         read_only=True,

@@ -56,14 +56,18 @@ class MachineOptions(ParameterTable):
     peak_velocity: float = option(0.2, "Largest peak velocity [m/s].", minimum=1e-5, maximum=10.0)
     force: float = option(
         2000.0,
-        "Largest force [N] of either sign: no run is planned that may exceed it, and where a "
-        "sample does, the campaign ends and the machine rests.",
+        "Largest force [N] of either sign. No run is planned that may exceed it, as far as the "
+        "damper is known; where a sample exceeds it, the campaign ends and the machine rests.",
         minimum=1.0,
         maximum=1e6,
     )
     current: float = option(1.5, "Largest current [A].", minimum=0.0, maximum=50.0)
     duration: float = option(
-        4.0, "Time [s] of a run, once it is steady.", minimum=0.1, maximum=3600.0
+        4.0,
+        "Time [s] of a run, once it is steady. Besides, the motion grows and fades within two "
+        "cycles each, and two are looked at.",
+        minimum=0.1,
+        maximum=3600.0,
     )
     heat: float = option(
         0.0, "Heat [J] that a run may bring in; 0: as much as it does.", minimum=0.0, maximum=1e9
@@ -108,12 +112,21 @@ class MachineOptions(ParameterTable):
 
 @dataclass(frozen=True)
 class CampaignParameters(ParameterTable):
-    """Parameters of the campaign node."""
+    """Parameters of the campaign node.
+
+    A goal of the action ~/run_campaign begins, or goes on. It commands the machine
+    (rig/excitation_command) and the supply (supply/current_command), waits until both do what is
+    commanded, keeps the samples of the run as a bag, identifies from all runs and chooses the next,
+    until the force is known as well as wanted. ~/pause lets the machine rest, ~/resume goes on,
+    ~/stop ends the campaign. It may be killed at any moment: the same goal goes on with the runs
+    that are kept.
+    """
 
     folder: str = option(
         "",
-        "Folder of the campaign: its runs as bags, what was found, and the report. One that holds "
-        "an unfinished campaign of the same goal goes on. Empty: no goal is accepted.",
+        "Folder of the campaign: its runs as bags, what was found after each, the last set "
+        "(set.yaml) and the report (campaign.html). One that holds an unfinished campaign of the "
+        'same goal goes on. "": no goal is accepted.',
         read_only=True,
     )
     autostart: bool = option(

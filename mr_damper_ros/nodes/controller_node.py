@@ -48,19 +48,30 @@ _DEMANDS = 1
 
 @dataclass(frozen=True)
 class ControllerParameters(ParameterTable):
-    """Parameters of the controller node."""
+    """Parameters of the controller node.
+
+    For every block on mts/samples it publishes the current that brings the desired force
+    (damper/desired_force) nearest, on supply/current_command, by the newest parameters. Where the
+    model would mark its force as not valid the current stays for a moment, then goes to the safe
+    current; where the desired force is too old it goes there at once, and without samples it is
+    commanded at once. The diagnostics say why.
+    """
 
     parameter_file: str = option(
         "",
-        "Parameter file (YAML) to control with until an identifier publishes a set that holds for "
-        "all its currents, or its force is wrong; empty for none.",
+        'Parameter file (YAML) to control with; "" for none. An identifier\'s set takes its place '
+        "once it holds for all the currents that the file states, or once the force of the file is "
+        "wrong; a mere start of an identifier never does. Give the identifier the same file as "
+        "initial_parameters, and it starts from there. With a file no identifier is needed.",
         read_only=True,
     )
     trusted_source: str = option(
         "",
-        "Name of the one node whose parameters and reports are used, such as /identifier, by the "
-        "graph of nodes; empty: any, but several that publish damper/parameters are an error. "
-        "Names can be forged: only SROS2 authenticates.",
+        'Name of the one node whose parameters and reports are used, such as /identifier; "" for '
+        "any. Two nodes that publish damper/parameters are an error in the diagnostics unless one "
+        "is named here. The graph of nodes tells who publishes. Where several do, the field node "
+        "of the messages counts as well. Both can be forged: only SROS2 authenticates "
+        "(doc/security.md).",
         read_only=True,
     )
     samples_timeout: float = option(

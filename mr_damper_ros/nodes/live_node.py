@@ -33,17 +33,22 @@ _LOOK = 0.1
 
 @dataclass(frozen=True)
 class LiveParameters(ParameterTable):
-    """Parameters of the live node."""
+    """Parameters of the live node.
+
+    It serves a page that shows the running system of its namespace, from damper/signals,
+    damper/fit_report, damper/parameters, damper/fluid_temperature and /diagnostics.
+    """
 
     host: str = option(
         "127.0.0.1",
-        "Address to serve the page at: 127.0.0.1 for this computer alone; 0.0.0.0 for everybody "
-        "who reaches it, unencrypted and without a password.",
+        "Address to serve the page at. 127.0.0.1: for this computer alone; others come through a "
+        "tunnel (ssh -L 8770:127.0.0.1:8770 RIG). 0.0.0.0: for everybody who reaches this "
+        "computer, unencrypted and without a password.",
         read_only=True,
     )
     port: int = option(
         8770,
-        "Port of the page; 0 takes any that is free.",
+        "Port of the page; 0 takes any that is free. The node says at its start where the page is.",
         minimum=0,
         maximum=65535,
         read_only=True,
@@ -56,12 +61,17 @@ class LiveParameters(ParameterTable):
     )
     allowed_hosts: str = option(
         "",
-        "Other names and addresses under which browsers may ask for the page, separated by blanks; "
-        "localhost, this computer's name and its addresses always may.",
+        "Other names and addresses under which browsers may ask for the page, separated by blanks: "
+        "rig.example 192.168.7.20. Localhost, this computer's host name (also with .local) and the "
+        "address that a request comes to are always allowed; any other name is refused, since a "
+        "web site can make a name of its own point to this computer. Needed behind a proxy or "
+        "address translation.",
         read_only=True,
     )
     identifier: str = option(
-        "identifier", "Name of the node that these commands go to.", read_only=True
+        "identifier",
+        "Name of the node that these commands go to, in the namespace of this one.",
+        read_only=True,
     )
 
 

@@ -38,27 +38,37 @@ _POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
 
 @dataclass(frozen=True)
 class ModelParameters(ParameterTable):
-    """Parameters of the model node."""
+    """Parameters of the model node.
+
+    For every block on mts/samples it publishes the predicted force on damper/predicted_force, from
+    the displacement, the supply current and the newest parameters. A force that should not be
+    relied on is marked ``valid: false``, with the reason in words.
+    """
 
     parameter_file: str = option(
         "",
-        "Parameter file (YAML) to predict with until an identifier publishes a set that holds for "
-        "all its currents, or its force is wrong; empty for none.",
+        'Parameter file (YAML) to predict with; "" for none. An identifier\'s set takes its place '
+        "once it holds for all the currents that the file states, or once the force of the file is "
+        "wrong; a mere start of an identifier never does. Give the identifier the same file as "
+        "initial_parameters, and it starts from there. With a file no identifier is needed.",
         read_only=True,
     )
     predictor: PredictorSettings = group(PredictorSettings, flat=True, read_only=True)
     newest_first: bool = option(
         True,
         "Where the samples of a running machine come so late that their forces would soon be too "
-        "old (max_age), go straight to the newest: the blocks before them are only followed, and "
-        "no force is published for them. What is recorded is predicted block by block.",
+        "old (max_age), go straight to the newest: the blocks before them are only followed, no "
+        "force is published for them, and the diagnostics count them (`latency`). A recording that "
+        "is played is predicted block by block in any case.",
         read_only=True,
     )
     trusted_source: str = option(
         "",
-        "Name of the one node whose parameters and reports are used, such as /identifier, by the "
-        "graph of nodes; empty: any, but several that publish damper/parameters are an error. "
-        "Names can be forged: only SROS2 authenticates.",
+        'Name of the one node whose parameters and reports are used, such as /identifier; "" for '
+        "any. Two nodes that publish damper/parameters are an error in the diagnostics unless one "
+        "is named here. The graph of nodes tells who publishes. Where several do, the field node "
+        "of the messages counts as well. Both can be forged: only SROS2 authenticates "
+        "(doc/security.md).",
         read_only=True,
     )
     grid: GridSettings = group(GridSettings, flat=True, read_only=True)
@@ -71,23 +81,25 @@ class ModelParameters(ParameterTable):
     )
     wrench_rate: float = option(
         50.0,
-        "At most so many messages a second of data on damper/predicted_wrench, a mirror of the "
-        "valid predictions for standard tools; 0 for none.",
+        "Messages at most per second of data on damper/predicted_wrench "
+        "(geometry_msgs/WrenchStamped), a mirror for standard tools: the last sample of each valid "
+        "block; 0 for none.",
         minimum=0.0,
         maximum=10_000.0,
         read_only=True,
     )
     signals_rate: float = option(
         100.0,
-        "At most so many messages a second of data on damper/signals: displacement, velocity, "
-        "current, measured and predicted force at one stamp, for plotting tools and the page of "
-        "live; 0 for none.",
+        "Messages at most per second of data on damper/signals (DamperSignals): displacement, "
+        "velocity, current, measured and predicted force at one stamp, for plotting tools and for "
+        "the page of the node live; 0 for none. Raise it for motion that is faster than some "
+        "hertz.",
         minimum=0.0,
         maximum=10_000.0,
         read_only=True,
     )
     frame_id: str = option(
-        "damper", "Frame of the published forces, x along the rod.", read_only=True
+        "damper", "Frame of the published forces, x along the damper's rod.", read_only=True
     )
 
 

@@ -22,7 +22,13 @@ _CLOCK_PERIOD_NS = 10_000_000
 
 @dataclass(frozen=True)
 class ReplayParameters(ParameterTable):
-    """Parameters of the replay node."""
+    """Parameters of the replay node.
+
+    It publishes the messages of a bag, unchanged, on the topics they were recorded from (on others
+    by the usual remapping, ``-r /mts/samples:=/left/mts/samples``), and the bag's time on /clock.
+    It ends when all subscribers have received the last message. The services ~/pause, ~/resume and
+    ~/step steer it.
+    """
 
     bag: str = option("", "Path of the bag to play: a folder, or a single file.", read_only=True)
     topics: str = option(
@@ -33,24 +39,29 @@ class ReplayParameters(ParameterTable):
     )
     rate: float = option(
         1.0,
-        "Speed relative to the recording; 0 plays as fast as the subscribers take it.",
+        "Speed relative to the recording: 2.0 is twice as fast. 0.0 plays as fast as those "
+        "subscribers can take it that keep all messages, as the identifier does; others may lose "
+        "some.",
         minimum=0.0,
         maximum=1000.0,
         read_only=True,
     )
     loop: bool = option(
         False,
-        "Start again at the end, for ever. Stamps and /clock then jump back to the beginning.",
+        "Start again at the end, for ever. Stamps and /clock then jump back to the beginning, "
+        "which identifier and model notice: they start their windows again and keep the "
+        "parameters.",
         read_only=True,
     )
     start_paused: bool = option(
         False,
-        "Wait at the first message for the services ~/resume or ~/step.",
+        "Wait at the first message for ~/resume, or for ~/step, which lets one message pass.",
         read_only=True,
     )
     wait_for_subscribers: int = option(
         1,
-        "Number of nodes that must have subscribed to the topics before the first message is sent.",
+        "Number of nodes that must have subscribed to the topics before the first message is sent, "
+        "so that they miss nothing of the beginning.",
         minimum=0,
         maximum=1000,
         read_only=True,

@@ -35,29 +35,39 @@ _NOT_OFF = "the output may still be on: the node goes on trying to switch it off
 
 @dataclass(frozen=True)
 class SupplyParameters(ParameterTable):
-    """Parameters of the supply node."""
+    """Parameters of the supply node.
+
+    It takes stamped commands on supply/current_command, sets the instrument, and publishes the
+    current that the instrument measures on supply/current. The output is off whenever the node is
+    not active, and after SIGINT and SIGTERM.
+    """
 
     address: str = option(
         _EMULATED,
-        "Where the instrument is: host:port, a VISA resource name such as "
-        "USB0::0x2A8D::0x1202::MY1::INSTR (with PyVISA), or emulated.",
+        "Where the instrument is: host:port (5025 for most), a VISA resource name such as "
+        "USB0::0x2A8D::0x1202::MY1::INSTR (needs PyVISA), or emulated, an instrument in this "
+        "process.",
         read_only=True,
     )
     profile: str = option(
         "",
-        "What the instrument understands: a profile of the package (scpi, keysight_n7900) or the "
-        "path of a YAML file; empty for scpi, or that of the emulated one.",
+        "What the instrument understands: scpi (most bench supplies), keysight_n7900, or the path "
+        "of a YAML file of your own (doc/supply.md). Empty for scpi, or that of the emulated "
+        "instrument.",
         read_only=True,
     )
     autostart: bool = option(
         True,
-        "Configure and activate at the start; false leaves both to a lifecycle manager.",
+        "Configure and activate at the start. With false, a lifecycle manager or `ros2 lifecycle "
+        "set` does both: configuring connects, activating switches the output on.",
         start_only=True,
     )
     current: float = option(
         0.0,
-        "Current [A] that is set by hand. It may be set while the node works, and holds until a "
-        "command comes or the output is switched off; then it is to be set again.",
+        "Current [A] that is set by hand, between smallest_current and largest_current. It may be "
+        "set while the node works, and holds until a command comes or the output is switched off: "
+        "`ros2 param set /supply current 0.5`. Commands that have stopped, and activating the node "
+        "again, do not bring it back: set it again, also where it is to be the same.",
         minimum=-1000.0,
         maximum=1000.0,
     )
@@ -78,14 +88,17 @@ class SupplyParameters(ParameterTable):
     )
     tolerance: float = option(
         0.05,
-        "Difference [A] between measured and set current that is reported where it lasts.",
+        "Difference [A] between measured and set current that is an error where it lasts for a "
+        "second.",
         minimum=0.0,
         maximum=1000.0,
         read_only=True,
     )
     link_timeout: float = option(
         0.5,
-        "Time [s] in which the whole of an answer must come; then the link counts as lost.",
+        "Time [s] in which the whole of an answer must come, be it byte by byte. Then the link "
+        "counts as lost: the node is inactive at once, and switches the output off over a new "
+        "link.",
         minimum=0.01,
         maximum=60.0,
         read_only=True,

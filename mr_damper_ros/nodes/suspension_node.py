@@ -33,7 +33,11 @@ _MOTIONS = 1
 
 @dataclass(frozen=True)
 class SuspensionParameters(ParameterTable):
-    """Parameters of the suspension node."""
+    """Parameters of the suspension node.
+
+    For every motion on suspension/motion it publishes the force that the damper should have, on
+    damper/desired_force. The node ``controller`` commands the current for it.
+    """
 
     control: SuspensionSettings = group(SuspensionSettings, flat=True, read_only=True)
     largest_force: float = option(

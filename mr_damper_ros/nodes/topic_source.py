@@ -44,18 +44,23 @@ class TopicOptions(ParameterTable):
 
     displacement_topic: str = option("", "Topic with the displacement.", read_only=True)
     displacement_type: str = option(
-        "sensor_msgs/JointState", "Type of its messages, which must have a header.", read_only=True
+        "sensor_msgs/JointState",
+        "Type of its messages; they must have a header, whose stamp is the time of the value.",
+        read_only=True,
     )
     displacement_field: str = option(
         "position[0]",
-        "Where in a message it is: names with dots in between, and in brackets the number of an "
-        "element, or in a joint state the name of a joint.",
+        "Where in a message it is: names with dots in between, such as wrench.force.x, and in "
+        "brackets the number of an element, or in a joint state the name of a joint, such as "
+        "position[rod].",
         read_only=True,
     )
     displacement_scale: float = option(
         1.0, "Metres per unit of it; negative where compression counts positive.", read_only=True
     )
-    force_topic: str = option("", "Topic with the force; empty: the same.", read_only=True)
+    force_topic: str = option(
+        "", "Topic with the force; empty where it is the same.", read_only=True
+    )
     force_type: str = option("sensor_msgs/JointState", "Type of its messages.", read_only=True)
     force_field: str = option("effort[0]", "Where in a message it is.", read_only=True)
     force_scale: float = option(
@@ -76,7 +81,8 @@ class TopicOptions(ParameterTable):
     )
     hold_back: float = option(
         0.0,
-        "Time [s] that values wait for others which they may have overtaken.",
+        "Time [s] that values wait for others which they may have overtaken. Within one topic of "
+        "ROS they do not overtake each other.",
         minimum=0.0,
         maximum=1.0,
         read_only=True,

@@ -123,7 +123,7 @@ class CommandSettings(CheckedSettings):
 
     largest_current: float = option(
         2.0,
-        "Largest current [A] that the coil bears: larger commands are cut to it.",
+        "Largest current [A] that the coil bears: larger commands are cut to it, and counted.",
         minimum=0.0,
         maximum=1000.0,
     )
@@ -141,15 +141,15 @@ class CommandSettings(CheckedSettings):
     )
     command_timeout: float = option(
         0.5,
-        "Time [s] that a command holds from its stamp on; after that the current is zero. An "
-        "older command is refused.",
+        "Time [s] that a command holds from its stamp on. When the commands stop, the current is "
+        "zero until another one comes or the current is set by hand. Older commands are refused.",
         minimum=0.01,
         maximum=3600.0,
     )
     stamp_tolerance: float = option(
         STAMP_TOLERANCE,
         "Time [s] that a command may be stamped ahead of this computer's clock; one further ahead "
-        "is refused.",
+        "is refused. Make it larger only where two clocks cannot be set to the same time.",
         minimum=0.0,
         maximum=3600.0,
     )

@@ -198,8 +198,8 @@ class GridSettings(CheckedSettings):
     )
     longest_gap: float = option(
         0.05,
-        "Longest time [s] of lost samples that is bridged; after a longer gap all starts anew. 0: "
-        "none is bridged.",
+        "Lost samples are bridged where they stand for at most this long [s]; after a longer gap "
+        "the motion is learnt anew. 0: none is bridged.",
         minimum=0.0,
         maximum=1.0,
     )

@@ -110,18 +110,25 @@ class AcceptanceSettings(CheckedSettings):
     """Limits that a fit must keep to be accepted."""
 
     maximum_nrmse: float = option(
-        0.5, "Largest RMSE/std of the force on held-back samples.", minimum=0.0, maximum=10.0
+        0.5,
+        "Largest error on the held-back samples, RMSE / standard deviation of the force: a fit "
+        "worse than this explains too little to be of use.",
+        minimum=0.0,
+        maximum=10.0,
     )
     residual_factor: float = option(
         3.0,
-        "A residual so many times the usual one is taken for a disturbance.",
+        "A residual this many times the usual one is taken for a disturbance or a sensor fault, "
+        "unless it lasts for several windows.",
         minimum=1.0,
         maximum=1e6,
     )
     change_limit: float = option(
         3.0,
-        "Factor, up or down, by which temperature and wear change the force at most; what differs "
-        "more from the first accepted is taken after a reset only.",
+        "Factor, up or down, by which temperature and wear change the force at most. What differs "
+        "more from the first accepted force is not taken however often it comes (verdict "
+        "BEYOND_LIMITS): check the sensors, and call the service reset where the damper is "
+        "another.",
         minimum=1.0,
         maximum=1e6,
     )

@@ -30,20 +30,24 @@ class PipelineSettings(CheckedSettings):
 
     fit_time_budget: float = option(
         30.0,
-        "Time [s] after which the fit of a window is cut, with the best so far.",
+        "A fit that takes longer [s] is stopped, and the best so far is judged like any other. The "
+        "limit is generous, so that the result depends on the data and not on how busy the "
+        "computer is.",
         minimum=0.01,
         maximum=3600.0,
     )
     waiting_windows: int = option(
         1000,
-        "At most so many windows wait for their fit; then the oldest one makes room. 1: the "
-        "newest window replaces the waiting one.",
+        "Windows that may wait for their fit; when there are more, the oldest is dropped and "
+        "counted in the diagnostics. With 1 the newest window replaces the waiting one, which is "
+        "right for a live rig; a large number is right for a bag that is replayed faster than it "
+        "can be fitted. A window takes 32 bytes per sample.",
         minimum=1,
         maximum=1_000_000,
     )
     search_time_budget: float = option(
         600.0,
-        "Time [s] after which a global identification is cut, with the best so far.",
+        "A global identification that takes longer [s] is stopped, and the best so far is judged.",
         minimum=0.01,
         maximum=86_400.0,
     )

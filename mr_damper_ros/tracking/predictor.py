@@ -50,8 +50,10 @@ class PredictorSettings(ValiditySettings):
 
     bandwidth: float = option(
         0.0,
-        "Bandwidth [Hz] of the observer of velocity and acceleration: wider follows faster "
-        "motion, narrower passes less noise. 0: it follows the motion and the noise by itself.",
+        "Bandwidth of the observer that estimates velocity and acceleration from the displacement "
+        "[Hz]. Wider follows faster motion, narrower passes less noise of the displacement sensor. "
+        "0: it follows the motion and the noise by itself. Any other is brought between 0.02 % and "
+        "a quarter of the sample rate.",
         minimum=0.0,
         maximum=10_000.0,
     )
@@ -63,7 +65,8 @@ class PredictorSettings(ValiditySettings):
     )
     centre_memory: float = option(
         10.0,
-        "Time [s] over which the centre of the motion is taken; a whole cycle must fit in.",
+        "Time over which the centre of the motion is taken [s]: the law needs the displacement "
+        "from the centre. A whole cycle of the motion must fit in.",
         minimum=0.01,
         maximum=3600.0,
     )

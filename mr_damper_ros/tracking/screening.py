@@ -65,7 +65,11 @@ class Screening(CheckedSettings):
     """Limits that a window must keep to be fitted at all."""
 
     minimum_amplitude: float = option(
-        0.5e-3, "Least half span of the displacement [m] in a window.", minimum=0.0, maximum=1.0
+        0.5e-3,
+        "Least amplitude of the motion [m]: half the span of the displacement. Below it the force "
+        "says little about the damper.",
+        minimum=0.0,
+        maximum=1.0,
     )
     current_tolerance: float = option(
         0.05,

@@ -34,29 +34,45 @@ class TrackerSettings(CheckedSettings):
     )
     smallest_change: float = option(
         0.02,
-        "Relative change of the force between two windows that is worth an early fit.",
+        "Relative change of the force that calls for an early fit (see looks). False alarms come "
+        "hours apart where the force hardly rises above its noise, and practically never "
+        "otherwise.",
         minimum=0.001,
         maximum=1.0,
     )
     tracker: str = option(
         EachWindow.name,
-        "How the damper is followed: by the fit of each window, or by a recursive filter.",
+        "How the damper is followed: window (the fit of each window on its own) or unscented (an "
+        "unscented Kalman filter, which uses every sample once and starts from the fit of a "
+        "window; it follows model sigmoid only).",
         choices=tuple(TRACKERS),
     )
     drift_rate: float = option(
         1e-3,
-        "Random walk of the force [1/sqrt(s)] that the recursive filter reckons with.",
+        "For tracker unscented: the random walk of the force [1/sqrt(s)] that the filter expects, "
+        "relative to the force. Larger follows faster and averages less.",
         minimum=1e-9,
         maximum=1.0,
     )
-    method: str = option("nelder_mead", "How a window is fitted.", choices=WINDOW_METHODS)
+    method: str = option(
+        "nelder_mead",
+        "How a window is fitted: nelder_mead (simplex search, as in the thesis, then a "
+        "least-squares polish) or least_squares (Levenberg-Marquardt alone: the same minimum, "
+        "about five times faster).",
+        choices=WINDOW_METHODS,
+    )
     robust: bool = option(
-        False, "Whether the influence of outliers in the force is bounded (Huber)."
+        False,
+        "Whether the influence of outliers in the force is bounded (Huber's weights). Costs some "
+        "milliseconds per window; without outliers it changes nothing that matters.",
     )
     global_period: int = option(
         20,
-        "A global identification follows every so many windows that fit, the first ones sooner: "
-        "after 1, 2, 3, 4, 6, 9 and so on; 0 for never.",
+        "A global identification runs after this many windows that fit, the first ones sooner "
+        "(after 1, 2, 3, 4, 6, 9 and so on); 0 for never. It needs windows at two operating points "
+        "at least. Windows whose force does not follow the current as the set has it lead to one "
+        "sooner. With model sigmoid_lag it also runs after the first accepted window, since "
+        "without it nothing is known of the lag.",
         minimum=0,
         maximum=1_000_000,
     )

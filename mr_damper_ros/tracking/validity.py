@@ -128,31 +128,34 @@ class ValiditySettings(CheckedSettings):
 
     max_age: float = option(
         0.5,
-        "Age [s] of the samples on the clock of this computer beyond which the force is marked "
-        "invalid. It counts where the stamps are within a minute of that clock, so not for a "
-        "recording that is played. 0: no limit.",
+        "A force for samples older than this [s], by the clock of this computer, is marked "
+        "invalid: the computer is overloaded, or the clocks differ. It counts where the "
+        "stamps are within a minute of the clock, so not for a recording that is played. 0 for no "
+        "limit, for example for the replay at another rate of what was recorded just now.",
         minimum=0.0,
         maximum=3600.0,
     )
     current_timeout: float = option(
         1.0,
-        "Age [s] of the supply current beyond which the force is marked invalid; also how far its "
-        "stamps may be ahead of the samples.",
+        "A force whose supply current is older than this [s] is marked invalid, and one whose "
+        "current is stamped so far ahead of the samples. Set it to a few periods of the current's "
+        "topic.",
         minimum=0.0,
         maximum=3600.0,
     )
     parameters_timeout: float = option(
         600.0,
-        "Time [s] for which no window has confirmed the parameters, beyond which the force is "
-        "marked invalid: a damper that heats may change by a quarter in ten minutes. 0: no limit. "
-        "Those of parameter_file have none either.",
+        "A force is also marked invalid once no window has confirmed the parameters for this long "
+        "[s], by the data's stamps: the identifier has ended, or refuses what it gets. The thesis' "
+        "damper loses a quarter of its force in ten minutes as it heats. 0 for no limit; "
+        "parameters from parameter_file have none.",
         minimum=0.0,
         maximum=1e9,
     )
     velocity_margin: float = option(
         0.25,
-        "Part by which the peak velocity may leave the identified range before the force is "
-        "marked invalid (0.25 = 25 %).",
+        "How far the peak velocity may leave the range in which the parameters were identified "
+        "before the force is marked invalid, relative: 0.25 is 25 %.",
         minimum=0.0,
         maximum=100.0,
     )

@@ -64,33 +64,40 @@ class WindowSettings(CheckedSettings):
 
     window: float = option(
         2.0,
-        "Length of a window [s]; where that holds no cycle of the motion the window grows.",
+        "Length of a window [s]. Longer windows give smaller standard errors and follow a drift "
+        "more slowly. Where it holds no cycle of the motion, which 2 s do from 0.5 Hz on, the "
+        "window reaches further back: to where it does.",
         minimum=0.01,
         maximum=3600.0,
     )
     hop: float = option(
         1.0,
-        "Time [s] from the start of a window to the start of the next, at most the window's "
-        "length.",
+        "Time from the start of one window to the start of the next [s], at most `window`. Half a "
+        "window uses every sample twice.",
         minimum=0.001,
         maximum=3600.0,
     )
     longest_window: float = option(
         30.0,
-        "Length [s] up to which a window grows until it holds a cycle of the motion.",
+        "Length up to which a window grows [s] until it holds a cycle of the motion, as it must be "
+        "held by every fit: 30 s are enough for 0.05 Hz.",
         minimum=0.01,
         maximum=3600.0,
     )
     centre_memory: float = option(
         MEMORY,
-        "Time [s] over which the peak velocity is followed; a whole cycle must fit in. As in the "
-        "model: a set is used at the peak velocities at which it was identified.",
+        "Time over which the peak velocity is followed [s]; a whole cycle of the motion must fit "
+        "in. Keep it equal to `centre_memory` of model and controller: a set is used at the peak "
+        "velocities at which it was identified.",
         minimum=0.01,
         maximum=3600.0,
     )
     looks: int = option(
         3,
-        "Times within a hop that the newest samples are compared with the set in use; 0: never.",
+        "How many times within a hop the newest samples are compared with the set in use. Where "
+        "the force has suddenly changed, by a leak for example, its scale is fitted at once, and "
+        "the windows that follow leave out what came before. 0: never; a change then shows at the "
+        "end of a window.",
         minimum=0,
         maximum=1000,
     )

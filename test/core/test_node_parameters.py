@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,7 +11,6 @@ import yaml
 
 from mr_damper_ros.settings.option_table import (
     CheckedSettings,
-    Option,
     ParameterTable,
     build,
     describe,
@@ -22,12 +18,7 @@ from mr_damper_ros.settings.option_table import (
     option,
     options,
 )
-
-CONFIG = Path(__file__).parents[2] / "config"
-NODES = (
-    *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
-    "suspension",
-)
+from scripts import write_config
 
 
 @dataclass(frozen=True)
@@ -140,56 +131,23 @@ def test_the_description_names_every_option_and_its_limits() -> None:
     assert "from 0 to 10" in text
 
 
-def flat(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
-
-
-def table_of(node: str) -> list[Option]:
+def test_the_committed_files_are_the_generated_ones() -> None:
     pytest.importorskip("rclpy", reason="the nodes need ROS")
-    module = import_module(f"mr_damper_ros.nodes.{node}_node")
-    return list(options(getattr(module, f"{node.capitalize()}Parameters")))
+    for name, text in write_config.texts().items():
+        committed = (write_config.CONFIG / name).read_text(encoding="utf-8")
+        assert committed == text, f"call `make config`: config/{name} is not what is generated"
 
 
-@pytest.mark.parametrize("node", NODES)
-def test_the_file_has_the_options_of_the_table_in_its_order_with_its_defaults(node: str) -> None:
-    table = table_of(node)
-    document = yaml.safe_load((CONFIG / f"{node}.yaml").read_text(encoding="utf-8"))
-    values = dict(flat(document["/**"]["ros__parameters"]))
-    assert list(values) == [item.name for item in table]
-    for item in table:
-        value = values[item.name]
+@pytest.mark.parametrize("node", write_config.NODES)
+def test_a_generated_file_gives_every_option_its_default(node: str) -> None:
+    pytest.importorskip("rclpy", reason="the nodes need ROS")
+    values = yaml.safe_load(write_config.config_text(node))["/**"]["ros__parameters"]
+    for item in options(write_config.table_of(node)):
+        value = values
+        for part in item.name.split("."):
+            value = value[part]
         assert type(value) is item.kind, item.name
         both_nan = value != value and item.default != item.default
         assert value == item.default or both_nan, item.name
-
-
-@pytest.mark.parametrize("node", NODES)
-def test_no_entry_of_the_file_is_given_twice(node: str) -> None:
-    def look(tree: yaml.Node) -> None:
-        if isinstance(tree, yaml.MappingNode):
-            names = [key.value for key, _ in tree.value]
-            assert len(names) == len(set(names)), names
-            for _, below in tree.value:
-                look(below)
-
-    look(yaml.compose((CONFIG / f"{node}.yaml").read_text(encoding="utf-8")))
-
-
-@pytest.mark.parametrize("node", NODES)
-def test_every_entry_of_the_file_is_explained(node: str) -> None:
-    lines = (CONFIG / f"{node}.yaml").read_text(encoding="utf-8").splitlines()
-    start = lines.index("  ros__parameters:")
-    for before, line in zip(lines[start:], lines[start + 1 :], strict=False):
-        if line.strip() and not line.lstrip().startswith("#"):
-            assert before.lstrip().startswith("#"), f"{node}.yaml: {line.strip()}"
-
-
-@pytest.mark.parametrize("node", NODES)
-def test_every_option_is_described_and_its_default_allowed(node: str) -> None:
-    for item in table_of(node):
         assert item.objection(item.default) == "", item.name
         assert item.description.endswith("."), item.name

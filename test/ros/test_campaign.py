@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from mr_damper_msgs.action import RunCampaign
 from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand
 from rclpy.action import ActionClient
@@ -19,9 +18,7 @@ from support import Listener, assert_one_sentence
 from mr_damper_ros.campaign.folder import read_campaign_runs, read_steps
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.nodes.campaign_parameters import CampaignParameters
 from mr_damper_ros.nodes.motion_commands import command_message, motion_of
-from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).parents[2]
 
@@ -60,16 +57,6 @@ def campaign(start: Any, folder: Path, **more: object) -> Any:
 
 def runs_in(folder: Path) -> list[Path]:
     return sorted((folder / "runs").glob("run_*"))
-
-
-def test_the_configuration_file_has_every_parameter_with_its_default() -> None:
-    text = (ROOT / "config" / "campaign.yaml").read_text()
-    given = yaml.safe_load(text)["/**"]["ros__parameters"]
-    flat = {}
-    for name, value in given.items():
-        entries = value if isinstance(value, dict) else {"": value}
-        flat.update({f"{name}.{part}" if part else name: one for part, one in entries.items()})
-    assert flat == {item.name: item.default for item in options(CampaignParameters)}
 
 
 def test_a_goal_is_reached_on_the_emulated_rig(

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce
 from press import BLOCK, Press
@@ -22,9 +21,8 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.controller_node import ControllerNode, ControllerParameters
+from mr_damper_ros.nodes.controller_node import ControllerNode
 from mr_damper_ros.nodes.messages import header
-from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.running_error import RunningError
@@ -66,12 +64,6 @@ def block(recording: Recording, first: int) -> SampleBlock:
         recording.displacement[part],
         recording.force[part],
     )
-
-
-def test_the_configuration_file_has_every_parameter_with_its_default() -> None:
-    text = (ROOT / "config" / "controller.yaml").read_text()
-    given = yaml.safe_load(text)["/**"]["ros__parameters"]
-    assert given == {item.name: item.default for item in options(ControllerParameters)}
 
 
 def test_the_commands_are_those_of_the_core(

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from action_msgs.msg import GoalStatus
 from mr_damper_msgs.action import IdentifyGlobal
 from mr_damper_msgs.msg import DamperParameters, FitReport
@@ -31,9 +30,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.identifier_node import IdentifierParameters
 from mr_damper_ros.nodes.results import parameter_set, parameters_message, report_message
-from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.state_directory import StateDirectory
 
@@ -116,21 +113,6 @@ def comparable(messages: list[Any]) -> list[str]:
         if isinstance(message, FitReport):
             message.duration = 0.0
     return [str(message) for message in messages]
-
-
-def test_the_configuration_file_has_every_parameter_with_its_default() -> None:
-    text = (ROOT / "config" / "identifier.yaml").read_text()
-    flat: dict[str, object] = {}
-
-    def flatten(mapping: dict[str, Any], prefix: str = "") -> None:
-        for name, value in mapping.items():
-            if isinstance(value, dict):
-                flatten(value, f"{prefix}{name}.")
-            else:
-                flat[prefix + name] = value
-
-    flatten(yaml.safe_load(text)["/**"]["ros__parameters"])
-    assert flat == {item.name: item.default for item in options(IdentifierParameters)}
 
 
 def test_a_bag_gives_the_same_sets_at_every_rate(start: Any, listener: Listener) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
@@ -28,10 +27,8 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
-from mr_damper_ros.nodes.model_node import ModelParameters
 from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.nodes.results import parameter_set, parameters_message
-from mr_damper_ros.settings.option_table import options
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
@@ -107,13 +104,6 @@ def rig(start: Any, listener: Listener, tmp_path: Path) -> Rig:
     path = tmp_path / "true.yaml"
     path.write_text(TRUE_SET.to_yaml())
     return Rig(start, listener, parameter_file=path, wrench_rate=5.0)
-
-
-def test_the_configuration_file_has_every_parameter_with_its_default() -> None:
-    text = (ROOT / "config" / "model.yaml").read_text()
-    assert yaml.safe_load(text)["/**"]["ros__parameters"] == {
-        item.name: item.default for item in options(ModelParameters)
-    }
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)

@@ -55,8 +55,9 @@ class EmulatedOptions(ParameterTable):
     )
     hot_force: float = option(
         1.0,
-        "Factor on the force at 71 °C, for a damper that gets weaker (below 1) as it heats; "
-        "between 28 °C and 71 °C the force changes linearly.",
+        "Factor on the force at 71 °C, below 1 for a damper that weakens as it heats up; from 28 "
+        "°C to 71 °C the force changes linearly. The thesis' damper loses about a quarter (0.74), "
+        "which is already in thesis_temperatures.",
         minimum=0.0,
         maximum=10.0,
         read_only=True,
@@ -108,8 +109,9 @@ class EmulatedOptions(ParameterTable):
     )
     current: float = option(
         1.5,
-        "Supply current [A]. It may be changed while the rig runs: this is the knob of the supply, "
-        "which holds until a command comes.",
+        "Supply current [A]: the knob of the supply. It may be turned while the rig runs: `ros2 "
+        "param set /bridge emulated.current 0.5`. It holds until a command comes on "
+        "supply/current_command.",
         minimum=-MOST_CURRENT,
         maximum=MOST_CURRENT,
     )
@@ -129,22 +131,23 @@ class EmulatedOptions(ParameterTable):
     )
     command_timeout: float = option(
         0.5,
-        "Time [s] that a command of the current or of the motion holds; after that the current is "
-        "zero, and the machine comes to rest.",
+        "Time [s] that a command holds from its stamp on. When the commands stop, the current is "
+        "zero until another one comes or the knob is turned, and the machine comes to rest.",
         minimum=0.01,
         maximum=3600.0,
         read_only=True,
     )
     coil_time_constant: float = option(
         0.0,
-        "Time constant [s] with which the current in the coil follows that of the supply.",
+        "Time constant [s] with which the current in the coil, and so the force, follows the "
+        "supply's.",
         minimum=0.0,
         maximum=1.0,
         read_only=True,
     )
     force_noise: float = option(
         5.53,
-        "Standard deviation [N] of the noise of the force.",
+        "Standard deviation of the noise of the force [N]; 5.53 is the thesis' remaining error.",
         minimum=0.0,
         maximum=1e6,
         read_only=True,
@@ -168,20 +171,21 @@ class EmulatedOptions(ParameterTable):
     )
     ambient_temperature: float = option(
         22.0,
-        "Temperature of the air [°C]. It may be changed while the rig runs.",
+        "Temperature of the air around it [°C]. It may be changed while the rig runs.",
         minimum=-50.0,
         maximum=200.0,
     )
     heat_capacity: float = option(
         430.0,
-        "Heat capacity of the damper [J/K]: smaller drifts faster.",
+        "Heat capacity of the damper [J/K]. It takes up the power that the damper dissipates: with "
+        "a smaller one it drifts faster.",
         minimum=0.1,
         maximum=1e6,
         read_only=True,
     )
     conductance: float = option(
         0.5,
-        "Heat lost to the air per kelvin [W/K]; 0 for none.",
+        "Heat that it loses to the air per kelvin above it [W/K]; 0.0 for none.",
         minimum=0.0,
         maximum=1e4,
         read_only=True,

@@ -69,14 +69,15 @@ class QuarterCarOptions(ParameterTable):
     )
     coil_time_constant: float = option(
         0.01,
-        "Time constant [s] with which the current in the coil follows that of the supply.",
+        "Time constant [s] with which the current in the coil, and so the force, follows the "
+        "supply's.",
         minimum=0.0,
         maximum=1.0,
         read_only=True,
     )
     force_noise: float = option(
         5.53,
-        "Standard deviation [N] of the noise of the force.",
+        "Standard deviation of the noise of the force [N]; 5.53 is the thesis' remaining error.",
         minimum=0.0,
         maximum=1e6,
         read_only=True,
@@ -100,7 +101,8 @@ class QuarterCarOptions(ParameterTable):
     )
     heat_capacity: float = option(
         430.0,
-        "Heat capacity of the damper [J/K]: smaller drifts faster.",
+        "Heat capacity of the damper [J/K]. It takes up the power that the damper dissipates: with "
+        "a smaller one it drifts faster.",
         minimum=0.1,
         maximum=1e6,
         read_only=True,

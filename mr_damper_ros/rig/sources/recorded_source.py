@@ -68,7 +68,9 @@ class BagOptions(ParameterTable):
     """The bag of ``source: bag``."""
 
     bag: str = option(
-        "", "Path of the bag of source: bag, a folder or a single file.", read_only=True
+        "",
+        "Path of the bag of `source: bag`: its folder, or its .mcap or .db3 file.",
+        read_only=True,
     )
 
     def objection(self) -> str:
@@ -126,11 +128,13 @@ class RecordOptions(ParameterTable):
     )
     current: float = option(
         math.nan,
-        "Supply current [A] of the whole record, where no column holds it.",
+        "Supply current [A] of the whole record, where no column holds it; .nan where one does.",
         read_only=True,
     )
     period: float = option(
-        math.nan, "Time between two samples [s], where no column holds the time.", read_only=True
+        math.nan,
+        "Time between two samples [s], where no column holds the time; .nan where one does.",
+        read_only=True,
     )
     variable: str = option(
         "", "Name of the matrix in a MAT file that holds more than one.", read_only=True

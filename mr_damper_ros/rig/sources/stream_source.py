@@ -38,8 +38,9 @@ class StreamOptions(ParameterTable):
     columns: str = option(
         "",
         "What a line or a record holds, in its order, and the units, such as "
-        "time:us,displacement:mm,force:N or count:16,displacement:mm,force:-0.5*N,current:A: "
-        "count is a number that counts up, of 8, 16, 32 or 64 bits.",
+        "time:us,displacement:mm,force:N or count:16,displacement:mm,force:-0.5*N,current:A; a "
+        "minus sign is a column to skip. count is a number that counts up, and has 8, 16, 32 or 64 "
+        "bits.",
         read_only=True,
     )
     rate: float = option(
