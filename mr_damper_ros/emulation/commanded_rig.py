@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from mr_damper_ros.control.force_controller import Command, ForceController
-from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
+from mr_damper_ros.emulation.emulator import MeasuredRig, SupplyKnob
 from mr_damper_ros.emulation.plant_rig import PlantMotion, PlantRig
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.rig_block import RigBlock
@@ -23,17 +23,6 @@ class CommandedBlock(NamedTuple):
     current: float
 
 
-class Rig(Protocol):
-    """What gives samples, of a current that may change from block to block."""
-
-    @property
-    def settings(self) -> RigSettings:
-        """How it measures."""
-
-    def next_block(self, count: int) -> RigBlock:
-        """The next samples."""
-
-
 Choice = Callable[[RigBlock], float]
 """Chooses a current [A] after every block."""
 
@@ -48,7 +37,7 @@ def commanded(
 
 
 def turned(
-    rig: Rig, knob: SupplyKnob, choose: Choice, block_size: int, duration: float
+    rig: MeasuredRig, knob: SupplyKnob, choose: Choice, block_size: int, duration: float
 ) -> Iterator[tuple[RigBlock, float]]:
     """The blocks of ``duration`` [s] and the current [A] that is chosen after each."""
     period = rig.settings.period

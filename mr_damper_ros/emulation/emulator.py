@@ -7,6 +7,7 @@ blocks. With the same settings and seed it gives the same samples.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -220,12 +221,48 @@ class RigSettings:
         return 1.0 / self.sample_rate
 
 
-class EmulatedRig:
+class MeasuredRig(ABC):
+    """A rig that gives samples, at a current that may change from block to block.
+
+    ``current`` is a schedule or one value [A]; without a ``thermal`` model the temperature stays
+    at 28 °C, that of the thesis' cold damper.
+    """
+
+    def __init__(
+        self,
+        current: CurrentSchedule | float,
+        settings: RigSettings | None,
+        thermal: ThermalModel | None,
+    ) -> None:
+        self._current = (
+            current
+            if isinstance(current, CurrentSchedule)
+            else CurrentSchedule.constant(float(current))
+        )
+        self.settings = settings or RigSettings()
+        """How the rig measures."""
+        self._thermal = thermal
+        self._celsius = thermal.initial if thermal else _COLD
+        self._rng = np.random.default_rng(self.settings.seed)
+        self._noise = np.empty((2, CHUNK))
+        self._made = 0
+
+    @abstractmethod
+    def next_block(self, count: int) -> RigBlock:
+        """The next ``count`` samples."""
+
+    def _block(self, first: int, rows: Array) -> RigBlock:
+        """Displacement, force, current, temperature (4, n) from sample ``first`` on."""
+        period = self.settings.period
+        start_ns = self.settings.start_ns + round(first * period * NANOSECONDS)
+        return RigBlock(start_ns, first, period, *rows)
+
+
+class EmulatedRig(MeasuredRig):
     """A damper in a test machine, sample by sample.
 
-    ``current`` is a schedule or one value [A]. Without a ``thermal`` model the temperature stays
-    at 28 °C, that of the thesis' cold damper. The current in the coil follows that of the supply,
-    which is measured, with ``coil_time_constant`` [s]. Of the ``faults`` it has those of machine
+    The current in the coil follows that of the supply, which is measured, with
+    ``coil_time_constant`` [s]. Of the ``faults`` it has those of machine
     and damper; what instruments make of its samples is for :class:`Instruments`.
     Raises EmulatorError where the time constant is negative.
     """
@@ -244,13 +281,7 @@ class EmulatedRig:
         # A damper may remember the motion: each rig has its own.
         self._damper = deepcopy(damper)
         self._excitation = excitation
-        self._current = (
-            current
-            if isinstance(current, CurrentSchedule)
-            else CurrentSchedule.constant(float(current))
-        )
-        self._settings = settings or RigSettings()
-        self._thermal = thermal
+        super().__init__(current, settings, thermal)
         if not (math.isfinite(coil_time_constant) and coil_time_constant >= 0.0):
             raise EmulatorError(
                 f"the time constant of the coil is {coil_time_constant} s: it must not be negative"
@@ -259,21 +290,12 @@ class EmulatedRig:
         self._before: tuple[Array, Array] | None = None
         self._faults: list[Fault] = []
         self._peak: PeakVelocity | None = None
-        self._rng = np.random.default_rng(self._settings.seed)
-        self._celsius = thermal.initial if thermal else 28.0
-        self._made = 0
         self._taken = 0
         self._ready = np.empty((4, 0))
         self.live = False
         """Whether no sample is made before it is asked for: commands hold at once, at some cost."""
-        self._noise = np.empty((2, CHUNK))
         self._power = np.empty(CHUNK)
         self.break_with(faults)
-
-    @property
-    def settings(self) -> RigSettings:
-        """How the rig measures."""
-        return self._settings
 
     def break_with(self, faults: Sequence[Fault]) -> None:
         """Have these faults besides those that it has; they must not have begun."""
@@ -320,16 +342,13 @@ class EmulatedRig:
         block, self._ready = rows[:, :count], rows[:, count:]
         first = self._taken
         self._taken += count
-        period = self._settings.period
-        return RigBlock(
-            self._settings.start_ns + round(first * period * NANOSECONDS), first, period, *block
-        )
+        return self._block(first, block)
 
     def record(
         self, duration: float, *, name: str = "emulated", details: dict[str, str] | None = None
     ) -> Recording:
         """The next ``duration`` [s] as a recording; raises EmulatorError where it is too short."""
-        block = self.next_block(round(duration * self._settings.sample_rate))
+        block = self.next_block(round(duration * self.settings.sample_rate))
         return Recording(
             name=name,
             start_ns=block.start_ns,
@@ -343,7 +362,7 @@ class EmulatedRig:
 
     def _next_samples(self, count: int) -> Array:
         """Rows of a :class:`RigBlock`, shape (4, count), within one chunk."""
-        period = self._settings.period
+        period = self.settings.period
         begin = self._made % CHUNK
         part = slice(begin, begin + count)
         if begin == 0:
@@ -376,8 +395,8 @@ class EmulatedRig:
         force_noise, displacement_noise = self._noise[:, part]
         return np.stack(
             [
-                displacement + self._settings.displacement_noise * displacement_noise,
-                true_force + self._settings.force_noise * force_noise,
+                displacement + self.settings.displacement_noise * displacement_noise,
+                true_force + self.settings.force_noise * force_noise,
                 current,
                 celsius,
             ]
@@ -385,7 +404,7 @@ class EmulatedRig:
 
     def _peak_so_far(self, excitation: Excitation) -> PeakVelocity:
         """The motion has gone on for long, also when the recording begins."""
-        period = self._settings.period
+        period = self.settings.period
         before: Array = np.arange(-round(MEMORY / period), 0, dtype=np.float64) + self._made
         peak = PeakVelocity(period)
         _, velocity, acceleration = excitation.at(before * period)

@@ -16,7 +16,13 @@ import numpy as np
 
 from mr_damper_ros.control.inverse_model import in_coil
 from mr_damper_ros.control.linear_plant import LinearPlant, MovingPlant
-from mr_damper_ros.emulation.emulator import CHUNK, CurrentSchedule, RigSettings, ThermalModel
+from mr_damper_ros.emulation.emulator import (
+    CHUNK,
+    CurrentSchedule,
+    MeasuredRig,
+    RigSettings,
+    ThermalModel,
+)
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.models import MODELS
@@ -24,7 +30,6 @@ from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.rig_block import RigBlock
 
 _ACCELERATION_MEMORY = 0.008
@@ -83,7 +88,7 @@ class BuiltInDamper:
         return float(force[0])
 
 
-class PlantRig:
+class PlantRig(MeasuredRig):
     """A plant with a damper in it, sample by sample.
 
     The plant is solved exactly for a force that holds for a ``substeps``-th part of a sample's
@@ -108,34 +113,20 @@ class PlantRig:
         # A damper may remember the motion: each rig has its own.
         self._damper = deepcopy(damper)
         self._surroundings = surroundings
-        self._current = (
-            current
-            if isinstance(current, CurrentSchedule)
-            else CurrentSchedule.constant(float(current))
-        )
-        self._settings = settings or RigSettings()
-        self._thermal = thermal
-        self._celsius = thermal.initial if thermal else 28.0
+        super().__init__(current, settings, thermal)
         self._dampers, self._substeps = dampers, substeps
-        self._step = self._settings.period / substeps
+        self._step = self.settings.period / substeps
         self._plant = MovingPlant(plant, self._step)
         self._peak = PeakVelocity(self._step)
         decay = math.exp(-self._step / coil_time_constant) if coil_time_constant > 0.0 else 0.0
         self._coil_decay, self._coil = decay, float(self._current.at(np.zeros(1))[0])
         self._force = self._acceleration = 0.0
         self._share = -math.expm1(-self._step / _ACCELERATION_MEMORY)
-        self._made = self._reckoned = 0
+        self._asked = 0
         self._ahead: deque[list[float]] = deque()
-        self._rng = np.random.default_rng(self._settings.seed)
-        self._noise = np.empty((2, CHUNK))
         self._heat = 0.0
         self.motion: PlantMotion | None = None
         """Of the last block."""
-
-    @property
-    def settings(self) -> RigSettings:
-        """How the rig measures."""
-        return self._settings
 
     @property
     def plant(self) -> MovingPlant:
@@ -144,7 +135,7 @@ class PlantRig:
 
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples."""
-        first, period = self._made, self._settings.period
+        first, period = self._made, self.settings.period
         time = np.arange(first, first + count, dtype=np.float64) * period
         moved = [self._moved_next() for _ in range(count)]
         supplied = self._current.at(time)
@@ -155,21 +146,13 @@ class PlantRig:
             rates.append(self._plant.rates)
         displacement, force, celsius, true_force, velocity, coil = rows
         self.motion = PlantMotion(np.array(states), np.array(rates), true_force, velocity, coil)
-        return RigBlock(
-            self._settings.start_ns + round(first * period * NANOSECONDS),
-            first,
-            period,
-            displacement,
-            force,
-            supplied,
-            celsius,
-        )
+        return self._block(first, np.stack([displacement, force, supplied, celsius]))
 
     def _moved_next(self) -> list[float]:
         """What comes from outside in the steps of the next sample."""
         if not self._ahead:
-            steps = self._reckoned + np.arange(CHUNK * self._substeps, dtype=np.float64)
-            self._reckoned += steps.size
+            steps = self._asked + np.arange(CHUNK * self._substeps, dtype=np.float64)
+            self._asked += steps.size
             inputs = self._surroundings.at(steps * self._step).reshape(CHUNK, self._substeps)
             self._ahead.extend(inputs.tolist())
         return self._ahead.popleft()
@@ -199,7 +182,7 @@ class PlantRig:
             self._plant.step(self._dampers * self._force, each)
         self._made += 1
         self._warm(heat)
-        after, settings = self._plant.damper, self._settings
+        after, settings = self._plant.damper, self.settings
         force_noise, displacement_noise = self._noise[:, place]
         return (
             after.displacement + settings.displacement_noise * displacement_noise,
@@ -215,7 +198,7 @@ class PlantRig:
         self._heat += heat
         if self._made % CHUNK == 0:
             if self._thermal is not None:
-                duration = CHUNK * self._settings.period
+                duration = CHUNK * self.settings.period
                 self._celsius = self._thermal.after(self._celsius, self._heat / duration, duration)
             self._heat = 0.0
 
