@@ -27,7 +27,7 @@ demo: setup ## Play a bag to identifier and model; table and figures at the end
 
 live: setup ## Serve a page that shows the emulated rig under identification, until Ctrl-C
 	@. ./env.bash
-	exec $(PROGRAMS)/live_rig $(ARGS)
+	exec $(PROGRAMS)/demo --live $(ARGS)
 
 thesis: setup ## Reproduce the thesis' results into build/thesis/report.html (ARGS=--quick: two minutes)
 	@. ./env.bash

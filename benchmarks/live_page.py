@@ -25,7 +25,7 @@ from mr_damper_ros.live.live_record import SILENT_AFTER
 from mr_damper_ros.live.page_server import CONNECTIONS
 from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tools.node_programs import page_of
+from mr_damper_ros.tools.demo import page_of
 
 VIEWERS = 3
 DURATION = 300.0

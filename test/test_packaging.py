@@ -24,8 +24,6 @@ TOOLS = (
         "identify",
         "identify_many",
         "import_record",
-        "live_rig",
-        "plan_campaign",
         "plan_run",
         "replay_recording",
         "validate",

@@ -66,10 +66,9 @@ PROGRAMS = (
     "export",
     "identify_many",
     "plan_run",
-    "plan_campaign",
     "validate",
     "watch",
-    "live_rig",
+    "demo",
 )
 
 TYPES = {

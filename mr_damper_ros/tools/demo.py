@@ -1,12 +1,15 @@
-"""``demo``: a bag through replay, identifier and model as processes, with the outcome.
+"""``demo``: identifier and model as processes at work, on a bag or on the emulated rig.
 
-A tool like the others, with the table and the figures of one: all that it knows of ROS is a
-watcher from the nodes, loaded when it runs.
+It plays a bag once and shows the outcome, or with ``--live`` serves the page until Ctrl-C. A tool
+like the others, with the table and the figures of one: all that it knows of ROS is a watcher from
+the nodes, loaded when it runs.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -20,11 +23,10 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
-from mr_damper_ros.processes.programs import Program, RosDomain
+from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool
-from mr_damper_ros.tools.node_programs import check_running, page_of, start_node
 
 if TYPE_CHECKING:
     from mr_damper_ros.nodes.demo_watcher import DemoWatcher
@@ -35,22 +37,40 @@ _SETTLE = 2.0
 """Seconds without a new report after which the identifier has finished."""
 
 
+_LOOK = 0.2
+"""Seconds between two looks whether all nodes still run."""
+
+
 class DemoError(ValueError):
-    """The demonstration cannot go on; the message says why."""
+    """The demonstration cannot go on: a node is not there, or has failed; the message says why."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns the exit code."""
-    return run_tool(_parser(), _demo, arguments)
+    return run_tool(
+        _parser(), lambda options: (_live if options.live else _demo)(options), arguments
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="demo",
         description="Play a bag to identifier and model, each a ROS 2 process of its own, watch "
-        "them, and draw measured and predicted force.",
+        "them, and draw measured and predicted force. With --live: run the emulated rig, or play a "
+        "bag again and again, and serve the page that shows it, until Ctrl-C.",
     )
-    parser.add_argument("--bag", type=Path, help="bag to play (default: 5 mm, 1 Hz, 1.5 A)")
+    parser.add_argument("--live", action="store_true", help="serve the page until Ctrl-C")
+    parser.add_argument(
+        "--bag",
+        type=Path,
+        help="bag to play (default: 5 mm, 1 Hz, 1.5 A; with --live the emulated rig)",
+    )
+    parser.add_argument(
+        "--port",
+        type=int,
+        default=8770,
+        help="of the page of --live (default %(default)s; 0: any that is free)",
+    )
     parser.add_argument(
         "--rate", type=float, default=1.0, help="speed of the replay (default 1: real time)"
     )
@@ -58,6 +78,10 @@ def _parser() -> argparse.ArgumentParser:
         "--output", type=Path, default=Path("build/demo"), help="folder of the figures"
     )
     return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    return _live(options) if options.live else _demo(options)
 
 
 def _demo(options: argparse.Namespace) -> int:
@@ -86,6 +110,55 @@ def _demo(options: argparse.Namespace) -> int:
     if watcher.parameters is None or not watcher.reports:
         raise DemoError("no window was identified: see the messages of the nodes above")
     return _summary(watcher, recording, options.output)
+
+
+def _live(options: argparse.Namespace) -> int:
+    with ExitStack() as stack:
+        # A domain of its own: nothing of a laboratory that is running is touched.
+        stack.enter_context(stack.enter_context(RosDomain()).entered())
+        running = {
+            name: stack.enter_context(closing(start_node(name, **parameters)))
+            for name, parameters in (
+                ("live", {"port": options.port}),
+                ("identifier", {}),
+                ("model", {}),
+            )
+        }
+        print(f"the page is at {page_of(running['live'])}; Ctrl-C ends it", flush=True)
+        source = ("replay", {"bag": options.bag, "loop": True}) if options.bag else ("bridge", {})
+        name, parameters = source
+        running[name] = stack.enter_context(
+            closing(start_node(name, wait_for_subscribers=2, **parameters))
+        )
+        while True:
+            check_running(running)
+            time.sleep(_LOOK)
+
+
+def start_node(name: str, **parameters: object) -> Program:
+    """Start a node of this installation; raises DemoError where it is not built."""
+    program = Path(sys.argv[0]).resolve().parent / name
+    if not program.exists():
+        raise DemoError(f"{program} is not there: build the package with `make setup`")
+    return Program([str(program), *node_arguments(parameters)])
+
+
+def check_running(running: Mapping[str, Program]) -> None:
+    """Raise DemoError where a node has failed, with the end of what it said."""
+    for name, program in running.items():
+        if program.exit_code:
+            raise DemoError(f"{name} ended with code {program.exit_code}: {program.last_words}")
+
+
+def page_of(live: Program) -> str:
+    """Address of the page that a node live serves; raises DemoError where it serves none."""
+    try:
+        live.wait_for_log("the page is at")
+    except ProgramError as error:
+        raise DemoError(live.last_words) from error
+    found = re.search(r"the page is at (\S+)", live.log)
+    assert found
+    return found[1]
 
 
 def _wait_for_nodes(watcher: DemoWatcher, running: Mapping[str, Program]) -> None:

@@ -1,53 +1,159 @@
-"""``plan_run``: which run to make next, so that the force is soon known well enough."""
+"""``plan_run``: which run to make next, so that the force is soon known well enough; no ROS.
+
+A single plan, or with ``--keep`` a campaign whose runs and plans are kept in a folder.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from mr_damper_ros.campaign.course import advise_run
-from mr_damper_ros.campaign.runs import write_signal
-from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import first_run
-from mr_damper_ros.estimation.run_planner import Plan, PlanState
-from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.tools.campaign_options import (
-    OUT_OF_REACH,
-    add_campaign_options,
-    goal_of,
-    limits_of,
+from mr_damper_ros.campaign.course import (
+    CampaignCourse,
+    CampaignOutcome,
+    advise_run,
+    fault_of_run,
 )
+from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_task
+from mr_damper_ros.campaign.report import write_campaign_report
+from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, run_as_made, write_signal
+from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.estimation.planned_run import MachineLimits, first_run, motions_of
+from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.recording_list import find_recordings
+from mr_damper_ros.kinematics.periodic_motion import MotionKind
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
+from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import FAILED, run_tool
+
+OUT_OF_REACH = 3
+"""Exit code where the goal cannot be met within the limits of the machine."""
+
+_NEEDED = ("velocity", "current", "amplitude", "force")
+
+_EPILOG = f"""\
+A campaign is kept with --keep. The first call names the goal and the limits of the machine, and
+says which run to make; each further call takes the bags of the runs made since, whatever else they
+hold, and says what comes next. A bag that does not hold the wanted run, but is a steady sine at one
+current, counts as well, also in the first call. Below the folder: campaign.html (the report),
+set.yaml (the last set), signals/ (the runs as CSV, for machines that play files), runs/ and steps/.
+
+examples:
+  plan_run --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000 bags/today
+  plan_run --keep damper_7 --velocity 0.02 0.2 --current 0 1.5 --amplitude 0.01 --force 5000
+  plan_run --keep damper_7 bags/today
+
+Exit code: 0, also where the goal is met; {OUT_OF_REACH} where it cannot be met within the limits;
+{FAILED} where a bag or an option cannot be used.
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns the exit code."""
-    return run_tool(_parser(), _plan_run, arguments)
+    return run_tool(_parser(), _plan, arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="plan_run",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Say which run of the test machine comes next, so that the force of a damper "
-        "is soon known to a given error over a range of peak velocity and current; without bags, "
+        "is soon\nknown to a given error over a range of peak velocity and current; without bags, "
         "the first one.",
-        epilog=f"Exit code: 0, also where the goal is met; {OUT_OF_REACH} where it cannot be met "
-        f"within the limits; {FAILED} where a bag or an option cannot be used.",
+        epilog=_EPILOG,
     )
-    parser.add_argument("bags", nargs="*", type=Path, metavar="BAG", help="runs made so far")
-    add_campaign_options(parser, required=True)
+    parser.add_argument(
+        "bags",
+        nargs="*",
+        type=Path,
+        metavar="BAG",
+        help="runs made so far; with --keep those made since, or folders with bags",
+    )
     parser.add_argument(
         "--signal", type=Path, metavar="FILE", help="write the run as CSV, to be played"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the plan as JSON")
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="folder of the campaign, which goes on"
+    )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        default=20,
+        metavar="N",
+        help="of a campaign at most (default %(default)s)",
+    )
+    goal = parser.add_argument_group("goal")
+    goal.add_argument(
+        "--error",
+        type=float,
+        default=0.01,
+        help="worst error, relative to the largest force of a cycle (default %(default)s)",
+    )
+    for name, text in (("velocity", "peak velocities [m/s]"), ("current", "currents [A]")):
+        goal.add_argument(f"--{name}", nargs=2, type=float, metavar=("LOW", "HIGH"), help=text)
+    machine = parser.add_argument_group("machine")
+    for name, unit, text in (
+        ("amplitude", "M", "largest amplitude [m] about the centre"),
+        ("force", "N", "largest force [N]"),
+    ):
+        machine.add_argument(f"--{name}", type=float, metavar=unit, help=text)
+    machine.add_argument(
+        "--top-velocity", type=float, metavar="M/S", help="largest (default: that of the goal)"
+    )
+    machine.add_argument(
+        "--top-current", type=float, metavar="A", help="largest (default: that of the goal)"
+    )
+    machine.add_argument(
+        "--duration", type=float, default=4.0, metavar="S", help="of a run (default %(default)s)"
+    )
+    machine.add_argument(
+        "--heat", type=float, default=math.inf, metavar="J", help="that a run may bring in"
+    )
+    machine.add_argument(
+        "--frequency",
+        nargs=2,
+        type=float,
+        default=(0.1, 20.0),
+        metavar=("LOW", "HIGH"),
+        help="[Hz] (default 0.1 20)",
+    )
+    machine.add_argument(
+        "--rate", type=float, default=1000.0, metavar="HZ", help="samples (default %(default)s)"
+    )
+    machine.add_argument(
+        "--motions",
+        nargs="+",
+        choices=[kind.value for kind in MotionKind],
+        default=[MotionKind.SINE.value],
+        help="how it can move (default: sine): a sine, a swept sine, random motion",
+    )
+    machine.add_argument(
+        "--manual",
+        action="store_true",
+        help="a person sets the press and the supply: sines alone, the current stays the same "
+        "within a run",
+    )
+    parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL)
     return parser
 
 
-def _plan_run(options: argparse.Namespace) -> int:
-    goal, limits = goal_of(options), limits_of(options)
+def _plan(options: argparse.Namespace) -> int:
+    missing = [f"--{name}" for name in _NEEDED if getattr(options, name) is None]
+    if options.keep is not None:
+        if options.signal is not None or options.json is not None:
+            raise ValueError("--signal and --json are for a single plan: the folder holds both")
+        return _go_on_with_campaign(options, missing)
+    if missing:
+        raise ValueError(f"a plan needs {', '.join(missing)} too")
+    goal, limits = _goal_of(options), _limits_of(options)
     plan = advise_run(options.bags, goal, limits, options.model) if options.bags else None
     run = first_run(goal, limits) if plan is None else plan.run
     document: dict[str, object] = {"state": "run" if plan is None else plan.state.value}
@@ -65,13 +171,117 @@ def _plan_run(options: argparse.Namespace) -> int:
     return OUT_OF_REACH if plan is not None and plan.state is PlanState.OUT_OF_REACH else 0
 
 
-def _tell(plan: Plan, goal: ForceGoal) -> None:
+def _tell_knowledge(plan: Plan, goal: ForceGoal) -> None:
     speed, current = plan.now.worst_point
     print(
         f"the force is known to {plan.now.sentence}, where {goal.error:.2%} is wanted; "
         f"least at {speed:.3g} m/s and {current:.3g} A"
     )
+
+
+def _tell(plan: Plan, goal: ForceGoal) -> None:
+    _tell_knowledge(plan, goal)
     if plan.reason:
         print(plan.reason)
     elif plan.runs_left is not None:
         print(f"about {plan.runs_left} more runs will do")
+
+
+def _go_on_with_campaign(options: argparse.Namespace, missing: Sequence[str]) -> int:
+    task = _task(options, missing)
+    waiting = _recordings(options.bags)
+    folder = CampaignFolder(options.keep, task)
+    try:
+        course = CampaignCourse(task, folder=folder, most_runs=options.runs)
+        _go_on(course, waiting)
+    finally:
+        folder.close()
+    if course.steps:
+        _tell_knowledge(course.steps[-1].plan, task.goal)
+        print(f"report: {write_campaign_report(options.keep, course.reason)}")
+    run = course.next_run
+    if run is not None:
+        print(f"run {course.number}: {run.sentence}")
+        signal = options.keep / "signals" / f"run_{course.number:03d}.csv"
+        write_signal(run, signal, task.limits.sample_rate)
+        print(f"signal: {signal}")
+        return 0
+    print(course.reason)
+    if course.outcome is CampaignOutcome.FAILED:
+        return FAILED
+    return OUT_OF_REACH if course.outcome is CampaignOutcome.OUT_OF_REACH else 0
+
+
+def _task(options: argparse.Namespace, missing: Sequence[str]) -> CampaignTask:
+    if len(missing) < len(_NEEDED) or not (options.keep / "campaign.json").exists():
+        if missing:
+            raise ValueError(f"a new campaign needs {', '.join(missing)} too")
+        return CampaignTask(_goal_of(options), _limits_of(options), options.model)
+    return read_task(options.keep)
+
+
+def _recordings(sources: Sequence[Path]) -> list[Recording]:
+    """All recordings of the bags, the oldest first."""
+    if not sources:
+        return []
+    listed, _ = find_recordings(sources)
+    found = [recording for entry in listed for recording in read_bag(entry.path)]
+    return sorted(found, key=lambda recording: recording.start_ns)
+
+
+def _go_on(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
+    """Find what is to be found, and take the runs that wait; those taken before are left out."""
+    waiting = [one for one in waiting if not _taken(course, one)]
+    while course.outcome is None:
+        if course.work is not None:
+            course.conclude(course.work.carry_out())
+        elif course.next_run is None or not waiting:
+            return
+        else:
+            recording, waiting = waiting[0], waiting[1:]
+            _take(course, recording)
+
+
+def _take(course: CampaignCourse, recording: Recording) -> None:
+    run = course.next_run
+    assert run is not None
+    refusal = ""
+    try:
+        refusal = course.take(cut_run(run, recording))
+    except RunNotFoundError as missing:
+        try:
+            made = run_as_made(recording)
+        except RunNotFoundError as unsteady:
+            refusal = f"{missing}, and {unsteady}"
+        else:
+            print(f"{missing}; it is taken as a run of its own: {made.sentence}")
+            refusal = fault_of_run(made, recording) or course.take(recording, made)
+    if refusal:
+        print(f"run {course.number} is not taken: {refusal}")
+
+
+def _taken(course: CampaignCourse, recording: Recording) -> bool:
+    """Whether a run was cut out of this recording before."""
+    end_ns = recording.stamp_ns(recording.sample_count)
+    return any(recording.start_ns <= kept.start_ns < end_ns for _, kept in course.runs)
+
+
+def _goal_of(options: argparse.Namespace) -> ForceGoal:
+    """The goal that is meant. Raises ValueError."""
+    return ForceGoal(options.error, tuple(options.velocity), tuple(options.current))
+
+
+def _limits_of(options: argparse.Namespace) -> MachineLimits:
+    """The limits of the machine. Raises ValueError."""
+    return MachineLimits(
+        amplitude=options.amplitude,
+        peak_velocity=options.top_velocity or options.velocity[1],
+        force=options.force,
+        current=options.current[1] if options.top_current is None else options.top_current,
+        duration=options.duration,
+        heat=options.heat,
+        frequency=tuple(options.frequency),
+        sample_rate=options.rate,
+        steps=not options.manual,
+        motions=motions_of(["sine"] if options.manual else options.motions),
+    )

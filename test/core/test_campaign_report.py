@@ -16,7 +16,7 @@ from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
 from mr_damper_ros.estimation.planned_run import PlannedRun
-from mr_damper_ros.tools import plan_campaign
+from mr_damper_ros.tools import plan_run
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 ASKED = [
@@ -66,7 +66,7 @@ def test_a_folder_without_a_campaign_has_no_report(tmp_path: Path) -> None:
 
 
 def told(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> str:
-    assert plan_campaign.main([str(word) for word in arguments]) == code
+    assert plan_run.main(["--keep", *(str(word) for word in arguments)]) == code
     return capsys.readouterr().out
 
 
@@ -75,9 +75,7 @@ def test_by_hand_call_by_call(
 ) -> None:
     plan_quickly(monkeypatch, ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5)))
     reported: list[tuple[Path, str]] = []
-    monkeypatch.setattr(
-        plan_campaign, "write_campaign_report", lambda *given: reported.append(given)
-    )
+    monkeypatch.setattr(plan_run, "write_campaign_report", lambda *given: reported.append(given))
     folder, bags = tmp_path / "campaign", tmp_path / "bags"
     said = told(capsys, folder, *ASKED)
     assert f"run 1: {RUNS[0].sentence}" in said
@@ -107,7 +105,7 @@ def test_recordings_that_nobody_has_planned_count_as_runs_of_their_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan_quickly(monkeypatch, ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5)))
-    monkeypatch.setattr(plan_campaign, "write_campaign_report", lambda *_: "")
+    monkeypatch.setattr(plan_run, "write_campaign_report", lambda *_: "")
     said = told(capsys, tmp_path / "campaign", BAG, *ASKED)
     assert "taken as a run of its own: 5 mm at 1 Hz" in said
     (run, _), *_ = read_campaign_runs(tmp_path / "campaign")
@@ -122,7 +120,7 @@ def test_the_amplitude_of_another_motion_is_told_right() -> None:
 
 
 def test_a_new_campaign_needs_a_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert plan_campaign.main([str(tmp_path / "new")]) == 2
+    assert plan_run.main(["--keep", str(tmp_path / "new")]) == 2
     assert "a new campaign needs --velocity, --current" in capsys.readouterr().err
 
 

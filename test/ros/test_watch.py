@@ -35,7 +35,7 @@ def test_a_wrong_period_is_one_sentence() -> None:
 
 
 def test_a_rig_is_shown_until_it_is_interrupted() -> None:
-    program = Program([str(installed_programs() / "live_rig"), "--port", "0"])
+    program = Program([str(installed_programs() / "demo"), "--live", "--port", "0"])
     deadline = time.monotonic() + PATIENCE
     while not (found := re.search(r"the page is at (\S+);", program.output)):
         assert program.running, program.log
