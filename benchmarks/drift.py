@@ -16,8 +16,7 @@ from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.trackers import TRACKERS
+from mr_damper_ros.tracking.tracker import TrackerSettings
 
 DURATION = 600.0
 COLD, HOT = 28.0, 71.0
@@ -111,7 +110,9 @@ def _true_loop(run: Recording, part: slice) -> Array:
 def figures(duration: float = DURATION) -> list[Figure]:
     """``drift_scale_error_p95_percent``, ``drift_nrmse_ratio``, ``ukf_drift_...`` of the first."""
     run = bag(duration)
-    window, unscented = (measure(run, TrackerSettings(tracker=name)) for name in TRACKERS)
+    window, recursive = (
+        measure(run, TrackerSettings(tracker=name)) for name in ("window", "recursive")
+    )
     assert run.temperature is not None
     shared = (
         f"Emulated rig heating from 28 to {float(run.temperature[-1]):.1f} °C in {duration:.0f} s, "
@@ -137,8 +138,8 @@ def figures(duration: float = DURATION) -> list[Figure]:
         ),
         Figure(
             "ukf_drift_scale_error_p95_percent",
-            100.0 * unscented.scale_error_p95,
-            "The force scale's error on the same recording by the unscented Kalman filter [%].",
-            note=f"Its NRMSE ratio: {unscented.nrmse_ratio:.3f}.",
+            100.0 * recursive.scale_error_p95,
+            "The force scale's error on the same recording by the recursive Kalman filter [%].",
+            note=f"Its NRMSE ratio: {recursive.nrmse_ratio:.3f}.",
         ),
     ]

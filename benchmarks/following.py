@@ -18,7 +18,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording, stream_of
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
 WINDOW, HOP = WindowSettings.window, WindowSettings.hop

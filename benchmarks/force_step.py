@@ -12,8 +12,7 @@ from mr_damper_ros.emulation.emulator import ConstantDamper, scaled
 from mr_damper_ros.emulation.faults import fault_of
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.trackers import TRACKERS
+from mr_damper_ros.tracking.tracker import TrackerSettings
 
 FACTOR = 0.9
 WITHIN = 0.01
@@ -56,7 +55,9 @@ def measure(settings: TrackerSettings, offsets: Sequence[float] = OFFSETS) -> li
 
 def figures(offsets: Sequence[float] = OFFSETS) -> list[Figure]:
     """``step_windows`` and ``ukf_step_windows``."""
-    found, unscented = (measure(TrackerSettings(tracker=name), offsets) for name in TRACKERS)
+    found, recursive = (
+        measure(TrackerSettings(tracker=name), offsets) for name in ("window", "recursive")
+    )
     return [
         Figure(
             "step_windows",
@@ -69,8 +70,8 @@ def figures(offsets: Sequence[float] = OFFSETS) -> list[Figure]:
         ),
         Figure(
             "ukf_step_windows",
-            max(unscented),
-            "The same by the unscented Kalman filter.",
-            note=f"Mean: {float(np.mean(unscented)):.2f}.",
+            max(recursive),
+            "The same by the recursive Kalman filter.",
+            note=f"Mean: {float(np.mean(recursive)):.2f}.",
         ),
     ]

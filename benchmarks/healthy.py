@@ -16,7 +16,7 @@ from benchmarks.figure import Figure
 from benchmarks.other_dampers import DAMPERS, chirp, random_motion, stairs, stops
 from benchmarks.stream_trial import StreamTrial, Stretch, TrialResult, TrialSettings
 from mr_damper_ros.emulation.motions import Excitation, SineMotion
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 
 MODELS = ("sigmoid", "sigmoid_lag")
 """The laws that are identified: the default, and the one for any motion."""

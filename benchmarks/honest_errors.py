@@ -28,9 +28,7 @@ from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.trackers import TRACKERS
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
 from studies.thesis.published_runs import PHASE
 
@@ -175,7 +173,7 @@ def figures(
     misfit_windows: int = MISFIT_WINDOWS,
 ) -> list[Figure]:
     """``needless_exchanges``, ``ar1_error_ratio``, ``misfit_error_ratio``, ``scale_chi2``."""
-    counts = {name: exchanges(name, windows) for name in TRACKERS}
+    counts = {name: exchanges(name, windows) for name in ("window", "recursive")}
     sine = published_scales(SineMotion(5e-3, 1.0), bouc_wen(_SOFT), misfit_windows)
     irregular = published_scales(
         random_motion(misfit_windows * following.WINDOW + _SETTLING, seed=1),

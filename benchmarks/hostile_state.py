@@ -14,7 +14,8 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
-from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text, to_text
+from mr_damper_ros.tracking.tracker import TrackerMemory
+from mr_damper_ros.tracking.tracker_state import from_text, to_text
 
 
 class HostileState:

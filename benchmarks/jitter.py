@@ -26,7 +26,7 @@ from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 
 JITTER = 0.5
 """Stamps are off by up to this part of a sample period, evenly distributed."""

@@ -22,7 +22,8 @@ from benchmarks.figure import Figure
 from benchmarks.three_nodes import NODES, Heard, ThreeNodes
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.state_directory import StateError
-from mr_damper_ros.tracking.tracker_memory import TrackerMemory, from_text
+from mr_damper_ros.tracking.tracker import TrackerMemory
+from mr_damper_ros.tracking.tracker_state import from_text
 
 _BUILD = Path("build")
 """The state is kept here: a folder for temporary files may be one that forgets nothing quickly."""

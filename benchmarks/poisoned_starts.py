@@ -36,8 +36,7 @@ from mr_damper_ros.nodes.results import parameter_set, parameters_message, repor
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
@@ -53,7 +52,7 @@ _WORDS = ("", "x", "\ud800", "a\nb", "ä", "\0", "x" * 5000, "../x", "nan", "1e9
 _COUNTS = (-1, 0, 1, 2**31, 2**31 * 10**9, 2**63, -(2**63), 10**40)
 _SETTINGS = {
     "window": TrackerSettings(method="least_squares"),
-    "unscented": TrackerSettings(method="least_squares", tracker="unscented"),
+    "recursive": TrackerSettings(method="least_squares", tracker="recursive"),
     "bingham": TrackerSettings(method="least_squares", model="bingham"),
 }
 

@@ -25,7 +25,7 @@ from mr_damper_ros.emulation.emulator import CurrentSchedule
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 from studies import earthquake, recordings
 
 LEARNT = (0.2, 0.8, 1.4, 0.5, 1.1, 0.2, 1.4, 0.8)

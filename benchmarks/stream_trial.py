@@ -42,8 +42,7 @@ from mr_damper_ros.signals.rig_block import RigBlock
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.validity import DoubtKind
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
 

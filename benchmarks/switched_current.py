@@ -28,9 +28,9 @@ from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.current_parts import parts_by_current
+from mr_damper_ros.tracking.jobs import parts_by_current
 from mr_damper_ros.tracking.screening import Screening
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 from studies.recordings import window_of
 
 SIXTEEN = ParameterSet(

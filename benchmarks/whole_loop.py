@@ -318,7 +318,14 @@ def switched(seed: int, duration: float = SWITCHED) -> Switched:
 
 
 def _is_search(method: str) -> bool:
-    return method not in ("nelder_mead", "least_squares", "force_scale", "unscented", "")
+    return method not in (
+        "nelder_mead",
+        "least_squares",
+        "force_scale",
+        "recursive",
+        "unscented",
+        "",
+    )
 
 
 # -- what the measured force does to the current ---------------------------------------------------

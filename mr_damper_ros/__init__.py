@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from mr_damper_ros.signals.recording import Recording
     from mr_damper_ros.tracking.engine import Engine, EngineSettings
     from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-    from mr_damper_ros.tracking.tracker import WindowTracker
-    from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+    from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 
 __all__ = [
     "MODELS",
@@ -91,7 +90,7 @@ _HOMES = {
     "Recording": "signals.recording",
     "Replay": "api.replay",
     "SampleBlock": "signals.blocks",
-    "TrackerSettings": "tracking.tracker_settings",
+    "TrackerSettings": "tracking.tracker",
     "Validation": "api.comparison",
     "WindowTracker": "tracking.tracker",
     "choose_law": "api.identification",

@@ -66,10 +66,10 @@ class IdentifierDiagnostics:
 
     def worker(self) -> Finding:
         """What the worker does, and whether it keeps up."""
-        worker, pipeline = self._worker, self._identifier.pipeline
-        dropped = pipeline.dropped_windows
+        worker, identifier = self._worker, self._identifier
+        dropped = identifier.dropped_windows
         values = {
-            "waiting windows": pipeline.waiting_windows,
+            "waiting windows": identifier.waiting_windows,
             "dropped windows": dropped,
             "replaced": worker.replaced,
             "process": worker.pid,
@@ -85,7 +85,7 @@ class IdentifierDiagnostics:
             return Finding(OK, "the process is starting", values)
         if worker.waits:
             return Finding(OK, "waits for a process that others have", values)
-        return Finding(OK, pipeline.running or "idle", values)
+        return Finding(OK, identifier.running or "idle", values)
 
     def parameters(self) -> Finding:
         """The set in use."""

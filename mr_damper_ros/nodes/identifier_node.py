@@ -37,8 +37,7 @@ from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.processes.worker import PooledWorker, WorkerPool
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.identifier import Identifier, Publication
-from mr_damper_ros.tracking.pipeline import SearchProgress
+from mr_damper_ros.tracking.identifier import Identifier, Publication, SearchProgress
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState
@@ -101,7 +100,7 @@ class IdentifierNode(Node):
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(Trigger, "~/acknowledge", self._acknowledge)
         self._goals = SearchGoals(
-            self, self._identifier.pipeline, options.tracking.evolution, self._frame_id
+            self, self._identifier, options.tracking.evolution, self._frame_id
         )
         self._diagnose(worker, options.tracking.acceptance.maximum_nrmse)
         kept = options.state_dir

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.uniform_grid import GridSettings
-from mr_damper_ros.tracking.pipeline import PipelineSettings
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.identifier import PipelineSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 from mr_damper_ros.tracking.window_assembler import WindowSettings
 
 

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.nodes.goal_server import GoalServer
 from mr_damper_ros.nodes.results import parameters_message
-from mr_damper_ros.tracking.pipeline import Pipeline, Search, SearchEnded, SearchProgress
+from mr_damper_ros.tracking.identifier import Identifier, Search, SearchEnded, SearchProgress
 
 _REFUSED = "global-refused"
 """Id of a set that was found but is not in use."""
@@ -22,12 +22,12 @@ _MOST_GOALS = 20
 
 
 class SearchGoals:
-    """Serves ``~/identify_global``: each goal is a search of the pipeline."""
+    """Serves ``~/identify_global``: each goal is a search of the identification."""
 
     def __init__(
-        self, node: Node, pipeline: Pipeline, configured: EvolutionSettings, frame_id: str
+        self, node: Node, identifier: Identifier, configured: EvolutionSettings, frame_id: str
     ) -> None:
-        self._pipeline = pipeline
+        self._identifier = identifier
         self._configured = configured
         self._frame_id = frame_id
         self._node = node.get_fully_qualified_name()
@@ -79,19 +79,19 @@ class SearchGoals:
             return
         search = Search(settings)
         self._goals[search] = goal
-        self._pipeline.add_search(search)
+        self._identifier.add_search(search)
 
     def _cancel(self, goal: ServerGoalHandle) -> None:
         for search, known in self._goals.items():
             if known == goal:
-                self._pipeline.cancel_search(search)
+                self._identifier.cancel_search(search)
 
     def _result(self, event: SearchEnded) -> IdentifyGlobal.Result:
-        if event.result is None or event.report is None:
+        if event.outcome is None or event.report is None:
             return IdentifyGlobal.Result(
                 message="cancelled, or overtaken by a reset or another set", nrmse=math.nan
             )
-        fit, report = event.result.fit, event.report
+        fit, report = event.outcome.found, event.report
         if fit is None:
             return IdentifyGlobal.Result(message=report.reason, nrmse=math.nan)
         message = fit.message

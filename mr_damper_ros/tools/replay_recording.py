@@ -14,7 +14,7 @@ from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools.console import run_tool
 from mr_damper_ros.tracking.engine import EngineSettings
-from mr_damper_ros.tracking.tracker_settings import OF_THE_SET
+from mr_damper_ros.tracking.tracker import OF_THE_SET
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

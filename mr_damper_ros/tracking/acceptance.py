@@ -8,15 +8,18 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.tracking.known_forces import KnownForce, KnownForces
-from mr_damper_ros.tracking.reservoir import OperatingPoint
-from mr_damper_ros.tracking.usual_residual import SeenResidual, UsualResiduals
+from mr_damper_ros.tracking.evidence import BEYOND_CHANCE, Evidence
+from mr_damper_ros.tracking.operating_point import (
+    KnownForce,
+    KnownForces,
+    OperatingPoint,
+    SeenResidual,
+    UsualResiduals,
+)
 
 _OTHER_SHAPE = 0.3
 """Temperature and wear move the loop of a steady motion by less than this part of the force from
 one window to the next: a delay between the sensors does more."""
-
-_LEAST_WEIGHT = 0.1
 
 _WORSE = 0.03
 """A set for all windows may leave so much more of the force of late than the running set."""
@@ -32,13 +35,6 @@ _SAME_FORCE = 0.05
 _FAR_BETTER = 1.5
 """Where a set holds and the residual stays large, another force is taken for that of a sensor,
 unless it is so near the known one, or the new set leaves so many times less."""
-
-BEYOND_CHANCE = 2.5
-"""A set is exchanged for a lead of so many standard errors.
-
-A lead that is nothing but chance exceeds it once in 160 windows, and more rarely here: a new fit
-errs by its own noise, for which it falls behind on samples that it has not seen.
-"""
 
 
 class Verdict(IntEnum):
@@ -141,47 +137,6 @@ class AcceptanceSettings(CheckedSettings):
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What a window says of the running and the new set, on samples held back from the fit.
-
-    ``nrmse_before`` and ``nrmse_after``: RMSE/std; ``rmse_after`` [N]; ``force_change``: relative
-    change of the force from the running to the new set over the window's motion; ``lead``: how far
-    the new set is ahead on samples that no set was fitted to, in standard errors of chance.
-    ``loss``: what the mean square error rises by at other operating points of late, over what it
-    falls by here [1].
-    """
-
-    nrmse_before: float
-    nrmse_after: float
-    rmse_after: float
-    force_change: float
-    lead: float = math.inf
-    loss: float = 0.0
-
-    @property
-    def better(self) -> bool:
-        """Whether the new set predicts better than the running one, beyond chance."""
-        return self.nrmse_after < self.nrmse_before and self.lead > BEYOND_CHANCE
-
-    @property
-    def shape_change(self) -> float:
-        """Part of the new set's force [1] that is no multiple of the running set's.
-
-        It follows from the other figures where the new set explains the force and the mean of the
-        force is small; NaN where it does not.
-        """
-        new = 1.0 - self.nrmse_after**2
-        difference = self.nrmse_before**2 - self.nrmse_after**2
-        factor = 1.0 + self.force_change
-        weight = 2.0 * factor - 1.0
-        # Near half the force the two differences cancel.
-        if not (new > 0.0 and abs(weight) > _LEAST_WEIGHT):
-            return math.nan
-        known = (new - difference) / (weight * new)
-        return math.sqrt(max(1.0 - factor**2 * known, 0.0)) if known > 0.0 else math.nan
-
-
-@dataclass(frozen=True)
 class AcceptanceHistory:
     """What a gatekeeper remembers.
 
@@ -257,33 +212,27 @@ class Gatekeeper:
             self._forces.follow(force)
         return judgement
 
-    def judge_global(
-        self,
-        nrmse_before: float,
-        nrmse_after: float,
-        recent: tuple[float, float] = (math.inf, 0.0),
-        lead: float = math.inf,
-        objection: Callable[[], str] = str,
-    ) -> Judgement:
+    def judge_global(self, evidence: Evidence, objection: Callable[[], str] = str) -> Judgement:
         """Whether a set for the windows of the past is accepted: it leaves no trace.
 
-        ``recent``: NRMSE of the running and of the new set at the operating points of late;
-        ``lead``: how far it is ahead of the running set, see :class:`Evidence`; ``objection`` as in
-        :meth:`judge`.
+        ``objection`` as in :meth:`judge`.
         """
-        if not nrmse_after <= self._settings.maximum_nrmse:
+        maximum = self._settings.maximum_nrmse
+        if not evidence.nrmse_after <= maximum:
             return Judgement(
                 Verdict.POOR_FIT,
-                f"one set for all operating points leaves {nrmse_after:.0%} of the force "
-                f"unexplained, more than maximum_nrmse ({self._settings.maximum_nrmse:.0%})",
+                f"one set for all operating points leaves {evidence.nrmse_after:.0%} of the force "
+                f"unexplained, more than maximum_nrmse ({maximum:.0%})",
             )
-        if not (nrmse_after < _WORTH_WHILE * nrmse_before and lead > BEYOND_CHANCE):
+        worth_while = evidence.nrmse_after < _WORTH_WHILE * evidence.nrmse_before
+        if not (worth_while and evidence.lead > BEYOND_CHANCE):
             return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
-        if recent[1] > recent[0] + _WORSE:
+        before, after = evidence.recent
+        if after > before + _WORSE:
             return Judgement(
                 Verdict.NO_BETTER,
-                f"one set for all operating points leaves {recent[1]:.0%} of the force of late "
-                f"unexplained, the running set {recent[0]:.0%}",
+                f"one set for all operating points leaves {after:.0%} of the force of late "
+                f"unexplained, the running set {before:.0%}",
             )
         sentence = objection()
         return Judgement(Verdict.POOR_FIT, sentence) if sentence else ACCEPTED

@@ -19,14 +19,12 @@ from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.recording import CurrentReading, StreamItem
 from mr_damper_ros.signals.uniform_grid import GridSettings
-from mr_damper_ros.tracking.identifier import Identifier, Publication
-from mr_damper_ros.tracking.pipeline import PipelineSettings
+from mr_damper_ros.tracking.identifier import Identifier, PipelineSettings, Publication
+from mr_damper_ros.tracking.jobs import Job, Kind
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.state_directory import StateDirectory
-from mr_damper_ros.tracking.tasks import GlobalTask
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 
@@ -103,9 +101,9 @@ class Engine:
         """What has been identified so far."""
         return self.identifier.tracker
 
-    def _seconds_until_outcome(self, task: object) -> float:
+    def _seconds_until_outcome(self, job: Job) -> float:
         settings = self.settings
-        return settings.search_delay if isinstance(task, GlobalTask) else settings.fit_delay
+        return settings.search_delay if job.kind is Kind.SEARCH else settings.fit_delay
 
     def add_current(self, stamp_ns: int, current: float) -> None:
         """Add a value of the supply current [A]; raises CurrentError where it is not finite."""

@@ -23,7 +23,7 @@ from mr_damper_ros.estimation.covariance import least_squares_covariance
 from mr_damper_ros.estimation.observability import SURE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import ForceScale
-from mr_damper_ros.tracking.reservoir import OperatingPoint, nearest_same
+from mr_damper_ros.tracking.operating_point import OperatingPoint, nearest_same
 
 _FEWEST = 8
 """Fewer windows than this give no map."""

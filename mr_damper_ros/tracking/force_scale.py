@@ -15,7 +15,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
-from mr_damper_ros.tracking.reservoir import OperatingPoint, nearest_same
+from mr_damper_ros.tracking.operating_point import OperatingPoint, nearest_same
 
 _MOST_POWER = 1e100
 """Sum of squared forces [N²] beyond any damper's, far below where its square overflows."""

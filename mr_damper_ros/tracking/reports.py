@@ -11,7 +11,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Judgement, Verdict
 from mr_damper_ros.tracking.fluid_temperature import FluidTemperature
 from mr_damper_ros.tracking.force_scale import ForceScale
-from mr_damper_ros.tracking.tasks import FitResult, FitTask, GlobalResult, GlobalTask
+from mr_damper_ros.tracking.jobs import Job, Outcome
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +70,11 @@ class Report:
 
 
 def report_of_window(
-    task: FitTask, result: FitResult, judgement: Judgement, set_id: str, *, global_due: bool
+    job: Job, outcome: Outcome, judgement: Judgement, set_id: str, *, global_due: bool
 ) -> Report:
     """The report of a window; ``set_id`` names the set in use after it."""
-    raw, fit, evidence, summary = task.window, result.fit, result.evidence, result.summary
-    names = task.model.coefficient_names
+    raw, fit, evidence, summary = job.samples, outcome.fit, outcome.evidence, outcome.summary
+    names = job.model.coefficient_names
     coefficients = errors = discrepancies = np.full(len(names), math.nan)
     if fit:
         coefficients = fit.coefficients
@@ -86,7 +86,7 @@ def report_of_window(
         window_start_ns=raw.start_ns,
         stamp_ns=raw.end_ns,
         sample_count=raw.force.size,
-        method=fit.method if fit else task.settings.method,
+        method=fit.method if fit else job.options.method,
         evaluations=fit.evaluations if fit else 0,
         nrmse_before=evidence.nrmse_before if evidence else math.nan,
         nrmse_after=evidence.nrmse_after if evidence else math.nan,
@@ -94,7 +94,7 @@ def report_of_window(
         reason=judgement.sentence,
         confirms=verdict.confirms,
         set_id=set_id,
-        scale=result.scale,
+        scale=outcome.scale,
         peak_velocity=fit.operating_point[0] if fit else math.nan,
         amplitude=summary.amplitude if summary else math.nan,
         frequency=summary.frequency if summary else math.nan,
@@ -113,21 +113,19 @@ def _errors(covariance: Array) -> Array:
     return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
-def report_of_global(
-    task: GlobalTask, result: GlobalResult, judgement: Judgement, set_id: str
-) -> Report:
+def report_of_search(job: Job, outcome: Outcome, judgement: Judgement, set_id: str) -> Report:
     """The report of a global identification; ``set_id`` names the set in use after it."""
-    stamp_ns, law = task.stamp_ns, task.start.law
+    evidence, law = outcome.evidence, job.running.law
     # Linear laws are solved, the others are searched.
     searched = law.searched_laws(frozenset(law.parameter_names)) > 0
     return Report(
-        window_start_ns=stamp_ns,
-        stamp_ns=stamp_ns,
-        sample_count=sum(window.sample_count for window in task.windows),
+        window_start_ns=job.stamp_ns,
+        stamp_ns=job.stamp_ns,
+        sample_count=sum(window.sample_count for window in job.windows),
         method="differential_evolution" if searched else "least_squares",
-        evaluations=result.fit.evaluations if result.fit else 0,
-        nrmse_before=result.nrmse_before,
-        nrmse_after=result.nrmse_after,
+        evaluations=outcome.found.evaluations if outcome.found else 0,
+        nrmse_before=evidence.nrmse_before if evidence else math.nan,
+        nrmse_after=evidence.nrmse_after if evidence else math.nan,
         verdict=judgement.verdict,
         reason=judgement.sentence,
         # The windows are of the past: that the running set fits them as well confirms nothing new.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,12 +11,8 @@ from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import Evidence
-from mr_damper_ros.tracking.known_forces import KnownForce
-from mr_damper_ros.tracking.reservoir import OperatingPoint
-
-if TYPE_CHECKING:
-    from mr_damper_ros.tracking.tasks import WindowSummary
+from mr_damper_ros.tracking.evidence import Evidence
+from mr_damper_ros.tracking.operating_point import KnownForce, OperatingPoint
 
 _AGREES = 0.1
 """A law that is off by less of the force where it was not known holds there, too."""
@@ -27,6 +22,36 @@ _SAME_CURRENT = 0.05
 _SAME_FREQUENCY = 0.05
 _SAME_AMPLITUDE = 0.3
 """A sensor that is late may also show less of the motion; the loop keeps its shape that far."""
+
+
+@dataclass(frozen=True)
+class WindowSummary:
+    """What is reported of a window that was fitted, and the range that it covers.
+
+    ``amplitude`` [m]; ``frequency`` [Hz], NaN where the motion is no sine; the ranges of the peak
+    velocity [m/s], without its outermost twentieths, and of the current [A]; the ``largest_force``
+    and the ``spread`` (standard deviation) of the force [N].
+    """
+
+    amplitude: float
+    frequency: float
+    peak_velocity_range: tuple[float, float]
+    current_range: tuple[float, float]
+    largest_force: float
+    spread: float
+
+    @classmethod
+    def of(cls, window: Window) -> WindowSummary:
+        """The summary of a window."""
+        current = window.current
+        return cls(
+            amplitude=window.motion.amplitude,
+            frequency=window.motion.frequency,
+            peak_velocity_range=window.peak_velocity_range,
+            current_range=(float(current.min()), float(current.max())),
+            largest_force=window.largest_force,
+            spread=float(np.std(window.force)),
+        )
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class StateDirectory:
 
     A set written by hand has no such line and is read all the same. With a set goes the memory of
     the tracker that identified it, if it is given: one line of text, see
-    :mod:`mr_damper_ros.tracking.tracker_memory`. ``path`` is created when the first set is saved;
+    :mod:`mr_damper_ros.tracking.tracker_state`. ``path`` is created when the first set is saved;
     "" keeps nothing, and every call says so.
     """
 

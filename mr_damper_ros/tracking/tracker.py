@@ -1,47 +1,59 @@
-"""Follows a damper window by window: the pure object behind the identifier node.
+"""Follows a damper window by window: what is known of it, and what is decided.
 
-``WindowTracker`` holds what is known (the running set, the baselines, the reservoir), makes tasks
-and decides on what they found; the work of a task (:mod:`window_task`, :mod:`global_task`) may run
-in another process. Tasks are built one after another, each from the running set that the one
-before it left, so the same windows always give the same sets.
+``WindowTracker`` makes the jobs (:mod:`jobs`), of which the work may be done in another process,
+and decides on their outcomes. Jobs are made one after another, each from the running set that the
+one before it left, so the same windows always give the same sets.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
 from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.blas_threads import one_thread
+from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
+    AcceptanceHistory,
+    AcceptanceSettings,
     Gatekeeper,
     Judgement,
     Verdict,
     fault_of_data,
 )
-from mr_damper_ros.tracking.fluid_temperature import FluidTemperature, TemperatureMaps
-from mr_damper_ros.tracking.force_scale import Baselines, ScaleScatter
-from mr_damper_ros.tracking.global_task import run_global
-from mr_damper_ros.tracking.reports import Report, report_of_global, report_of_window
-from mr_damper_ros.tracking.reservoir import Reservoir
+from mr_damper_ros.tracking.cusum import ChangeWatch
+from mr_damper_ros.tracking.fluid_temperature import (
+    FluidTemperature,
+    TemperatureHistory,
+    TemperatureMaps,
+)
+from mr_damper_ros.tracking.force_scale import Baselines, ScaleScatter, SeenScale
+from mr_damper_ros.tracking.jobs import TRACKERS, FitOptions, Job, Kind, Outcome, run
+from mr_damper_ros.tracking.operating_point import OperatingPoint, Reservoir
+from mr_damper_ros.tracking.recursive_tracker import FilterState
+from mr_damper_ros.tracking.reports import Report, report_of_search, report_of_window
 from mr_damper_ros.tracking.running_set import (
+    SteadyMotion,
     holds_at,
     known_force,
     set_of_change,
     set_of_window,
 )
-from mr_damper_ros.tracking.tasks import FitResult, FitTask, GlobalResult, GlobalTask
-from mr_damper_ros.tracking.tracker_memory import TrackerMemory
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.trackers import TRACKERS
+from mr_damper_ros.tracking.screening import Screening
 from mr_damper_ros.tracking.window_assembler import RawWindow
-from mr_damper_ros.tracking.window_task import run_fit
+
+OF_THE_SET = "auto"
+"""The law is that of the set to start from."""
+
 
 _GROWTH = 1.5
 """Another global identification is worth while where so many times the operating points are known.
@@ -53,6 +65,133 @@ _PATIENCE = 3
 
 _ESTABLISHED = 3
 """So many windows of one motion establish the shape of its force."""
+
+
+@dataclass(frozen=True)
+class TrackerSettings(CheckedSettings):
+    """Settings of the identification of windows; raises ValueError for values out of range."""
+
+    model: str = option(
+        OF_THE_SET,
+        f"Force law that is identified; {OF_THE_SET}: that of the parameters to start from, "
+        f"{DEFAULT_MODEL} where none are given.",
+        choices=(OF_THE_SET, *MODELS),
+    )
+    smallest_change: float = option(
+        0.02,
+        "Relative change of the force that calls for an early fit (see looks). False alarms come "
+        "hours apart where the force hardly rises above its noise, and practically never "
+        "otherwise.",
+        minimum=0.001,
+        maximum=1.0,
+    )
+    tracker: str = option(
+        "window",
+        "How the damper is followed: window (the fit of each window on its own) or recursive (an "
+        "extended Kalman filter, which uses every sample once and starts from the fit of a "
+        "window; unscented is an earlier name of it).",
+        choices=tuple(TRACKERS),
+    )
+    drift_rate: float = option(
+        1e-3,
+        "For tracker recursive: the random walk of the force [1/sqrt(s)] that the filter expects, "
+        "relative to the force. Larger follows faster and averages less.",
+        minimum=1e-9,
+        maximum=1.0,
+    )
+    method: str = option(
+        "nelder_mead",
+        "How a window is fitted: nelder_mead (simplex search, as in the thesis, then a "
+        "least-squares polish) or least_squares (Levenberg-Marquardt alone: the same minimum, "
+        "about five times faster).",
+        choices=WINDOW_METHODS,
+    )
+    robust: bool = option(
+        False,
+        "Whether the influence of outliers in the force is bounded (Huber's weights). Costs some "
+        "milliseconds per window; without outliers it changes nothing that matters.",
+    )
+    global_period: int = option(
+        20,
+        "A global identification runs after this many windows that fit, the first ones sooner "
+        "(after 1, 2, 3, 4, 6, 9 and so on); 0 for never. It needs windows at two operating points "
+        "at least. Windows whose force does not follow the current as the set has it lead to one "
+        "sooner. With model sigmoid_lag it also runs after the first accepted window, since "
+        "without it nothing is known of the lag.",
+        minimum=0,
+        maximum=1_000_000,
+    )
+    evolution: EvolutionSettings = group(EvolutionSettings)
+    screening: Screening = group(Screening)
+    acceptance: AcceptanceSettings = group(AcceptanceSettings)
+
+    @property
+    def law(self) -> str:
+        """Name of the force law where nothing is known of the damper."""
+        return DEFAULT_MODEL if self.model == OF_THE_SET else self.model
+
+    @property
+    def fit_options(self) -> FitOptions:
+        """What a job is told of them."""
+        return FitOptions(
+            self.method,
+            self.robust,
+            self.tracker,
+            self.drift_rate,
+            self.smallest_change,
+            self.screening,
+        )
+
+    def following(self, initial: ParameterSet) -> TrackerSettings:
+        """The settings with the law of the set to start from.
+
+        Raises ParameterError where another law is asked for.
+        """
+        if self.model != OF_THE_SET:
+            initial.of_model(self.model)
+            return self
+        return replace(self, model=initial.model)
+
+
+@dataclass(eq=False)
+class TrackerMemory:
+    """All of a tracker but its settings and its running set; see ``WindowTracker``.
+
+    ``windows`` judged so far (they number the sets); ``accepted`` since the start or reset;
+    ``accepted_since_global``: good windows since the last global identification, whether their set
+    was taken or the one in use confirmed; ``history`` of acceptance; ``baselines`` of the force
+    scale; ``reservoir`` windows and their operating points (peak velocity [m/s], current [A]);
+    ``state`` of the recursive filter; ``watch`` for changes; ``changed_ns``: begin of the last
+    sudden change; ``temperatures`` with the force scales that came with them; ``searched_points``:
+    operating points that the last global identification had; ``scales`` seen in motions that were
+    no sine; ``global_patience``: good windows until the next search; ``other_damper``: whether the
+    damper may be another one than that of the running set; ``motion`` of the newest good windows;
+    ``kept_ns``: stamp of the newest window in the reservoir; ``reservoir_stamps``: that of each;
+    ``unexplained_windows``: windows whose dependence on the current the law did not explain since
+    the last search, and ``unexplained_patience``: after how many the next one follows, 0 for the
+    usual number.
+    """
+
+    windows: int = 0
+    accepted: int = 0
+    accepted_since_global: int = 0
+    history: AcceptanceHistory = field(default_factory=AcceptanceHistory)
+    baselines: tuple[WindowFit, ...] = ()
+    reservoir: tuple[Window, ...] = ()
+    reservoir_points: tuple[OperatingPoint, ...] = ()
+    state: FilterState | None = None
+    watch: ChangeWatch | None = None
+    changed_ns: int = 0
+    temperatures: tuple[TemperatureHistory, ...] = ()
+    searched_points: int = 0
+    scales: tuple[SeenScale, ...] = ()
+    global_patience: int = 1
+    other_damper: bool = False
+    motion: SteadyMotion = field(default_factory=SteadyMotion)
+    kept_ns: int = 0
+    reservoir_stamps: tuple[int, ...] = ()
+    unexplained_windows: int = 0
+    unexplained_patience: int = 0
 
 
 class WindowTracker:
@@ -69,55 +208,30 @@ class WindowTracker:
     @property
     def memory(self) -> TrackerMemory:
         """All that has been learnt besides the running set."""
-        return TrackerMemory(
-            windows=self._windows,
-            accepted=self._accepted,
-            accepted_since_global=self._good_since_global,
+        return replace(
+            self._now,
             history=self._gatekeeper.history,
             baselines=self._baselines.fits,
             reservoir=self._reservoir.windows,
             reservoir_points=self._reservoir.points,
             reservoir_stamps=self._reservoir.stamps,
-            unexplained_windows=self._unexplained_windows,
-            unexplained_patience=self._unexplained_patience,
-            state=self._state,
-            watch=self._watch,
-            changed_ns=self._changed_ns,
             temperatures=self._temperatures.histories,
             scales=self._scatter.seen,
-            searched_points=self._searched_points,
-            global_patience=self._global_patience,
-            other_damper=self._other_damper,
-            motion=self._motion,
-            kept_ns=self._kept_ns,
         )
 
     def _remember(self, memory: TrackerMemory) -> None:
-        self._windows = memory.windows
-        self._accepted = memory.accepted
-        self._good_since_global = memory.accepted_since_global
+        self._now = replace(memory)
         self._gatekeeper = Gatekeeper(self._settings.acceptance, memory.history)
         self._baselines = Baselines(memory.baselines)
         self._reservoir = Reservoir(
             memory.reservoir, memory.reservoir_points, memory.reservoir_stamps
         )
-        self._state = memory.state
-        self._watch = memory.watch
-        self._changed_ns = memory.changed_ns
         self._temperatures = TemperatureMaps(memory.temperatures)
         self._scatter = ScaleScatter(memory.scales)
-        self._searched_points = memory.searched_points
-        # Good windows until the next search: the first know little, each waits half as long again.
-        self._global_patience = memory.global_patience
-        self._other_damper = memory.other_damper
-        self._motion = memory.motion
-        self._kept_ns = memory.kept_ns
         self._seen_ns = 0
-        # Whether the law over the current does not explain the newest window, how many of them came
-        # since the last search, and after how many the next one follows.
+        # Whether the law over the current does not explain the newest window.
         self._unexplained = False
-        self._unexplained_windows = memory.unexplained_windows
-        self._unexplained_patience = memory.unexplained_patience or _PATIENCE
+        self._now.unexplained_patience = memory.unexplained_patience or _PATIENCE
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
         """Go on where another tracker was, which may have had other settings.
@@ -126,25 +240,25 @@ class WindowTracker:
         """
         self.parameters = parameters.of_model(self._settings.model)
         self._remember(memory)
-        if not TRACKERS[self._settings.tracker].remembers:
-            self._state = None
-        if self._watch and self._watch.smallest_change != self._settings.smallest_change:
-            self._watch = None
+        if TRACKERS[self._settings.tracker] is None:
+            self._now.state = None
+        if self._now.watch and self._now.watch.smallest_change != self._settings.smallest_change:
+            self._now.watch = None
 
     def _start_again(self) -> None:
         # The number of windows names the sets, so it goes on.
-        self._remember(TrackerMemory(windows=self._windows))
+        self._remember(TrackerMemory(windows=self._now.windows))
 
     def _forget_scales(self) -> None:
         """What was known of the scales went with another set."""
-        self._state = None
-        self._watch = None
-        self._changed_ns = 0
+        self._now.state = None
+        self._now.watch = None
+        self._now.changed_ns = 0
 
     @property
     def accepted_windows(self) -> int:
         """Windows accepted since the start or the last reset."""
-        return self._accepted
+        return self._now.accepted
 
     @property
     def reservoir(self) -> Reservoir:
@@ -156,7 +270,7 @@ class WindowTracker:
         self.parameters = self._initial
         self._start_again()
         # Who resets says that what was known of the damper need not hold any more.
-        self._other_damper = True
+        self._now.other_damper = True
 
     def replace(self, parameters: ParameterSet) -> None:
         """Run with this set (loaded by the user) from now on; it also starts a new baseline.
@@ -169,65 +283,95 @@ class WindowTracker:
     @one_thread()
     def follow(self, window: RawWindow) -> Report | None:
         """Fit a window, or take a look, in this process; None of a look that changes nothing."""
-        task = self.window_task(window)
-        result = run_fit(task)
-        return self.complete_look(task, result) if window.look else self.complete(task, result)
+        job = self.job_of(window)
+        return self.complete(job, run(job))
 
     @one_thread()
     def identify(self, evolution: EvolutionSettings | None = None) -> Report:
-        """Identify globally, from the reservoir, in this process; see :meth:`global_task`."""
-        task = self.global_task(evolution)
-        return self.complete_global(task, run_global(task))
+        """Identify globally, from the reservoir, in this process; see :meth:`search`."""
+        job = self.search(evolution)
+        return self._complete_search(job, run(job))
 
-    def window_task(self, window: RawWindow) -> FitTask:
-        """The task of a window or a look, starting from the running set."""
-        if window.end_ns < self._changed_ns:
-            self._changed_ns = 0  # time was set back
-        return FitTask(
-            window,
+    def job_of(self, window: RawWindow) -> Job:
+        """The job of a window or a look, starting from the running set."""
+        if window.end_ns < self._now.changed_ns:
+            self._now.changed_ns = 0  # time was set back
+        return Job(
             self.parameters,
-            self._settings,
-            self._state,
-            self._watch,
-            self._changed_ns,
-            self._baselines.fits,
+            self._settings.fit_options,
+            window,
             () if window.look else self._reservoir.recent(window.start_ns),
+            self._baselines.fits,
+            self._now.state,
+            self._now.watch,
+            self._now.changed_ns,
         )
 
-    def complete(self, task: FitTask, result: FitResult) -> Report:
-        """Judge the result of a window's task and, if it is accepted, run with it."""
-        self._windows += 1
-        self._paused_before(task.window)
-        judgement = self._judge(task, result)
-        raw = task.window
-        scale = self._scatter.widened(result.scale, raw.start_ns, raw.end_ns)
-        result = replace(result, scale=scale)
+    def search(self, evolution: EvolutionSettings | None = None) -> Job:
+        """The job of a global identification of the reservoir, with other settings if given."""
+        self._now.accepted_since_global = 0
+        self._now.unexplained_windows = 0
+        self._now.global_patience += max(self._now.global_patience // 2, 1)
+        self._now.searched_points = self._reservoir.operating_points
+        return Job(
+            self.parameters,
+            self._settings.fit_options,
+            windows=self._reservoir.windows,
+            evolution=evolution or self._settings.evolution,
+            stamp_ns=max(self._now.kept_ns, self.parameters.stamp_ns),
+            recent=len(self._reservoir.recent(self._now.kept_ns)),
+        )
+
+    def complete(self, job: Job, outcome: Outcome) -> Report | None:
+        """Judge the outcome of a job and, if it is accepted, run with it.
+
+        None for a look that led to no early fit.
+        """
+        complete = {
+            Kind.WINDOW: self._complete_window,
+            Kind.LOOK: self._complete_look,
+            Kind.SEARCH: self._complete_search,
+        }
+        return complete[job.kind](job, outcome)
+
+    def _complete_window(self, job: Job, outcome: Outcome) -> Report:
+        self._now.windows += 1
+        self._paused_before(job.samples)
+        judgement = self._judge(job, outcome)
+        raw = job.samples
+        scale = self._scatter.widened(outcome.scale, raw.start_ns, raw.end_ns)
+        outcome = replace(outcome, scale=scale)
         report = report_of_window(
-            task, result, judgement, self.parameters.set_id, global_due=self._global_is_due()
+            job, outcome, judgement, self.parameters.set_id, global_due=self._global_is_due()
         )
-        if result.fit is None or not report.confirms:
+        if outcome.fit is None or not report.confirms:
             return report
-        return replace(report, fluid=self._fluid_temperature(task, result))
+        return replace(report, fluid=self._fluid_temperature(job, outcome))
 
-    def _judge(self, task: FitTask, result: FitResult) -> Judgement:
+    def _judge(self, job: Job, outcome: Outcome) -> Judgement:
         """Judge a window, and take over what it brings."""
-        fit, evidence, summary, parts = result.fit, result.evidence, result.summary, result.parts
+        fit, evidence, summary, parts = (
+            outcome.fit,
+            outcome.evidence,
+            outcome.summary,
+            outcome.parts,
+        )
         self._unexplained = False
         if fit is None or evidence is None or summary is None:
-            return result.refusal or fault_of_data("the window could not be fitted")
+            return outcome.refusal or fault_of_data("the window could not be fitted")
         if parts is not None and not parts.explained:
             # Judged before the window is: its own residual is that of a wrong law.
             self._unexplained = self._gatekeeper.is_usual(parts.rmse, parts.nrmse)
         force = known_force(fit, summary)
-        holds = not self._other_damper and holds_at(self.parameters, fit.operating_point)
-        known_motion = self._motion.windows_of(summary) >= _ESTABLISHED
+        holds = not self._now.other_damper and holds_at(self.parameters, fit.operating_point)
+        known_motion = self._now.motion.windows_of(summary) >= _ESTABLISHED
         found = set_of_window(
             self.parameters,
             fit,
             evidence,
             summary,
-            set_id=f"window-{self._windows}",
-            stamp_ns=task.window.end_ns,
+            set_id=f"window-{self._now.windows}",
+            stamp_ns=job.samples.end_ns,
         )
         judgement = self._gatekeeper.judge(
             evidence,
@@ -245,25 +389,25 @@ class WindowTracker:
             )
         if judgement.verdict.confirms:
             # All but the running set learns from every good window; that from those that help.
-            self._state = result.state
-            self._watch = self._watch or result.watch
-            self._motion = self._motion.followed_by(summary)
+            self._now.state = outcome.state
+            self._now.watch = self._now.watch or outcome.watch
+            self._now.motion = self._now.motion.followed_by(summary)
             if parts is None or parts.explained:
                 # A wrong law over the current is nothing to compare other windows with.
                 self._baselines.add(fit)
         if judgement.verdict.accepted:
-            self._watch = result.watch
-            self._other_damper = False
-            self._accepted += 1
+            self._now.watch = outcome.watch
+            self._now.other_damper = False
+            self._now.accepted += 1
             self.parameters = found
         if judgement.verdict is Verdict.BEYOND_LIMITS:
             self._unexplained = False
-        self._unexplained_windows += self._unexplained
+        self._now.unexplained_windows += self._unexplained
         if judgement.verdict.confirms or self._unexplained:
-            self._kept_ns = task.window.end_ns
-            self._good_since_global += judgement.verdict.confirms
-            for kept in result.kept:
-                self._reservoir.add(kept, task.window.end_ns)
+            self._now.kept_ns = job.samples.end_ns
+            self._now.accepted_since_global += judgement.verdict.confirms
+            for kept in outcome.kept:
+                self._reservoir.add(kept, job.samples.end_ns)
         return judgement
 
     def _paused_before(self, window: RawWindow) -> bool:
@@ -272,48 +416,53 @@ class WindowTracker:
         self._seen_ns = window.end_ns
         return paused
 
-    def _fluid_temperature(self, task: FitTask, result: FitResult) -> FluidTemperature:
+    def _fluid_temperature(self, job: Job, outcome: Outcome) -> FluidTemperature:
         """Learn from a window whose temperature was measured; estimate that of any other."""
-        assert result.fit is not None
-        point, celsius = result.fit.operating_point, task.window.temperature
+        assert outcome.fit is not None
+        point, celsius = outcome.fit.operating_point, job.samples.temperature
         if math.isnan(celsius):
-            return self._temperatures.temperature(point, result.scale)
-        self._temperatures.add(point, celsius, result.scale)
+            return self._temperatures.temperature(point, outcome.scale)
+        self._temperatures.add(point, celsius, outcome.scale)
         return FluidTemperature()
 
-    def complete_look(self, task: FitTask, result: FitResult) -> Report | None:
+    def _complete_look(self, job: Job, outcome: Outcome) -> Report | None:
         """Take in what a look has seen; a report where it led to an early fit that is in use."""
-        self._watch = result.watch or self._watch
-        raw = task.window
+        self._now.watch = outcome.watch or self._now.watch
+        raw = job.samples
         paused = self._paused_before(raw)
-        fit, evidence, summary, watch = result.fit, result.evidence, result.summary, result.watch
+        fit, evidence, summary, watch = (
+            outcome.fit,
+            outcome.evidence,
+            outcome.summary,
+            outcome.watch,
+        )
         if fit is None or evidence is None or summary is None or watch is None:
             return None
         if not self._gatekeeper.may_be_early(evidence):
             return None
-        set_id = f"early-{self._windows + 1}"
+        set_id = f"early-{self._now.windows + 1}"
         found = set_of_change(
             self.parameters, fit, evidence, summary, set_id=set_id, stamp_ns=raw.end_ns
         )
         if implausible(found):
             return None
-        self._windows += 1
+        self._now.windows += 1
         self.parameters = found
         self._gatekeeper.follow_change(evidence)
-        self._state = result.state
+        self._now.state = outcome.state
         # A law that is not exact swings about the force: the next change shows against a window.
-        self._watch = None
+        self._now.watch = None
         if not paused:
             # Nothing warms or cools so fast: the same force now means another temperature.
             self._temperatures = TemperatureMaps()
         length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
-        self._changed_ns = raw.end_ns - length
+        self._now.changed_ns = raw.end_ns - length
         judgement = Judgement(
             Verdict.ACCEPTED_EARLY,
             f"the force changed by {evidence.force_change:+.0%} at "
-            f"t = {self._changed_ns / NANOSECONDS:.2f} s: fitted early",
+            f"t = {self._now.changed_ns / NANOSECONDS:.2f} s: fitted early",
         )
-        report = report_of_window(task, result, judgement, set_id, global_due=self._global_is_due())
+        report = report_of_window(job, outcome, judgement, set_id, global_due=self._global_is_due())
         # One factor says nothing of the coefficients' own errors.
         unknown = np.full_like(report.coefficients, math.nan)
         return replace(report, coefficient_errors=unknown, coefficient_discrepancies=unknown)
@@ -322,51 +471,40 @@ class WindowTracker:
         period, points = self._settings.global_period, self._reservoir.operating_points
         if period == 0:
             return False
-        has_grown = points >= _GROWTH * self._searched_points
-        waited = self._unexplained_windows >= self._unexplained_patience
+        now = self._now
+        has_grown = points >= _GROWTH * now.searched_points
+        waited = now.unexplained_windows >= now.unexplained_patience
         if self._unexplained and points > 1 and (has_grown or waited):
             return True
         common = self._model.places(self._model.common_names)
         known = bool(self.parameters.observable[common].any())
-        if common.size and has_grown and (not known or 0 < self._searched_points < self._accepted):
+        if common.size and has_grown and (not known or 0 < now.searched_points < now.accepted):
             # No window fit finds a lag, a stiffness or an offset. One operating point does, but it
             # may be a poor one: the next few may correct what it has led to.
-            return self._good_since_global > 0 and self._accepted <= period
-        return self._good_since_global >= min(period, self._global_patience) and points > 1
+            return now.accepted_since_global > 0 and now.accepted <= period
+        return (
+            self._now.accepted_since_global >= min(period, self._now.global_patience) and points > 1
+        )
 
-    def global_task(self, evolution: EvolutionSettings | None = None) -> GlobalTask:
-        """Task of a global identification of the reservoir, with other settings if given."""
-        self._good_since_global = 0
-        self._unexplained_windows = 0
-        self._global_patience += max(self._global_patience // 2, 1)
-        self._searched_points = self._reservoir.operating_points
-        settings = evolution or self._settings.evolution
-        stamp_ns = max(self._kept_ns, self.parameters.stamp_ns)
-        recent = len(self._reservoir.recent(self._kept_ns))
-        return GlobalTask(self._reservoir.windows, self.parameters, settings, stamp_ns, recent)
-
-    def complete_global(self, task: GlobalTask, result: GlobalResult) -> Report:
-        """Judge a global identification and, if it is accepted, run with it."""
-        judgement = self._judge_global(result)
-        # A law that cannot follow the current is not searched for again and again.
+    def _complete_search(self, job: Job, outcome: Outcome) -> Report:
+        judgement = self._judge_search(outcome)
         accepted = judgement.verdict.accepted
-        self._unexplained_patience = _PATIENCE if accepted else 2 * self._unexplained_patience
-        if judgement.verdict.accepted and result.fit is not None:
+        # A law that cannot follow the current is not searched for again and again.
+        self._now.unexplained_patience = (
+            _PATIENCE if accepted else 2 * self._now.unexplained_patience
+        )
+        if accepted and outcome.found is not None:
             self.parameters = replace(
-                result.fit.parameter_set,
-                set_id=f"global-{self._windows}",
-                stamp_ns=task.stamp_ns,
+                outcome.found.parameter_set,
+                set_id=f"global-{self._now.windows}",
+                stamp_ns=job.stamp_ns,
             )
             self._forget_scales()
-        return report_of_global(task, result, judgement, self.parameters.set_id)
+        return report_of_search(job, outcome, judgement, self.parameters.set_id)
 
-    def _judge_global(self, result: GlobalResult) -> Judgement:
-        if result.fit is None:
-            return result.refusal or fault_of_data("the windows could not be fitted")
+    def _judge_search(self, outcome: Outcome) -> Judgement:
+        if outcome.found is None or outcome.evidence is None:
+            return outcome.refusal or fault_of_data("the windows could not be fitted")
         return self._gatekeeper.judge_global(
-            result.nrmse_before,
-            result.nrmse_after,
-            result.recent,
-            result.lead,
-            objection=partial(implausible, result.fit.parameter_set),
+            outcome.evidence, objection=partial(implausible, outcome.found.parameter_set)
         )

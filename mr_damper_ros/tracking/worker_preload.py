@@ -5,6 +5,6 @@ Of SciPy no more than most fits need: a worker that was killed should be back so
 
 import scipy.optimize
 
-from mr_damper_ros.tracking import pipeline
+from mr_damper_ros.tracking import jobs
 
-__all__ = ["pipeline", "scipy"]
+__all__ = ["jobs", "scipy"]

@@ -17,7 +17,7 @@ from mr_damper_ros.tracking.acceptance import (
     Judgement,
     Verdict,
 )
-from mr_damper_ros.tracking.known_forces import KnownForce
+from mr_damper_ros.tracking.operating_point import KnownForce
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -76,15 +76,15 @@ def test_a_set_is_accepted_where_the_running_one_has_no_finite_error() -> None:
 @pytest.mark.parametrize("after", [0.4, math.inf, math.nan])
 def test_one_set_for_all_that_explains_too_little_is_refused(after: float) -> None:
     gatekeeper = Gatekeeper(AcceptanceSettings(maximum_nrmse=0.3))
-    judgement = gatekeeper.judge_global(0.9, after)
+    judgement = gatekeeper.judge_global(Evidence(0.9, after))
     assert judgement.verdict is Verdict.POOR_FIT
     assert "more than maximum_nrmse (30%)" in judgement.sentence
 
 
 def test_one_set_for_all_is_accepted_where_it_is_better() -> None:
     gatekeeper = Gatekeeper(AcceptanceSettings())
-    assert gatekeeper.judge_global(0.2, 0.1) == ACCEPTED
-    assert gatekeeper.judge_global(0.1, 0.1).verdict is Verdict.NO_BETTER
+    assert gatekeeper.judge_global(Evidence(0.2, 0.1)) == ACCEPTED
+    assert gatekeeper.judge_global(Evidence(0.1, 0.1)).verdict is Verdict.NO_BETTER
 
 
 def test_a_residual_far_above_the_usual_one_is_refused() -> None:
@@ -277,8 +277,11 @@ def test_a_loop_that_is_another_at_once_is_not_taken_by_repetition() -> None:
 
 def test_one_set_for_all_that_is_worse_where_the_damper_is_now_is_refused() -> None:
     gatekeeper = Gatekeeper(AcceptanceSettings())
-    assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.07)) == ACCEPTED
-    assert gatekeeper.judge_global(0.2, 0.1, (0.05, 0.11)).verdict is Verdict.NO_BETTER
+    assert gatekeeper.judge_global(Evidence(0.2, 0.1, recent=(0.05, 0.07))) == ACCEPTED
+    assert (
+        gatekeeper.judge_global(Evidence(0.2, 0.1, recent=(0.05, 0.11))).verdict
+        is Verdict.NO_BETTER
+    )
 
 
 def test_a_force_that_is_known_where_the_motion_has_come_back_to_needs_no_confirmation() -> None:
@@ -339,7 +342,7 @@ def test_a_set_that_nobody_could_use_is_refused() -> None:
     judgement = gatekeeper.judge(evidence(20.0, 5.0), objection=lambda: "no damper gives 1e9 N")
     assert judgement == Judgement(Verdict.POOR_FIT, "no damper gives 1e9 N")
     assert gatekeeper.judge(evidence(5.0, 5.0), objection=lambda: "no").verdict.confirms
-    found = gatekeeper.judge_global(0.2, 0.1, objection=lambda: "no damper gives 1e9 N")
+    found = gatekeeper.judge_global(Evidence(0.2, 0.1), objection=lambda: "no damper gives 1e9 N")
     assert found.verdict is Verdict.POOR_FIT
 
 
@@ -356,4 +359,7 @@ def test_a_set_that_is_poor_here_goes_whatever_it_was_elsewhere() -> None:
 
 
 def test_a_set_for_all_windows_must_be_worth_while() -> None:
-    assert Gatekeeper(AcceptanceSettings()).judge_global(0.1, 0.099).verdict is Verdict.NO_BETTER
+    assert (
+        Gatekeeper(AcceptanceSettings()).judge_global(Evidence(0.1, 0.099)).verdict
+        is Verdict.NO_BETTER
+    )

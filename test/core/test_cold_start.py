@@ -9,7 +9,7 @@ from benchmarks.other_dampers import DAMPERS
 from benchmarks.stream_trial import StreamTrial, TrialSettings
 from mr_damper_ros.emulation.emulator import CurrentSchedule
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 
 STEP = 5.0
 """Seconds at the first current; after three some windows have been fitted."""

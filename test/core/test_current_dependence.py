@@ -23,7 +23,7 @@ from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.force_scale import with_strength
-from mr_damper_ros.tracking.reservoir import thinned_to_keep
+from mr_damper_ros.tracking.operating_point import thinned_to_keep
 
 FOLLOWING = [name for name, model in MODELS.items() if isinstance(model, CurrentDependentModel)]
 

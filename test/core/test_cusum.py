@@ -13,13 +13,12 @@ import pytest
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import SLACK, THRESHOLD, ChangeWatch, change_point, fit_scale
+from mr_damper_ros.tracking.jobs import Job
+from mr_damper_ros.tracking.jobs import run as work
+from mr_damper_ros.tracking.recursive_tracker import METHOD
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tasks import FitTask
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.unscented_filter import METHOD
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
-from mr_damper_ros.tracking.window_task import run_fit
 
 POINT = (0.03, 1.0)
 
@@ -194,7 +193,7 @@ def test_a_look_compares_with_the_force_that_the_set_predicts() -> None:
     measured = predicted + run.force - run.clean
     watch = ChangeWatch.after_fit(predicted, measured, run.window.operating_point, 0.02)
     raw = dataclasses.replace(known.raw_window(run), force=measured, look=500)
-    result = run_fit(FitTask(raw, narrow, TrackerSettings(), watch=watch))
+    result = work(Job(narrow, raw=raw, watch=watch))
     assert result.watch is not None
     assert not result.watch.changed
 
@@ -334,7 +333,7 @@ def test_between_two_early_fits_a_window_is_judged() -> None:
 def test_after_a_reset_nothing_is_watched() -> None:
     tracked, _ = stream(0.9)
     tracked.reset()
-    task = tracked.window_task(known.raw_window(known.run()))
+    task = tracked.job_of(known.raw_window(known.run()))
     assert (task.watch, task.state, task.changed_ns) == (None, None, 0)
 
 

@@ -17,7 +17,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.recording import CurrentReading, TemperatureReading, stream_of
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 
 BAG = Path(__file__).resolve().parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 QUICK = EngineSettings(tracking=TrackerSettings(method="least_squares", global_period=0))

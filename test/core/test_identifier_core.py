@@ -13,11 +13,15 @@ from step_worker import StepWorker
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.identifier import Identifier, Publication
-from mr_damper_ros.tracking.pipeline import PipelineSettings, Search, SearchEnded
+from mr_damper_ros.tracking.identifier import (
+    Identifier,
+    PipelineSettings,
+    Publication,
+    Search,
+    SearchEnded,
+)
 from mr_damper_ros.tracking.state_directory import StateDirectory
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
@@ -112,7 +116,7 @@ def test_the_end_gives_out_what_waits() -> None:
 def test_the_end_of_a_search_comes_with_its_report() -> None:
     made = identifier(StateByHand())
     search = Search()
-    made.pipeline.add_search(search)
+    made.add_search(search)
     events = worked_off(made)
     (report,) = [item for item in events if isinstance(item, Publication)]
     (ended,) = [item for item in events if isinstance(item, SearchEnded)]

@@ -12,8 +12,8 @@ import pytest
     "modules",
     [
         "mr_damper_ros.tracking.predictor",
-        "mr_damper_ros.tracking.tracker, mr_damper_ros.tracking.tracker_memory",
-        "mr_damper_ros.tracking.pipeline, mr_damper_ros.processes.worker",
+        "mr_damper_ros.tracking.tracker, mr_damper_ros.tracking.tracker_state",
+        "mr_damper_ros.tracking.identifier, mr_damper_ros.processes.worker",
         "mr_damper_ros.io.bag_reader, mr_damper_ros.io.bag_writer, mr_damper_ros.io.records",
         "mr_damper_ros.rig.sources",
     ],

@@ -14,18 +14,20 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.tracking.pipeline import (
+from mr_damper_ros.tracking.identifier import (
     Event,
-    Pipeline,
+    Identifier,
     PipelineSettings,
+    Publication,
     Search,
     SearchEnded,
     SearchProgress,
-    WindowEnded,
 )
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.window_assembler import RawWindow
+from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.state_directory import StateDirectory
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker_state import TrackerState
+from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 PERIOD = 1.0 / 512.0
 COUNT = 1024
@@ -51,9 +53,9 @@ def window(number: int, current: float = 1.0, speed: float = 1.0) -> RawWindow:
 
 @dataclass
 class Bench:
-    """A pipeline with its parts."""
+    """An identification with its parts."""
 
-    pipeline: Pipeline
+    identifier: Identifier
     worker: StepWorker
     tracker: WindowTracker
 
@@ -61,8 +63,8 @@ class Bench:
         events: list[Event] = []
         while True:
             self.worker.work()
-            events += self.pipeline.poll()
-            if not self.pipeline.running:
+            events += self.identifier.poll()
+            if not self.identifier.running:
                 return events
 
 
@@ -70,16 +72,25 @@ def bench(*, waiting_windows: int = 1000, global_period: int = 0) -> Bench:
     worker = StepWorker()
     settings = TrackerSettings(global_period=global_period, evolution=QUICK_SEARCH)
     tracker = WindowTracker(settings, INITIAL)
-    pipeline = Pipeline(
+    identifier = Identifier(
+        WindowAssembler(2.0, 1.0),
         tracker,
         worker,  # type: ignore[arg-type]
         PipelineSettings(waiting_windows=waiting_windows),
+        TrackerState(tracker, StateDirectory(""), "bench"),
     )
-    return Bench(pipeline, worker, tracker)
+    return Bench(identifier, worker, tracker)
+
+
+def of_windows(events: list[Event]) -> list[Report]:
+    """The reports of windows."""
+    searches = {id(e.report) for e in events if isinstance(e, SearchEnded)}
+    reports = [e.report for e in events if isinstance(e, Publication)]
+    return [report for report in reports if id(report) not in searches]
 
 
 def starts(events: list[Event]) -> list[int]:
-    return [e.report.window_start_ns // 10**9 for e in events if isinstance(e, WindowEnded)]
+    return [report.window_start_ns // 10**9 for report in of_windows(events)]
 
 
 def results(events: list[Event]) -> list[tuple[Any, ...]]:
@@ -87,19 +98,19 @@ def results(events: list[Event]) -> list[tuple[Any, ...]]:
     return [
         (e.report.stamp_ns, e.report.accepted, e.report.set_id, e.report.coefficients.tobytes())
         for e in events
-        if not isinstance(e, SearchProgress) and e.report is not None
+        if isinstance(e, Publication)
     ]
 
 
 def test_windows_are_fitted_in_their_order_each_from_the_set_before() -> None:
     b = bench()
     for number in range(4):
-        b.pipeline.add_window(window(number))
-    assert (b.pipeline.running, b.pipeline.waiting_windows) == ("fit", 3)
+        b.identifier.add_windows([window(number)])
+    assert (b.identifier.running, b.identifier.waiting_windows) == ("fit", 3)
     events = b.work_off()
     assert starts(events) == [0, 1, 2, 3]
-    assert [e.report.accepted for e in events if isinstance(e, WindowEnded)] == [True] * 4
-    assert (b.pipeline.running, b.pipeline.waiting_windows) == ("", 0)
+    assert [report.accepted for report in of_windows(events)] == [True] * 4
+    assert (b.identifier.running, b.identifier.waiting_windows) == ("", 0)
     scale = b.tracker.parameters.values[0] / THESIS_28_CELSIUS[0]
     assert scale == pytest.approx(0.95**3, rel=0.1)
 
@@ -108,11 +119,11 @@ def test_the_results_do_not_depend_on_how_fast_the_windows_come() -> None:
     windows = [window(n, current=0.5 * (n % 3), speed=1.0 + n % 2) for n in range(8)]
     fast, slow = bench(global_period=3), bench(global_period=3)
     for item in windows:
-        fast.pipeline.add_window(item)
+        fast.identifier.add_windows([item])
     fast_events = fast.work_off()
     slow_events: list[Event] = []
     for item in windows:
-        slow.pipeline.add_window(item)
+        slow.identifier.add_windows([item])
         slow_events += slow.work_off()
     assert results(fast_events) == results(slow_events)
     assert any(isinstance(event, SearchEnded) for event in fast_events)
@@ -122,53 +133,49 @@ def test_the_results_do_not_depend_on_how_fast_the_windows_come() -> None:
 def test_the_oldest_waiting_window_makes_room() -> None:
     b = bench(waiting_windows=1)
     for number in range(5):
-        b.pipeline.add_window(window(number))
-    assert b.pipeline.dropped_windows == 3
+        b.identifier.add_windows([window(number)])
+    assert b.identifier.dropped_windows == 3
     assert starts(b.work_off()) == [0, 4]
 
 
 def test_a_fit_that_is_cut_counts_with_the_best_so_far() -> None:
     made = bench()
-    made.pipeline.add_window(window(0))
+    made.identifier.add_windows([window(0)])
     made.worker.stopped = True  # as when its time is over
-    (cut,) = made.work_off()
-    assert isinstance(cut, WindowEnded)
-    assert math.isfinite(cut.report.nrmse_after)
+    (cut,) = of_windows(made.work_off())
+    assert math.isfinite(cut.nrmse_after)
     # The next one is not cut, and starts from what is in use.
-    made.pipeline.add_window(window(1))
-    (whole,) = made.work_off()
-    assert isinstance(whole, WindowEnded)
-    assert whole.report.accepted, whole.report.reason
+    made.identifier.add_windows([window(1)])
+    (whole,) = of_windows(made.work_off())
+    assert whole.accepted, whole.reason
 
 
 def test_a_window_that_cannot_be_fitted_has_its_report() -> None:
     b = bench()
     b.worker.failing = True
-    b.pipeline.add_window(window(0))
-    (event,) = b.work_off()
-    assert isinstance(event, WindowEnded)
-    assert not event.report.accepted
-    assert event.report.reason == "the worker process died"
+    b.identifier.add_windows([window(0)])
+    (report,) = of_windows(b.work_off())
+    assert not report.accepted
+    assert report.reason == "the worker process died"
     assert b.tracker.parameters is INITIAL
     b.worker.failing = False
-    b.pipeline.add_window(window(1))
-    (event,) = b.work_off()
-    assert isinstance(event, WindowEnded)
-    assert event.report.accepted
+    b.identifier.add_windows([window(1)])
+    (report,) = of_windows(b.work_off())
+    assert report.accepted
 
 
 def test_a_search_goes_before_the_windows_that_wait() -> None:
     b = bench()
     for number in range(2):
-        b.pipeline.add_window(window(number, speed=1.0 + number))
+        b.identifier.add_windows([window(number, speed=1.0 + number)])
     b.work_off()
     for number in range(2, 5):
-        b.pipeline.add_window(window(number, speed=1.0 + number))
+        b.identifier.add_windows([window(number, speed=1.0 + number)])
     search = Search(QUICK_SEARCH)
-    b.pipeline.add_search(search)
+    b.identifier.add_search(search)
     events = b.work_off()
     kinds = [type(event) for event in events if not isinstance(event, SearchProgress)]
-    assert kinds == [WindowEnded, SearchEnded, WindowEnded, WindowEnded]
+    assert kinds == [Publication, Publication, SearchEnded, Publication, Publication]
     progress = [event for event in events if isinstance(event, SearchProgress)]
     assert progress
     assert all(event.search is search for event in progress)
@@ -176,9 +183,8 @@ def test_a_search_goes_before_the_windows_that_wait() -> None:
 
 def test_a_search_without_windows_ends_with_the_reason() -> None:
     b = bench()
-    b.pipeline.add_search(Search(QUICK_SEARCH))
-    (event,) = b.work_off()
-    assert isinstance(event, SearchEnded)
+    b.identifier.add_search(Search(QUICK_SEARCH))
+    (event,) = [e for e in b.work_off() if isinstance(e, SearchEnded)]
     assert event.report is not None
     assert not event.report.accepted
     assert event.report.reason
@@ -186,85 +192,83 @@ def test_a_search_without_windows_ends_with_the_reason() -> None:
 
 def test_a_cancelled_search_keeps_the_best_so_far() -> None:
     b = bench()
-    b.pipeline.add_window(window(0))
+    b.identifier.add_windows([window(0)])
     b.work_off()
     search = Search(EvolutionSettings(generations=10**6, population=5))
-    b.pipeline.add_search(search)
-    b.pipeline.cancel_search(search)
+    b.identifier.add_search(search)
+    b.identifier.cancel_search(search)
     (event,) = [e for e in b.work_off() if isinstance(e, SearchEnded)]
-    assert event.result is not None
-    assert event.result.fit is not None
+    assert event.outcome is not None
+    assert event.outcome.found is not None
 
 
 def test_a_search_cancelled_in_the_queue_never_runs() -> None:
     b = bench()
-    b.pipeline.add_window(window(0))
+    b.identifier.add_windows([window(0)])
     search = Search(QUICK_SEARCH)
-    b.pipeline.add_search(search)
-    b.pipeline.cancel_search(search)
+    b.identifier.add_search(search)
+    b.identifier.cancel_search(search)
     events = b.work_off()
-    assert [type(event) for event in events] == [SearchEnded, WindowEnded] or [
-        type(event) for event in events
-    ] == [WindowEnded, SearchEnded]
+    assert len(of_windows(events)) == 1
     (event,) = [e for e in events if isinstance(e, SearchEnded)]
-    assert event.result is None
+    assert event.outcome is None
 
 
 def test_reset_forgets_what_runs_and_what_waits() -> None:
     b = bench()
     for number in range(3):
-        b.pipeline.add_window(window(number))
-    b.pipeline.reset()
+        b.identifier.add_windows([window(number)])
+    b.identifier.reset()
     assert b.work_off() == []
     assert b.tracker.parameters is INITIAL
-    b.pipeline.add_window(window(3))
+    b.identifier.add_windows([window(3)])
     assert starts(b.work_off()) == [3]
 
 
 def test_a_new_set_makes_the_running_fit_start_again_from_it() -> None:
     b = bench()
     for number in range(2):
-        b.pipeline.add_window(window(number))
+        b.identifier.add_windows([window(number)])
     loaded = ParameterSet(THESIS_28_CELSIUS, set_id="loaded")
-    b.pipeline.replace(loaded)
+    b.identifier.replace(loaded)
     assert b.tracker.parameters is loaded
     reference = bench()
-    reference.pipeline.replace(loaded)
+    reference.identifier.replace(loaded)
     for number in range(2):
-        reference.pipeline.add_window(window(number))
+        reference.identifier.add_windows([window(number)])
     assert results(b.work_off()) == results(reference.work_off())
 
 
 def test_a_look_that_sees_nothing_is_no_event_and_no_waiting_window() -> None:
     b = bench()
-    b.pipeline.add_window(window(0))
-    b.pipeline.add_window(replace(window(0), look=200))
-    assert (b.pipeline.running, b.pipeline.waiting_windows) == ("fit", 0)
+    b.identifier.add_windows([window(0)])
+    b.identifier.add_windows([replace(window(0), look=200)])
+    assert (b.identifier.running, b.identifier.waiting_windows) == ("fit", 0)
     assert len(b.work_off()) == 1
 
 
 def test_a_look_that_sees_a_change_ends_in_an_early_set() -> None:
     b = bench()
-    b.pipeline.add_window(window(0))
-    b.pipeline.add_window(replace(window(4), look=COUNT))
+    b.identifier.add_windows([window(0)])
+    b.identifier.add_windows([replace(window(4), look=COUNT)])
     ended = b.work_off()
-    assert [e.report.method for e in ended if isinstance(e, WindowEnded)][1] == EARLY_SOURCE
+    assert [report.method for report in of_windows(ended)][1] == EARLY_SOURCE
     assert b.tracker.parameters.set_id.startswith("early-")
 
 
 def test_a_look_whose_worker_died_is_no_event() -> None:
     b = bench()
-    b.pipeline.add_window(window(0))
+    b.identifier.add_windows([window(0)])
     b.work_off()
     b.worker.failing = True
-    b.pipeline.add_window(replace(window(0), look=200))
+    b.identifier.add_windows([replace(window(0), look=200)])
     assert b.work_off() == []
 
 
 def test_a_window_that_makes_room_takes_its_looks_along() -> None:
     b = bench(waiting_windows=1)
     for number in range(4):
-        b.pipeline.add_window(window(number))
-        b.pipeline.add_window(replace(window(number), look=200))
-    assert (b.pipeline.waiting_windows, b.pipeline.dropped_windows) == (1, 2)
+        b.identifier.add_windows([window(number)])
+        b.identifier.add_windows([replace(window(number), look=200)])
+    assert (b.identifier.waiting_windows, b.identifier.dropped_windows) == (1, 2)
     assert starts(b.work_off()) == [0, 3]

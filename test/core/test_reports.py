@@ -12,8 +12,7 @@ import pytest
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 MOSTLY = 0.7

@@ -8,7 +8,7 @@ import pytest
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.tracking.reservoir import Kept, Reservoir, thinned_to_keep
+from mr_damper_ros.tracking.operating_point import Kept, Reservoir, thinned_to_keep
 
 
 def keep(window: Window, reservoir: Reservoir) -> None:

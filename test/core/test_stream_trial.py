@@ -15,7 +15,7 @@ from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
 from mr_damper_ros.emulation.faults import faults_of
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings
 from mr_damper_ros.tracking.validity import DoubtKind
 
 QUICK = TrialSettings(block_size=50, tracker=TrackerSettings(method="least_squares"))

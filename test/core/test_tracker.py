@@ -14,14 +14,13 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, sine_force
+from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict
-from mr_damper_ros.tracking.global_task import run_global
-from mr_damper_ros.tracking.held_back import held_back_samples
+from mr_damper_ros.tracking.evidence import held_back_samples
+from mr_damper_ros.tracking.jobs import run
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
-from mr_damper_ros.tracking.window_task import run_fit
 
 SAMPLES = 1000
 WINDOWS = 30
@@ -557,9 +556,8 @@ def test_two_different_sets_never_have_the_same_name() -> None:
 
 def test_a_fit_that_is_stopped_still_gives_a_result() -> None:
     tracked = experienced()
-    task = tracked.window_task(window(5, strength=0.9))
-    calls = iter(range(10**6))
-    result = run_fit(task, lambda: next(calls) > 3)
+    stopped = Control(0, lambda _: None, {0})
+    result = run(tracked.job_of(window(5, strength=0.9)), stopped)
     assert result.fit is not None
     assert not result.fit.success
     assert np.isfinite(result.fit.parameters).all()
@@ -594,7 +592,7 @@ def test_a_search_falls_due_after_ever_more_windows_at_several_points() -> None:
     assert [due(), due()] == [False, True]
     waited = []
     for _ in range(3):
-        tracked.global_task()
+        tracked.search()
         waited.append(next(count for count in itertools.count(1) if due()))
     assert waited == [2, 3, 3]
 
@@ -625,11 +623,13 @@ def test_a_search_over_nothing_is_a_sentence() -> None:
 
 def test_a_search_is_judged_against_the_running_set() -> None:
     tracked = toured()
-    task = tracked.global_task()
-    result = run_global(task)
+    job = tracked.search()
+    outcome = run(job)
     good = tracked.parameters
-    no_better = dataclasses.replace(result, nrmse_after=result.nrmse_before)
-    report = tracked.complete_global(task, no_better)
+    assert outcome.evidence is not None
+    evidence = dataclasses.replace(outcome.evidence, nrmse_after=outcome.evidence.nrmse_before)
+    report = tracked.complete(job, dataclasses.replace(outcome, evidence=evidence))
+    assert report is not None
     assert report.verdict is Verdict.NO_BETTER
     assert not report.confirms, "its windows are of the past"
     assert "running set predicts the reservoir as well" in report.reason
@@ -652,16 +652,17 @@ def test_windows_after_a_search_keep_the_shape_and_its_errors() -> None:
 
 def test_a_set_that_the_model_would_refuse_is_not_taken() -> None:
     tracked = toured()
-    task = tracked.global_task()
-    result = run_global(task)
-    assert result.fit is not None
-    found = result.fit.parameter_set
+    job = tracked.search()
+    outcome = run(job)
+    assert outcome.found is not None
+    found = outcome.found.parameter_set
     values = found.values.copy()
     values[known.index("f0")] *= 1e6
     absurd = dataclasses.replace(found, values=values)
-    fit = dataclasses.replace(result.fit, parameter_set=absurd)
+    fit = dataclasses.replace(outcome.found, parameter_set=absurd)
     good = tracked.parameters
-    report = tracked.complete_global(task, dataclasses.replace(result, fit=fit))
+    report = tracked.complete(job, dataclasses.replace(outcome, found=fit))
+    assert report is not None
     assert report.verdict is Verdict.POOR_FIT
     assert "that are possible" in report.reason
     assert tracked.parameters is good

@@ -19,13 +19,11 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.acceptance import fault_of_data
+from mr_damper_ros.tracking.jobs import TRACKERS, Outcome
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
-from mr_damper_ros.tracking.tasks import FitResult
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_memory import TrackerMemory, check, from_text, to_text
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.trackers import TRACKERS
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker_state import TrackerMemory, check, from_text, to_text
 
 SCALE_ERROR = 0.05
 """Relative error of the force scale: the damper weakened while its baseline was taken."""
@@ -104,7 +102,7 @@ def test_the_next_search_comes_when_it_would_have_come() -> None:
     tracked = tracker(global_period=20)
     feed(tracked, 0, 4)
     for _ in range(3):
-        tracked.global_task()
+        tracked.search()
     again = resumed(tracked, global_period=20)
     due, due_again = ([r.global_due for r in feed(each, 7, 12)] for each in (tracked, again))
     assert due == due_again == [False] * 3 + [True] * 2
@@ -114,7 +112,7 @@ def test_a_set_found_from_the_reservoir_is_as_old_as_its_newest_window() -> None
     tracked = tracker()
     feed(tracked, 0, 3)
     tracked.parameters = START  # refused since: the windows stay
-    assert resumed(tracked).global_task().stamp_ns == tracked.global_task().stamp_ns > 0
+    assert resumed(tracked).search().stamp_ns == tracked.search().stamp_ns > 0
 
 
 def test_a_motion_that_was_confirmed_often_enough_still_is() -> None:
@@ -137,7 +135,7 @@ def test_after_a_reset_the_damper_may_still_be_another_one() -> None:
 
 
 def test_the_filter_of_another_tracker_is_not_used() -> None:
-    tracked = tracker(tracker="unscented")
+    tracked = tracker(tracker="recursive")
     feed(tracked, 0, 3)
     assert tracked.memory.state is not None
     assert resumed(tracked, tracker="window").memory.state is None
@@ -159,7 +157,7 @@ def test_sets_are_numbered_on() -> None:
 
 def learnt() -> dict[str, Any]:
     """The text of a tracker that has seen a few windows, as JSON gives it."""
-    tracked = tracker(tracker="unscented")
+    tracked = tracker(tracker="recursive")
     feed(tracked, 0, 3)
     document: dict[str, Any] = json.loads(to_text(tracked.memory))
     return document
@@ -207,7 +205,7 @@ def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong:
         memory = from_text(json.dumps(document), SIGMOID)
     except StateError:
         return
-    again = tracker(tracker="unscented")
+    again = tracker(tracker="recursive")
     again.resume(START, memory)
     for report in feed(again, 3, 5):
         assert report.scale.value > 0.0 or math.isnan(report.scale.value)
@@ -277,6 +275,6 @@ def test_a_place_beyond_the_window_is_refused() -> None:
 
 def test_a_failed_window_is_counted() -> None:
     tracked = tracker()
-    task = tracked.window_task(known.raw_window(known.run(samples=SAMPLES)))
-    tracked.complete(task, FitResult(fault_of_data("the machine stands still")))
+    job = tracked.job_of(known.raw_window(known.run(samples=SAMPLES)))
+    tracked.complete(job, Outcome(fault_of_data("the machine stands still")))
     assert resumed(tracked).memory.windows == 1

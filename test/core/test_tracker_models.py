@@ -12,13 +12,12 @@ import pytest
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterError, ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.tracking.jobs import run
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_memory import from_text, to_text
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker_state import from_text, to_text
 from mr_damper_ros.tracking.window_assembler import RawWindow
-from mr_damper_ros.tracking.window_task import run_fit
 
 SCALE_TOLERANCE = 0.01
 """Of the force scale: a tenth of the change that is to be seen."""
@@ -238,8 +237,8 @@ def test_a_tracker_goes_on_from_its_text(model: str) -> None:
     tracked = followed(model)[0]
     again = tracker(model)
     again.resume(tracked.parameters, from_text(to_text(tracked.memory), MODELS[model]))
-    task, other = (t.window_task(window(model, 6, 0.9)) for t in (tracked, again))
-    reports = [tracked.complete(task, run_fit(task)), again.complete(other, run_fit(other))]
+    task, other = (t.job_of(window(model, 6, 0.9)) for t in (tracked, again))
+    reports = [tracked.complete(task, run(task)), again.complete(other, run(other))]
     assert reports[0].scale == reports[1].scale
     assert reports[0].nrmse_after == reports[1].nrmse_after
 
@@ -264,11 +263,6 @@ def test_a_set_of_another_model_is_refused() -> None:
     ):
         with pytest.raises(ParameterError, match="those of model 'bingham': give a set of model"):
             take(other)
-
-
-def test_the_filter_does_not_follow_every_model() -> None:
-    with pytest.raises(ValueError, match="choose tracker 'window'"):
-        TrackerSettings(model="bouc_wen", tracker="unscented")
 
 
 def test_an_unknown_model_is_refused() -> None:

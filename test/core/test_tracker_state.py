@@ -14,10 +14,8 @@ import pytest
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_memory import TrackerMemory
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
-from mr_damper_ros.tracking.tracker_state import TrackerState
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker_state import TrackerMemory, TrackerState
 
 WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
 START = ParameterSet(WEAK, set_id="start")

@@ -16,9 +16,8 @@ from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_memory import from_text, to_text
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
+from mr_damper_ros.tracking.tracker_state import from_text, to_text
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 COLD, HOT = 28.0, 71.0

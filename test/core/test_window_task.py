@@ -17,12 +17,11 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import sine_force
-from mr_damper_ros.tracking import global_task, window_task
+from mr_damper_ros.tracking import jobs
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.tracker import WindowTracker
-from mr_damper_ros.tracking.tracker_settings import TrackerSettings
+from mr_damper_ros.tracking.jobs import run
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
-from mr_damper_ros.tracking.window_task import run_fit
 
 SAMPLES = 2000
 START = ParameterSet(known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0))
@@ -44,7 +43,7 @@ WINDOWS = {"sine": known.raw_window(known.run(samples=SAMPLES)), "random": rando
 @pytest.mark.parametrize("motion", WINDOWS)
 def test_an_answer_does_not_bring_the_samples_home_again(motion: str) -> None:
     window = WINDOWS[motion]
-    result = run_fit(WindowTracker(TrackerSettings(), START).window_task(window))
+    result = run(WindowTracker(TrackerSettings(), START).job_of(window))
     assert result.fit is not None
     samples = window.displacement.nbytes + window.force.nbytes + window.current.nbytes
     # Of every fourth sample the force, the current and the motion: three quarters of this.
@@ -60,7 +59,7 @@ def test_a_look_brings_no_samples_at_all() -> None:
         force=0.8 * WINDOWS["sine"].force,
         look=SAMPLES // 2,
     )
-    result = run_fit(tracker.window_task(weak))
+    result = run(tracker.job_of(weak))
     assert result.fit is not None
     assert len(pickle.dumps(result)) < 0.2 * weak.force.nbytes
 
@@ -84,12 +83,10 @@ def test_what_was_first_found_here_does_not_undo_what_is_known_of_other_currents
     weaker = truth.copy()
     weaker[list(law.strength_indices)] *= 0.3
     task = replace(
-        WindowTracker(TrackerSettings(model=model), ParameterSet(weaker, model=model)).window_task(
-            raw
-        ),
+        WindowTracker(TrackerSettings(model=model), ParameterSet(weaker, model=model)).job_of(raw),
         baselines=(baseline,),
     )
-    fit = run_fit(task).fit
+    fit = run(task).fit
     assert fit is not None
     shape = law.places(law.shape_names)
     np.testing.assert_array_equal(fit.parameters[shape], weaker[shape])
@@ -102,7 +99,7 @@ def failing(*_: object, **__: object) -> None:
 
 def test_a_failure_of_ours_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked = WindowTracker(TrackerSettings(), START)
-    monkeypatch.setattr(window_task, "fit_window", failing)
+    monkeypatch.setattr(jobs, "fit_window", failing)
     report = tracked.follow(WINDOWS["sine"])
     assert report is not None
     assert report.verdict is Verdict.FAILED
@@ -112,7 +109,7 @@ def test_a_failure_of_ours_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPat
 def test_a_search_that_fails_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyPatch) -> None:
     tracked = WindowTracker(TrackerSettings(), START)
     tracked.follow(WINDOWS["sine"])
-    monkeypatch.setattr(global_task, "identify_global", failing)
+    monkeypatch.setattr(jobs, "identify_global", failing)
     assert tracked.identify().verdict is Verdict.FAILED
 
 

@@ -594,8 +594,8 @@ def test_it_ends_cleanly_and_its_worker_with_it(
         (lambda folder: {"initial_parameters": folder / "none.yaml"}, "initial_parameters: cannot"),
         (lambda folder: {"state_dir": folder / "file" / "state"}, "state_dir: cannot"),
         (
-            lambda folder: {"model": "bouc_wen", "tracker": "unscented"},
-            "tracker 'unscented' does not follow model 'bouc_wen'",
+            lambda folder: {"tracker": "smoothing"},
+            "tracker must be one of window, recursive, unscented",
         ),
         (lambda folder: {"model": "magic"}, "must be one of auto, bingham, hyperbolic_tangent"),
         (lambda folder: {"method": "guess"}, "must be one of nelder_mead, least_squares"),

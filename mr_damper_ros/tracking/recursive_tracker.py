@@ -1,0 +1,172 @@
+"""The recursive tracker: an extended Kalman filter on what a window determines of any force law.
+
+The unknowns of the window problem are a random walk, and the samples of a window that the filter
+has not seen are one measurement of them. It is linearised about the state and then about what
+comes of that (the iterated filter: Gauss-Newton steps on the posterior; Bell and Cathey, IEEE
+Transactions on Automatic Control 38, 1993), with the Jacobian that the window fit uses. A window
+fit begins it; from then on every sample is used once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mr_damper_ros.estimation.covariance import least_squares_covariance, normal_inverse
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
+from mr_damper_ros.models.operating_points import WindowProblem
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS
+
+METHOD = "recursive"
+
+_STEPS = 3
+"""Gauss-Newton steps: from the state to the minimum of a quarter's change of force, to 1e-3 of the
+standard errors."""
+
+_SURPRISE = 3.09
+"""Normal deviate that a window's squared innovation exceeds once in 1000 windows."""
+
+_HUBER = 1.345
+"""Huber's constant: 95 % efficiency where the noise is normal after all."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilterState:
+    """Mean (f,) and covariance (f, f) of the unknowns after the sample stamped ``stamp_ns``.
+
+    They are those of the model's window problem; ``operating_point`` (peak velocity [m/s],
+    current [A]) is where they were last seen.
+    """
+
+    scales: Array
+    covariance: Array
+    stamp_ns: int
+    operating_point: tuple[float, float]
+
+    @classmethod
+    def of(cls, fit: WindowFit, stamp_ns: int) -> FilterState | None:
+        """State to start from; None where the fit does not determine all unknowns."""
+        if not np.all(np.isfinite(fit.whole_covariance)):
+            return None
+        return cls(fit.scales, fit.whole_covariance, stamp_ns, fit.operating_point)
+
+
+class RecursiveFilter:
+    """Takes in the samples of one window, those of ``problem``, of which the last is ``stamp_ns``.
+
+    ``drift_rate`` [1/sqrt(s)]: the random walk of each unknown changes the force by this part of
+    its root mean square in one second. The noise of the force comes from what no unknowns could
+    explain of the window, with its autocorrelation; ``robust`` widens it for outliers.
+    """
+
+    def __init__(
+        self,
+        state: FilterState,
+        problem: WindowProblem,
+        stamp_ns: int,
+        *,
+        drift_rate: float,
+        robust: bool = False,
+    ) -> None:
+        self._problem = problem
+        self._stamp_ns = stamp_ns
+        self.evaluations = 1
+        jacobian, residual = problem.jacobian(state.scales), problem.residual(state.scales)
+        power = float(np.mean(np.square(residual + problem.window.force)))
+        # A simulated force has no noise at all.
+        floor = max(1e-9 * math.sqrt(power), 1e-300)
+        settled = problem.settled
+        noise = np.zeros(residual.size)
+        noise[settled] = _noise(jacobian[settled], residual[settled], robust)
+        self._deviation = np.maximum(noise, floor)
+        effect = np.sqrt(np.mean(jacobian**2, axis=0))
+        walk = drift_rate * math.sqrt(power) / np.where(effect > 0.0, effect, np.inf)
+        elapsed = max(stamp_ns - state.stamp_ns, 0) / NANOSECONDS
+        self._mean = state.scales
+        self._root = _root(state.covariance + np.diag(walk**2 * elapsed))
+        whitened = (jacobian / self._deviation[:, np.newaxis])[settled] @ self._root
+        innovation = (residual / self._deviation)[settled]
+        self._root = self._root * math.sqrt(_fading(whitened, innovation))
+
+    @property
+    def noise_level(self) -> float:
+        """Root mean square of the noise [N] that the filter expects."""
+        return math.sqrt(float(np.mean(self._deviation**2)))
+
+    @property
+    def state(self) -> FilterState:
+        """The state after what was taken in."""
+        point = self._problem.window.operating_point
+        return FilterState(self._mean, self._root @ self._root.T, self._stamp_ns, point)
+
+    def take_in(self, chosen: np.ndarray) -> None:
+        """Update the state with the chosen samples, a mask of shape (n,)."""
+        problem, root = self._problem, self._root
+        place = np.zeros(self._mean.size)  # in prior standard deviations
+        for _ in range(_STEPS):
+            unknowns = self._mean + root @ place
+            rows = chosen & problem.settled
+            jacobian = (problem.jacobian(unknowns) / self._deviation[:, np.newaxis])[rows] @ root
+            residual = (problem.residual(unknowns) / self._deviation)[rows]
+            information = np.eye(place.size) + jacobian.T @ jacobian
+            place = np.linalg.solve(information, jacobian.T @ (jacobian @ place - residual))
+            self.evaluations += 1
+        self._mean = self._mean + root @ place
+        self._root = root @ np.linalg.inv(np.linalg.cholesky(information)).T
+
+    def as_fit(self, problem: WindowProblem) -> WindowFit:
+        """The state as the fit of a window, for all that reports and judges fits."""
+        covariance = self._root @ self._root.T
+        return fit_of(problem, self._mean, covariance, method=METHOD, evaluations=self.evaluations)
+
+
+def _noise(jacobian: Array, residual: Array, robust: bool) -> Array:
+    """Standard deviation [N] (n,) of the noise: what no unknowns explain of a residual (n,)."""
+    count, unknowns = jacobian.shape
+    lengths = np.linalg.norm(jacobian, axis=0)
+    basis = np.linalg.qr(jacobian / np.where(lengths > 0.0, lengths, 1.0))[0]
+    unexplained = residual - basis @ (basis.T @ residual)
+    variance = float(unexplained @ unexplained) / max(count - unknowns, 1)
+    # Correlated noise averages out more slowly: count it as more noise.
+    honest = np.diag(least_squares_covariance(jacobian, unexplained))
+    white = variance * np.diag(normal_inverse(jacobian))
+    known = np.isfinite(honest) & (white > 0.0)
+    excess = float(np.median(honest[known] / white[known])) if np.any(known) else 1.0
+    level = math.sqrt(variance * max(excess, 1.0))
+    if not robust:
+        return np.full(count, level)
+    usual = 1.4826 * float(np.median(np.abs(unexplained)))
+    shrunk = min(usual, math.sqrt(variance)) * level / max(math.sqrt(variance), 1e-300)
+    outlying = np.abs(unexplained) / max(_HUBER * usual, 1e-300)
+    return np.asarray(shrunk * np.sqrt(np.maximum(outlying, 1.0)))
+
+
+def _fading(jacobian: Array, residual: Array) -> float:
+    """Factor on the covariance where the window contradicts the state: a sudden change.
+
+    ``jacobian`` (n, f) by unknowns and ``residual`` (n,), both in units of standard deviations. The
+    squared innovation is a chi-square of f degrees of freedom as long as the state is right (its
+    quantile by Wilson and Hilferty, Proceedings of the National Academy of Sciences 17, 1931).
+    """
+    values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
+    seen = values > np.finfo(float).eps * values.size * max(float(values[-1]), 1e-300)
+    score = (vectors.T @ (jacobian.T @ residual))[seen]
+    surprise = float(np.sum(score**2 / (values[seen] * (1.0 + values[seen]))))
+    size = values.size
+    spread = 2.0 / (9.0 * size)
+    limit = size * (1.0 - spread + _SURPRISE * math.sqrt(spread)) ** 3
+    return 1.0 if surprise <= limit else surprise / size
+
+
+def _root(covariance: Array) -> Array:
+    """A square root (f, f) of a covariance that may have lost definiteness to rounding.
+
+    Unknowns differ by many orders of magnitude: the correlation matrix is factored.
+    """
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    safe = np.where(deviations > 0.0, deviations, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    return np.asarray(safe[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0)))
