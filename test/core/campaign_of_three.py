@@ -15,7 +15,7 @@ from mr_damper_ros.emulation.emulator import (
     EmulatedRig,
     RigSettings,
 )
-from mr_damper_ros.emulation.motions import SampledMotion, SineMotion
+from mr_damper_ros.emulation.motions import RepeatedMotion, SampledMotion
 from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
 from mr_damper_ros.estimation.run_planner import Plan, PlanState
@@ -33,13 +33,16 @@ RUNS = [
 """What the plan of these tests asks for, whatever was found."""
 
 
-def perform(run: PlannedRun, seed: int = 0) -> Recording:
+def perform(
+    run: PlannedRun, seed: int = 0, *, noise: float = 25.0, rate: float = 500.0
+) -> Recording:
+    """A run as an emulated rig makes it."""
     times = [place * run.stretch for place in range(len(run.currents))]
     rig = EmulatedRig(
         ConstantDamper(known.PLAUSIBLE),
-        SineMotion(run.amplitude, run.frequency),
+        RepeatedMotion(run.motion),
         CurrentSchedule(times, run.currents),
-        settings=RigSettings(sample_rate=500.0, force_noise=25.0, seed=seed),
+        settings=RigSettings(sample_rate=rate, force_noise=noise, seed=seed),
     )
     return rig.record(run.duration)
 

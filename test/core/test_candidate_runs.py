@@ -9,19 +9,12 @@ from dataclasses import asdict, replace
 import known
 import numpy as np
 import pytest
-from campaign_of_three import played
+from campaign_of_three import perform, played
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mr_damper_ros.campaign.course import fault_of_run
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, signal
-from mr_damper_ros.emulation.emulator import (
-    ConstantDamper,
-    CurrentSchedule,
-    EmulatedRig,
-    RigSettings,
-)
-from mr_damper_ros.emulation.motions import RepeatedMotion
 from mr_damper_ros.estimation.force_knowledge import ForceGoal, window_information
 from mr_damper_ros.estimation.planned_run import (
     CandidateRuns,
@@ -32,7 +25,6 @@ from mr_damper_ros.estimation.planned_run import (
     motions_of,
 )
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
-from mr_damper_ros.signals.recording import Recording
 
 EVERY_KIND = tuple(MotionKind)
 GOAL = ForceGoal(0.02, (0.02, 0.2), (0.0, 1.5))
@@ -50,17 +42,6 @@ NUMERICAL = 1e-3
 
 FEW_LOOKED_AT = 0.6
 """Relative: of the steep parts of a loop few samples hold now more, now less than many."""
-
-
-def perform(run: PlannedRun, noise: float = 0.0) -> Recording:
-    times = [place * run.stretch for place in range(len(run.currents))]
-    rig = EmulatedRig(
-        ConstantDamper(known.PLAUSIBLE),
-        RepeatedMotion(run.motion),
-        CurrentSchedule(times, run.currents),
-        settings=RigSettings(force_noise=noise),
-    )
-    return rig.record(run.duration)
 
 
 @st.composite
@@ -109,7 +90,7 @@ def test_every_kind_is_there_where_the_machine_can_make_it() -> None:
 @RUNS
 def test_a_run_tells_as_much_as_was_foreseen(run: PlannedRun) -> None:
     foreseen = CandidateRuns(known.SIGMOID, [run], 1000.0).gains(known.PLAUSIBLE, 20.0, 20.0)[0]
-    windows = run.windows(perform(run))
+    windows = run.windows(perform(run, noise=0.0, rate=1000.0))
     found = window_information(known.SIGMOID, windows, [20.0] * len(windows), known.PLAUSIBLE)
     seen = np.diag(found) > 1e-9 * np.diag(found).max()
     assert np.diag(foreseen)[seen] / np.diag(found)[seen] == pytest.approx(1.0, rel=FEW_LOOKED_AT)
@@ -125,7 +106,7 @@ def test_a_motion_that_the_law_follows_less_well_tells_less() -> None:
 @RUNS
 def test_force_and_heat_are_those_of_the_machine(run: PlannedRun) -> None:
     force, heat = CandidateRuns(known.SIGMOID, [run], 1000.0).demands([known.PLAUSIBLE])
-    recording = perform(run)
+    recording = perform(run, noise=0.0, rate=1000.0)
     assert force[0] == pytest.approx(np.abs(recording.force).max(), rel=0.02)
     velocity = np.gradient(recording.displacement, recording.period)
     work = float(np.sum(recording.force * velocity)) * recording.period
@@ -134,7 +115,7 @@ def test_force_and_heat_are_those_of_the_machine(run: PlannedRun) -> None:
 
 @RUNS
 def test_windows_of_a_run_hold_its_motion_and_currents(run: PlannedRun) -> None:
-    windows = run.windows(perform(run))
+    windows = run.windows(perform(run, noise=0.0, rate=1000.0))
     assert [window.current[0] for window in windows] == list(run.currents)
     for window in windows:
         left = known.SIGMOID.window_force(window, known.PLAUSIBLE) - window.force
@@ -154,7 +135,7 @@ def test_a_run_is_not_cut_out_of_another() -> None:
 
 
 def test_a_sine_made_instead_of_a_sweep_is_refused() -> None:
-    instead = perform(replace(SINE, currents=SWEEP.currents))
+    instead = perform(replace(SINE, currents=SWEEP.currents), noise=0.0, rate=1000.0)
     assert "from a swept sine as wanted" in fault_of_run(SWEEP, instead)
 
 

@@ -11,18 +11,12 @@ from pathlib import Path
 import known
 import numpy as np
 import pytest
+from campaign_of_three import perform
 
 import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
 from mr_damper_ros.campaign.folder import CampaignStep
 from mr_damper_ros.campaign.runs import signal, write_signal
-from mr_damper_ros.emulation.emulator import (
-    ConstantDamper,
-    CurrentSchedule,
-    EmulatedRig,
-    RigSettings,
-)
-from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.force_knowledge import (
     Cycles,
     ForceGoal,
@@ -52,17 +46,6 @@ THINNED = 0.2
 
 LAW = known.SIGMOID
 EVERY = np.ones(len(LAW.parameters), dtype=bool)
-
-
-def perform(run: PlannedRun, seed: int = 0) -> Recording:
-    times = [place * run.stretch for place in range(len(run.currents))]
-    rig = EmulatedRig(
-        ConstantDamper(known.PLAUSIBLE),
-        SineMotion(run.amplitude, run.frequency),
-        CurrentSchedule(times, run.currents),
-        settings=RigSettings(sample_rate=500.0, force_noise=NOISE, seed=seed),
-    )
-    return rig.record(run.duration)
 
 
 class Machine:

@@ -86,11 +86,11 @@ class SupplyDriver:
         self._supply.switch_off()
 
 
-_LAST_ANSWER = 1.5
-"""Seconds that an instrument has to answer over its present link once it is to switch off."""
-
 _STOP = 3.0
 """Seconds that a supply has to switch off and say so; the process has ten to end."""
+
+_LAST_ANSWER = 0.5 * _STOP
+"""Seconds that an instrument has to answer over its present link once it is to switch off."""
 
 _RESCUE = 0.5
 """Seconds between two attempts to switch off a supply that does not answer."""
