@@ -6,24 +6,58 @@ the start, so that ``ros2 run`` gives data.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Collection
 from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 
-from mr_damper_ros.nodes.bridge_sources import ALL_SOURCES, source_of
 from mr_damper_ros.nodes.bridge_stream import BridgeStream, SubscriberWait
-from mr_damper_ros.nodes.current_commands import CurrentCommands
+from mr_damper_ros.nodes.command_topic import CurrentCommands, MotionCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.motion_commands import MotionCommands
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.pacing import Pacer, SendingThread
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.nodes.topic_source import TopicOptions
+from mr_damper_ros.nodes.topic_source import TopicOptions, TopicSource
 from mr_damper_ros.rig.blocks import aligned
+from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, groups, option
 from mr_damper_ros.signals.blocks import MOST_SAMPLES
+
+GROUP = "mr_damper_ros.sources"
+
+
+def _others() -> dict[str, type[Source]]:
+    """The sources of other packages; one that cannot be loaded is told, and is not there."""
+    found: dict[str, type[Source]] = {}
+    for point in entry_points(group=GROUP):
+        try:
+            kind = point.load()
+        except Exception as error:  # another's package: the bridge works without it
+            print(f"the source {point.name} cannot be loaded: {error}", file=sys.stderr)
+            continue
+        if not (isinstance(kind, type) and issubclass(kind, Source)):
+            print(f"the source {point.name} is no Source: {point.value}", file=sys.stderr)
+            continue
+        found[point.name] = kind
+    return found
+
+
+ALL_SOURCES: dict[str, type[Source]] = {**SOURCES, "topics": TopicSource, **_others()}
+"""By the name that the parameter ``source`` has for each."""
+
+
+def source_of(name: str, settings: Any, stream: StreamSettings, node: Node) -> Source:
+    """The source of a name, for a bridge."""
+    kind = ALL_SOURCES[name]
+    if issubclass(kind, TopicSource):
+        return kind(settings, stream, node)
+    return kind(settings, stream)
+
 
 _MIRROR = "joint_states"
 

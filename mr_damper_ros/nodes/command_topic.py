@@ -1,17 +1,21 @@
-"""A topic of commands, of which each holds for a while: how they are taken in, and judged."""
+"""The topics that command current and motion: each command holds for a while, and is judged."""
 
 from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, ClassVar
 
+from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand
 from rclpy.node import Node
+from std_msgs.msg import Header
 
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.diagnostics import ERROR, WARN, Finding
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Finding
 from mr_damper_ros.nodes.messages import to_nanoseconds
-from mr_damper_ros.rig.commander import Commander
+from mr_damper_ros.rig.commander import Commander, CurrentCommander, MotionCommander, Origin
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _DEPTH = 10
@@ -80,3 +84,96 @@ class CommandTopic(ABC):
         if wrong:
             return Finding(ERROR if len(publishers) > 1 else WARN, "; ".join(wrong), values)
         return Finding(state.level, state.message, values)
+
+
+COMMAND_TOPIC = "supply/current_command"
+
+
+class CurrentCommands(CommandTopic):
+    """Hands commands of the current on; ``heard`` is called after each that holds."""
+
+    kind, topic, what = CurrentCommand, COMMAND_TOPIC, "the current"
+
+    def __init__(
+        self, node: Node, commander: CurrentCommander, heard: Callable[[], None] = lambda: None
+    ) -> None:
+        self._commander = commander
+        self._heard = heard
+        super().__init__(node, commander)
+
+    def _obey(self, message: CurrentCommand, stamp_ns: int, age: float, now: float) -> str:
+        refusal = self._commander.command(message.current, stamp_ns, age, now)
+        if not refusal:
+            self._heard()
+        return refusal
+
+    def _state(self, now: float) -> Finding:
+        origin = self._commander.origin(now)
+        level = WARN if origin is Origin.TIMED_OUT else OK
+        values = {"origin": origin.name, "cut": self._commander.cut}
+        return Finding(level, f"the current is {origin.value}", values)
+
+
+EXCITATION_TOPIC = "rig/excitation_command"
+
+_KINDS = (MotionKind.SINE, MotionKind.SWEEP, MotionKind.RANDOM)
+"""In the order of their numbers in ExcitationCommand.msg."""
+
+
+class MotionCommands(CommandTopic):
+    """Hands commands of the motion on to the commander of a machine."""
+
+    kind, topic, what = ExcitationCommand, EXCITATION_TOPIC, "the motion"
+
+    def __init__(self, node: Node, commander: MotionCommander) -> None:
+        self._commander = commander
+        super().__init__(node, commander)
+
+    def _obey(self, message: ExcitationCommand, stamp_ns: int, age: float, now: float) -> str:
+        try:
+            motion = motion_of(message)
+        except ValueError as error:
+            return self._commander.refuse(str(error))
+        return self._commander.command(motion, stamp_ns, age, now)
+
+    def _state(self, now: float) -> Finding:
+        if not self._commander.commanded:
+            return Finding(OK, "the machine moves by itself until a command comes")
+        motion = self._commander.wanted(now)
+        if motion is None:
+            return Finding(OK, "the machine rests")
+        return Finding(OK, f"{motion.sentence} commanded")
+
+
+def command_message(header: Header, motion: PeriodicMotion | None) -> ExcitationCommand:
+    """The command of a motion, None for rest."""
+    if motion is None:
+        return ExcitationCommand(header=header)
+    return ExcitationCommand(
+        header=header,
+        amplitude=motion.amplitude,
+        frequency=motion.frequency,
+        motion=_KINDS.index(motion.kind),
+        highest_frequency=motion.highest_frequency,
+        period=motion.period,
+        seed=motion.seed,
+    )
+
+
+def motion_of(message: ExcitationCommand) -> PeriodicMotion | None:
+    """The motion of a command, None for rest. Raises ValueError where it makes no sense."""
+    if message.amplitude == 0.0:
+        return None
+    if message.motion >= len(_KINDS):
+        raise ValueError(f"the motion {message.motion} is unknown")
+    kind = _KINDS[message.motion]
+    if kind is MotionKind.SINE:
+        return PeriodicMotion(kind, message.amplitude, message.frequency)
+    return PeriodicMotion(
+        kind,
+        message.amplitude,
+        message.frequency,
+        message.highest_frequency,
+        message.period,
+        message.seed,
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,8 @@ from mr_damper_ros.models import MODELS, machine_code
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.diagnostics import Diagnostics
-from mr_damper_ros.nodes.identifier_diagnostics import IdentifierDiagnostics
-from mr_damper_ros.nodes.identifier_parameters import IdentifierParameters
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.goal_server import SearchGoals
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.results import (
@@ -31,17 +31,175 @@ from mr_damper_ros.nodes.results import (
     parameters_message,
     report_message,
 )
-from mr_damper_ros.nodes.search_goals import SearchGoals
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.processes.worker import PooledWorker, WorkerPool
-from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.settings.option_table import ParameterTable, group, option
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.identifier import Identifier, Publication, SearchProgress
+from mr_damper_ros.tracking.identifier import (
+    Identifier,
+    PipelineSettings,
+    Publication,
+    SearchProgress,
+)
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError, read_parameter_file
-from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState
-from mr_damper_ros.tracking.window_assembler import WindowAssembler
+from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
+
+
+@dataclass(frozen=True)
+class IdentifierParameters(ParameterTable):
+    """Parameters of the identifier node.
+
+    Samples and supply current are collected into windows. Each window is fitted, in the order of
+    the data, starting from the set in use. The fitted set comes into use if it predicts samples of
+    the window that the fit has not seen better than the set before it. Now and then all parameters
+    of the law are identified at once, from windows that fit at different operating points (peak
+    velocity, current). Only the stamps of the data count, so a bag gives the same sets at any rate
+    of replay.
+    """
+
+    windows: WindowSettings = group(WindowSettings, flat=True, read_only=True)
+    grid: GridSettings = group(GridSettings, flat=True, read_only=True)
+    tracking: TrackerSettings = group(TrackerSettings, flat=True, read_only=True)
+    work: PipelineSettings = group(PipelineSettings, flat=True, read_only=True)
+    initial_parameters: str = option(
+        "literature",
+        "Parameter file (YAML) to start from, for example one written by `identify` or by the "
+        "service ~/save_parameters; or literature, the start of the thesis' searches (a model "
+        "other than the sigmoid law then starts from what it reads off the first window). The "
+        "service ~/reset goes back to it. The ranges that a file states stay until samples refute "
+        "them: a window at one current says how strong the damper is, not that it is unknown at "
+        "all others.",
+        read_only=True,
+    )
+    state_dir: str = option(
+        "",
+        'Folder in which parameter sets are kept, "" for none: the set in use, under the name of '
+        "the node, with all that has been learnt besides (baselines, reservoir, usual residual), "
+        "which is read again at the next start; and those of the services ~/save_parameters and "
+        "~/load_parameters, which take plain names, no paths. A damaged file, or one of another "
+        "model or a newer version, or that cannot be a damper's, is never used: it is renamed and "
+        "named in the diagnostics until the service ~/acknowledge is called. A folder and a name "
+        "of a node belong to one node at a time.",
+        read_only=True,
+    )
+    frame_id: str = option(
+        "damper", "Frame of the published messages, x along the damper's rod.", read_only=True
+    )
+
+
+class IdentifierDiagnostics:
+    """Findings on an identifier; ``now_ns`` is the clock of the data's stamps.
+
+    A fit that was refused is worth a warning only where the set in use predicts the window worse
+    than ``maximum_nrmse``.
+    """
+
+    def __init__(
+        self,
+        identifier: Identifier,
+        worker: PooledWorker,
+        maximum_nrmse: float,
+        now_ns: Callable[[], int],
+    ) -> None:
+        self._identifier = identifier
+        self._worker = worker
+        self._maximum_nrmse = maximum_nrmse
+        self._now_ns = now_ns
+
+    def window(self) -> Finding:
+        """How far the next window is."""
+        assembler = self._identifier.assembler
+        if assembler.waits_for_current:
+            return Finding(
+                WARN,
+                "a window is full but waits for a supply current stamped at or after its end: is "
+                "one published, with stamps on the clock of the samples?",
+            )
+        return Finding(OK, f"window {assembler.fill:.0%} full")
+
+    def fit(self) -> Finding:
+        """What became of the last window."""
+        report, tracker = self._identifier.last_report, self._identifier.tracker
+        if report is None:
+            return Finding(STALE, "no window has been fitted yet")
+        values = {
+            "NRMSE before": f"{report.nrmse_before:.4f}",
+            "NRMSE after": f"{report.nrmse_after:.4f}",
+            "force scale": f"{report.scale.value:.4f} ± {report.scale.standard_error:.4f}",
+            "temperature from the force [°C]": (
+                f"{report.fluid.celsius:.1f} ± {report.fluid.standard_error:.1f}"
+            ),
+            "accepted windows": tracker.accepted_windows,
+            "operating points": tracker.reservoir.operating_points,
+        }
+        if report.verdict is Verdict.ACCEPTED_EARLY:
+            return Finding(WARN, f"{report.reason} as {report.set_id}", values)
+        if report.accepted:
+            return Finding(OK, f"accepted as {report.set_id}", values)
+        waits = report.verdict is Verdict.TOO_LITTLE_MOTION and tracker.accepted_windows > 0
+        good = waits or report.nrmse_before <= self._maximum_nrmse
+        return Finding(OK if good else WARN, f"not accepted: {report.reason}", values)
+
+    def worker(self) -> Finding:
+        """What the worker does, and whether it keeps up."""
+        worker, identifier = self._worker, self._identifier
+        dropped = identifier.dropped_windows
+        values = {
+            "waiting windows": identifier.waiting_windows,
+            "dropped windows": dropped,
+            "replaced": worker.replaced,
+            "process": worker.pid,
+        }
+        if dropped:
+            return Finding(
+                WARN,
+                f"{dropped} windows were dropped: they come faster than they are fitted; "
+                "raise hop or waiting_windows",
+                values,
+            )
+        if not worker.ready:
+            return Finding(OK, "the process is starting", values)
+        if worker.waits:
+            return Finding(OK, "waits for a process that others have", values)
+        return Finding(OK, identifier.running or "idle", values)
+
+    def parameters(self) -> Finding:
+        """The set in use."""
+        tracker = self._identifier.tracker
+        parameters = tracker.parameters
+        age = (self._now_ns() - parameters.stamp_ns) / NANOSECONDS
+        names = parameters.law.parameter_names
+        hidden = [n for n, seen in zip(names, parameters.observable, strict=True) if not seen]
+        values = {
+            "id": parameters.set_id,
+            "model": parameters.model,
+            "source": parameters.source,
+            "age [s]": f"{age:.1f}" if parameters.stamp_ns else "unknown",
+            "NRMSE": f"{parameters.nrmse:.4f}",
+            "not observable": ", ".join(hidden) or "none",
+        }
+        if tracker.accepted_windows == 0:
+            return Finding(
+                WARN, f"no window accepted yet: running with {parameters.set_id}", values
+            )
+        return Finding(OK, f"running with {parameters.set_id}", values)
+
+    def state(self) -> Finding:
+        """Whether what is known is on disk."""
+        state = self._identifier.state
+        if state.fault:
+            return Finding(ERROR, state.fault)
+        if state.set_aside:
+            return Finding(ERROR, f"{state.set_aside} (once you have read this: ~/acknowledge)")
+        if state.path is None:
+            return Finding(OK, "nothing is kept on disk: state_dir is not set")
+        return Finding(OK, f"kept in {state.path}")
+
 
 _ATTENTION_PERIOD = 0.02
 """Seconds between two looks at the worker.

@@ -1,4 +1,4 @@
-"""A node that hears others, for demonstrations, figures and tests; deadlines instead of sleeps."""
+"""Listeners to running nodes, for tools, figures and tests; deadlines instead of sleeps."""
 
 from __future__ import annotations
 
@@ -9,10 +9,27 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from mr_damper_msgs.msg import (
+    CurrentCommand,
+    DamperParameters,
+    FitReport,
+    MtsSamples,
+    PredictedForce,
+    SupplyCurrent,
+)
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC
+from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
+from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.processes.programs import PATIENCE, RosDomain
+from mr_damper_ros.rig.sources.daq_source import SATURATED
+from mr_damper_ros.rig_check.record import HeardBlock, RigRecord
+from mr_damper_ros.signals.arrays import Array
 
 Self = TypeVar("Self", bound="Observer")
 
@@ -98,3 +115,95 @@ class Observer:
         self.until(
             lambda: self.node.count_subscribers(topic) >= count, f"{count} subscribers of {topic}"
         )
+
+
+class DemoWatcher(Observer):
+    """Keeps the samples, the predictions, the reports and the newest parameters.
+
+    Each report is printed as it comes. The dictionaries hold arrays by the index of their first
+    sample.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("demo")
+        self.displacement: dict[int, Array] = {}
+        self.measured: dict[int, Array] = {}
+        self.predicted: dict[int, Array] = {}
+        self.reports: list[FitReport] = []
+        self.parameters: DamperParameters | None = None
+        self.last_report = time.monotonic()
+        stream = quality.stream()
+        self.listen(MtsSamples, "mts/samples", stream, self._keep_samples)
+        self.listen(PredictedForce, "damper/predicted_force", stream, self._keep_force)
+        self.listen(FitReport, "damper/fit_report", stream, self._keep_report)
+        self.listen(DamperParameters, "damper/parameters", quality.latched(), self._keep_set)
+
+    def _keep_samples(self, message: MtsSamples) -> None:
+        self.displacement[message.seq] = from_field(message.displacement).copy()
+        self.measured[message.seq] = from_field(message.force).copy()
+
+    def _keep_force(self, message: PredictedForce) -> None:
+        if message.valid:
+            self.predicted[message.seq] = from_field(message.force).copy()
+
+    def _keep_set(self, message: DamperParameters) -> None:
+        self.parameters = message
+
+    def _keep_report(self, message: FitReport) -> None:
+        self.reports.append(message)
+        self.last_report = time.monotonic()
+        elapsed = 1e-9 * (
+            to_nanoseconds(message.header.stamp) - to_nanoseconds(self.reports[0].window_start)
+        )
+        verdict = "accepted" if message.accepted else f"kept: {message.reason}"
+        print(
+            f"{elapsed:6.1f} s  NRMSE {message.nrmse_before:9.2%} -> {message.nrmse_after:6.2%}  "
+            f"{message.evaluations:4d} evaluations, {1e3 * message.duration:4.0f} ms  "
+            f"force scale {message.force_scale:6.4f}  {message.parameter_set}: {verdict}",
+            flush=True,
+        )
+
+
+def record_rig(node: Node, record: RigRecord) -> None:
+    """Put all that comes from now on into a record, while the node is spun."""
+    namespace = node.get_namespace().strip("/")
+    prefix = f"{namespace}/" if namespace else ""
+
+    def take_samples(message: MtsSamples) -> None:
+        displacement, force = from_field(message.displacement), from_field(message.force)
+        if not 0 < displacement.size == force.size or not message.period > 0.0:
+            record.unusable += 1
+            return
+        record.blocks.append(
+            HeardBlock(
+                to_nanoseconds(message.header.stamp),
+                int(message.seq),
+                float(message.period),
+                displacement,
+                force,
+                time.monotonic_ns(),
+            )
+        )
+
+    def take_current(message: SupplyCurrent) -> None:
+        record.measured.append((to_nanoseconds(message.header.stamp), message.current))
+
+    def take_diagnostics(message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.startswith(prefix) and status.name.endswith(": source"):
+                for item in status.values:
+                    channel, _, what = item.key.partition(" ")
+                    if what == SATURATED and item.value.isdigit():
+                        first, _ = record.saturated.get(channel, (int(item.value), 0))
+                        record.saturated[channel] = (first, int(item.value))
+
+    def take_command(message: CurrentCommand) -> None:
+        record.commanded.append((to_nanoseconds(message.header.stamp), message.current))
+
+    for kind, topic, take in (
+        (MtsSamples, SAMPLES_TOPIC, take_samples),
+        (SupplyCurrent, CURRENT_TOPIC, take_current),
+        (CurrentCommand, COMMAND_TOPIC, take_command),
+        (DiagnosticArray, "/diagnostics", take_diagnostics),
+    ):
+        node.create_subscription(kind, topic, take, quality.lossless())

@@ -15,7 +15,7 @@ from mr_damper_msgs.msg import SupplyCurrent
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.current_commands import CurrentCommands
+from mr_damper_ros.nodes.command_topic import CurrentCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import current_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters

@@ -33,8 +33,7 @@ def _parser() -> argparse.ArgumentParser:
 def _check(options: argparse.Namespace) -> int:
     if not options.seconds > 0.0:
         raise ValueError(f"--seconds must be more than 0 s, not {options.seconds:g}")
-    from mr_damper_ros.nodes.observer import Observer
-    from mr_damper_ros.nodes.rig_listener import record_rig
+    from mr_damper_ros.nodes.observer import Observer, record_rig
 
     record = RigRecord()
     with Observer("check_rig", namespace=options.namespace) as observer:

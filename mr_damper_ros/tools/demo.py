@@ -29,7 +29,7 @@ from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import run_tool
 
 if TYPE_CHECKING:
-    from mr_damper_ros.nodes.demo_watcher import DemoWatcher
+    from mr_damper_ros.nodes.observer import DemoWatcher
 
 _NODES = ("identifier", "model")
 _START_LIMIT = 30.0
@@ -99,7 +99,7 @@ def _demo(options: argparse.Namespace) -> int:
         running = {name: stack.enter_context(closing(start_node(name))) for name in _NODES}
         running["live"] = stack.enter_context(closing(start_node("live", port=0)))
         print(f"page of this run, while it lasts: {page_of(running['live'])}")
-        from mr_damper_ros.nodes.demo_watcher import DemoWatcher
+        from mr_damper_ros.nodes.observer import DemoWatcher
 
         watcher = stack.enter_context(DemoWatcher())
         _wait_for_nodes(watcher, running)

@@ -40,7 +40,7 @@ def _parser() -> argparse.ArgumentParser:
 def _watch(options: argparse.Namespace) -> int:
     if not options.period > 0.0:
         raise ValueError(f"--period must be more than 0 s, not {options.period:g}")
-    from mr_damper_ros.nodes.live_inputs import listen
+    from mr_damper_ros.nodes.live_node import listen
     from mr_damper_ros.nodes.observer import Observer
 
     record = LiveRecord()

@@ -18,7 +18,7 @@ from support import Listener, assert_one_sentence
 from mr_damper_ros.campaign.folder import read_campaign_runs, read_steps
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.nodes.motion_commands import command_message, motion_of
+from mr_damper_ros.nodes.command_topic import command_message, motion_of
 
 ROOT = Path(__file__).parents[2]
 

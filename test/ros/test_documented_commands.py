@@ -20,9 +20,9 @@ from mr_damper_msgs.msg import PredictedForce
 from support import Listener, installed_programs
 
 from mr_damper_ros.nodes.bridge_node import BridgeParameters
-from mr_damper_ros.nodes.campaign_parameters import CampaignParameters
+from mr_damper_ros.nodes.campaign_node import CampaignParameters
 from mr_damper_ros.nodes.controller_node import ControllerParameters
-from mr_damper_ros.nodes.identifier_parameters import IdentifierParameters
+from mr_damper_ros.nodes.identifier_node import IdentifierParameters
 from mr_damper_ros.nodes.live_node import LiveParameters
 from mr_damper_ros.nodes.model_node import ModelParameters
 from mr_damper_ros.nodes.quality import OVERRIDES, objection

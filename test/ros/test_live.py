@@ -18,7 +18,7 @@ from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
 
 from mr_damper_ros.live.live_record import SIGNALS, SILENT_AFTER
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.live_inputs import signals_in
+from mr_damper_ros.nodes.live_node import signals_in
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
