@@ -61,10 +61,9 @@ class Model(ABC):
     start. ``remembers``: whether the force depends on the samples before. ``turning``: arrays of
     the state, the first ones, that only matter where the motion turns. ``strength`` names the
     parameters that rise and fall with the strength of the damper; where none are named, all that
-    have a force in their unit. ``many_at_once``: whether the problem of a window takes several
-    sets of unknowns at once. ``coefficient_quantities``: what the force depends on at one operating
-    point; ``linear`` names what enters the laws over operating points linearly, ``shape_groups``
-    the shape parameters, law by law.
+    have a force in their unit. ``coefficient_quantities``: what the force depends on at one
+    operating point; ``linear`` names what enters the laws over operating points linearly,
+    ``shape_groups`` the shape parameters, law by law.
     """
 
     name: ClassVar[str]
@@ -76,7 +75,6 @@ class Model(ABC):
     remembers: ClassVar[bool] = False
     turning: int = 0
     strength: ClassVar[tuple[str, ...]] = ()
-    many_at_once: ClassVar[bool] = False
     effort: ClassVar[SearchEffort] = SearchEffort()
     coefficient_quantities: ClassVar[tuple[Quantity, ...]] = ()
     linear: ClassVar[tuple[str, ...]] = ()

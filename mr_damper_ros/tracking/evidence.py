@@ -13,9 +13,10 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
-_CHUNKS = 40
+CHUNKS = 40
 _HELD_BACK_EVERY = 4
-"""Of the chunks into which a window is cut, every fourth is held back from the fit."""
+"""Of the chunks into which a window is cut, every fourth is held back from the fit. A chunk has at
+least one sample: fewer new ones than chunks decide nothing."""
 
 _LEAST_WEIGHT = 0.1
 
@@ -111,8 +112,8 @@ def held_back_samples(count: int, fresh: int | None = None) -> np.ndarray:
     too few, as with a hop of a few samples, all count: what is held back then decides nothing, see
     :func:`evidence_of`.
     """
-    judged = count if fresh is None or not _CHUNKS <= fresh < count else fresh
-    chunk = np.arange(judged) * _CHUNKS // max(judged, 1)
+    judged = count if fresh is None or not CHUNKS <= fresh < count else fresh
+    chunk = np.arange(judged) * CHUNKS // max(judged, 1)
     held_back = np.zeros(count, dtype=bool)
     held_back[count - judged :] = chunk % _HELD_BACK_EVERY == _HELD_BACK_EVERY - 1
     return held_back
@@ -152,7 +153,7 @@ def evidence_of(
     if known:
         noise = NoiseModel.of((new - window.force)[settled])
         one = Lead.of(old, new, window.force, judged, noise)
-        lead = Lead.together([one] if fresh >= _CHUNKS else [])
+        lead = Lead.together([one] if fresh >= CHUNKS else [])
         gain = rmse_before**2 - rmse_after**2
         if elsewhere and gain > 0.0:
             before, after = (_mean_square(each, elsewhere) for each in (running, found))

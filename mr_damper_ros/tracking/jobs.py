@@ -35,7 +35,7 @@ from mr_damper_ros.tracking.acceptance import (
     too_little_motion,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
-from mr_damper_ros.tracking.evidence import Evidence, Lead, evidence_of, held_back_samples
+from mr_damper_ros.tracking.evidence import CHUNKS, Evidence, Lead, evidence_of, held_back_samples
 from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale, with_strength
 from mr_damper_ros.tracking.operating_point import Kept, nearest_same, thinned_to_keep
 from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
@@ -56,9 +56,6 @@ _NEARER = 0.5
 
 _ASTRAY = 2.0
 """A filter is wrong where held-back samples differ by more than so many times their noise."""
-
-_FEWEST_EARLY = 40
-"""An early fit needs as many samples: so that each held-back chunk has one."""
 
 _MOST_INTERVALS = 6
 """A range of currents that is passed through is cut into at most so many parts."""
@@ -450,10 +447,10 @@ def _look(job: Job, window: Window) -> Outcome:
     predicted = model.window_force(held, job.start)
     watch = watch.follow(predicted[newest], window.force[newest])
     count = min(watch.samples_since_change, window.sample_count)
-    if not watch.changed or count < _FEWEST_EARLY:
+    if not watch.changed or count < CHUNKS:
         return Outcome(watch=watch)
     since = slice(window.sample_count - count, None)
-    count -= change_point(predicted[since], window.force[since], _FEWEST_EARLY)
+    count -= change_point(predicted[since], window.force[since], CHUNKS)
     since = slice(window.sample_count - count, None)
     changed, predicted = held.part(since), predicted[since]
     lasting = model.lasting_force(changed, job.start)

@@ -21,9 +21,9 @@ from mr_damper_ros.signals.blocks import NANOSECONDS
 OperatingPoint = tuple[float, float]
 """Peak velocity [m/s] and current [A]."""
 
-_SAME_SPEED = math.log(1.1)
-_SAME_CURRENT = 0.05
-"""Within 10 % of the peak velocity and this current [A] is the same operating point."""
+SAME_SPEED = 1.1
+SAME_CURRENT = 0.05
+"""Within this factor of the peak velocity and this current [A] is the same operating point."""
 
 _COMPARABLE = (4.0, 2.0)
 """Forces, and what a law leaves of them, are comparable within so many times that: a speed half
@@ -63,7 +63,7 @@ def _nearest(
 def _apart(one: OperatingPoint, other: OperatingPoint) -> tuple[float, float]:
     """How far apart two points are in speed and in current, in tolerances."""
     ratio = math.log(max(one[0], 1e-9) / max(other[0], 1e-9))
-    return abs(ratio) / _SAME_SPEED, abs(one[1] - other[1]) / _SAME_CURRENT
+    return abs(ratio) / math.log(SAME_SPEED), abs(one[1] - other[1]) / SAME_CURRENT
 
 
 class Kept(NamedTuple):

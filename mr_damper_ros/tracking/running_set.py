@@ -12,13 +12,16 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.evidence import Evidence
-from mr_damper_ros.tracking.operating_point import KnownForce, OperatingPoint
+from mr_damper_ros.tracking.operating_point import (
+    SAME_CURRENT,
+    SAME_SPEED,
+    KnownForce,
+    OperatingPoint,
+)
 
 _AGREES = 0.1
 """A law that is off by less of the force where it was not known holds there, too."""
 
-_SAME_SPEED = 1.1
-_SAME_CURRENT = 0.05
 _SAME_FREQUENCY = 0.05
 _SAME_AMPLITUDE = 0.3
 """A sensor that is late may also show less of the motion; the loop keeps its shape that far."""
@@ -72,7 +75,7 @@ class SteadyMotion:
         same = (
             math.isclose(summary.amplitude, self.amplitude, rel_tol=_SAME_AMPLITUDE)
             and math.isclose(summary.frequency, self.frequency, rel_tol=_SAME_FREQUENCY)
-            and max(abs(low - self.current), abs(high - self.current)) <= _SAME_CURRENT
+            and max(abs(low - self.current), abs(high - self.current)) <= SAME_CURRENT
         )
         return self.windows if same else 0
 
@@ -89,8 +92,8 @@ def holds_at(running: ParameterSet, point: OperatingPoint) -> bool:
     speed, current = point
     return bool(
         running.observable.any()
-        and _is_within((speed, speed), running.peak_velocity_range, _SAME_SPEED)
-        and _is_within((current, current), running.current_range, 1.0, _SAME_CURRENT)
+        and _is_within((speed, speed), running.peak_velocity_range, SAME_SPEED)
+        and _is_within((current, current), running.current_range, 1.0, SAME_CURRENT)
     )
 
 
@@ -152,9 +155,9 @@ def set_of_window(
     largest_force = summary.largest_force
     known = (
         model.knows_speeds(running.observable)
-        and (agrees or _is_within(velocity_range, running.peak_velocity_range, _SAME_SPEED)),
+        and (agrees or _is_within(velocity_range, running.peak_velocity_range, SAME_SPEED)),
         model.knows_currents(running.observable)
-        and (agrees or _is_within(current_range, running.current_range, 1.0, _SAME_CURRENT)),
+        and (agrees or _is_within(current_range, running.current_range, 1.0, SAME_CURRENT)),
     )
     if known[0]:
         velocity_range = _wider_speeds(running, velocity_range, summary.frequency)

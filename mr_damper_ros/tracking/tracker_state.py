@@ -1,11 +1,8 @@
-"""What a tracker has learnt besides the running set, as plain data and as text.
+"""What a tracker knows, kept in a folder: read at the start, written after every new set.
 
-The text is JSON, arrays in it as base64 of their doubles: to the last digit, and nothing in it is
-ever executed. What is read back is checked against the types of the dataclasses, and for shapes
-and values that no identification leaves behind.
-
-
-What a tracker knows, kept in a folder: read at the start, written after every new set.
+Beside the running set its memory is one line of JSON, arrays in it as base64 of their doubles: to
+the last digit, and nothing in it is ever executed. What is read back is checked against the types
+of the dataclasses, and for shapes and values that no identification leaves behind.
 """
 
 from __future__ import annotations

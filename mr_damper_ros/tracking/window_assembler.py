@@ -1,6 +1,7 @@
-"""The newest samples of a stream, as one array: what is added or cut costs what it holds.
+"""Cuts a stream of blocks into windows for identification, by the data's stamps alone.
 
-Cuts a stream of blocks into windows for identification, by the data's stamps alone.
+The newest samples are kept in one array (:class:`SampleStore`): what is added or cut costs what it
+holds.
 """
 
 from __future__ import annotations

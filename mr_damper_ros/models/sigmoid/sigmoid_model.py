@@ -121,7 +121,6 @@ class SigmoidModel(Model):
     parameters = _SIXTEEN
     free_in_one_run: ClassVar[tuple[str, ...]] = SCALE_PARAMETER_NAMES
     strength = ("f0",)
-    many_at_once = True
     coefficient_quantities = (
         Quantity("f_t", "N", "yield force"),
         Quantity("alpha", "s/m", "steepness"),
@@ -312,7 +311,6 @@ class ExtendedSigmoidModel(SigmoidModel):
     )
     free_in_one_run = (*SCALE_PARAMETER_NAMES, *EXTENSION_NAMES)
     remembers = True
-    many_at_once = False
 
     @property
     def scale_names(self) -> tuple[str, ...]:
