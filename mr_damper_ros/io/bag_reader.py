@@ -23,7 +23,7 @@ from mr_damper_ros.io.bag_files import (
 )
 from mr_damper_ros.io.columns import MAXIMUM_SAMPLES
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
+from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, BlockError, SampleBlock
 from mr_damper_ros.signals.recording import (
     CurrentReading,
     Recording,
@@ -35,9 +35,6 @@ from mr_damper_ros.signals.zero_order_hold import CurrentError, ZeroOrderHold
 
 _HOLD_BACK = 1.0
 """Seconds for which blocks that overtook others wait for them: a file is in no hurry."""
-
-_JUMP_BACK = 1.0
-"""A current stamped earlier than the one before by more than this [s] opens a new round."""
 
 
 def read_bag(path: str | Path, *, maximum_samples: int = MAXIMUM_SAMPLES) -> list[Recording]:
@@ -171,7 +168,7 @@ def _hold(bag: str, rounds: list[_Round], reading: CurrentReading) -> None:
     """Add a value of the current; a bag that was recorded from a loop has several rounds of it."""
     stamp_ns, value = reading
     last = rounds[-1].held.last_stamp_ns if rounds else None
-    if last is None or stamp_ns < last - _JUMP_BACK * NANOSECONDS:
+    if last is None or stamp_ns < last - LATE_NS:
         rounds.append(_Round(stamp_ns, ZeroOrderHold(keep=math.inf)))
     try:
         rounds[-1].held.add(stamp_ns, value)

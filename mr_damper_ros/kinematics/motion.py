@@ -209,13 +209,14 @@ class Motion:
     @classmethod
     def joined(cls, motions: Sequence[Motion]) -> Motion:
         """Motions that follow each other, as one; which is no sine."""
-        return cls(
-            np.concatenate([motion.displacement for motion in motions]),
-            np.concatenate([motion.velocity for motion in motions]),
-            np.concatenate([motion.acceleration for motion in motions]),
-            np.concatenate([motion.peak_velocity for motion in motions]),
-            sine=None,
-        )
+        arrays = zip(*(motion.arrays for motion in motions), strict=True)
+        u, v, a, v_m = (np.concatenate(parts) for parts in arrays)
+        return cls(u, v, a, v_m, sine=None)
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """Displacement, velocity, acceleration and peak velocity."""
+        return self.displacement, self.velocity, self.acceleration, self.peak_velocity
 
     def held_within(self, low: float, high: float) -> Motion:
         """The same motion, its peak velocity held within ``low`` and ``high`` [m/s].
@@ -231,13 +232,8 @@ class Motion:
 
     def part(self, chosen: slice | np.ndarray) -> Motion:
         """The chosen samples: a slice, a mask of shape (n,) or places."""
-        return Motion(
-            displacement=self.displacement[chosen],
-            velocity=self.velocity[chosen],
-            acceleration=self.acceleration[chosen],
-            peak_velocity=self.peak_velocity[chosen],
-            sine=self.sine,
-        )
+        u, v, a, v_m = (values[chosen] for values in self.arrays)
+        return Motion(u, v, a, v_m, self.sine)
 
     @property
     def amplitude(self) -> float:

@@ -181,14 +181,8 @@ class Window:
         """
         grid = np.arange(self.sample_count, dtype=float)
         places = np.clip(grid + delay, 0.0, grid[-1])
-        m = self.motion
-        motion = Motion(
-            displacement=np.interp(places, grid, m.displacement),
-            velocity=np.interp(places, grid, m.velocity),
-            acceleration=np.interp(places, grid, m.acceleration),
-            peak_velocity=np.interp(places, grid, m.peak_velocity),
-            sine=m.sine,
-        )
+        u, v, a, v_m = (np.interp(places, grid, values) for values in self.motion.arrays)
+        motion = Motion(u, v, a, v_m, self.motion.sine)
         current = np.interp(places, grid, self.current)
         whole = None if self.steady else self
         return Window(motion, self.force, current, self.period, places, whole)

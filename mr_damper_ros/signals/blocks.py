@@ -12,6 +12,9 @@ from mr_damper_ros.signals.arrays import Array
 
 NANOSECONDS = 1_000_000_000
 
+LATE_NS = NANOSECONDS
+"""A stamp up to this far back is late, or came before; further back, time itself was set back."""
+
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6
 """Stamps count nanoseconds, and seconds in 31 bits."""
 

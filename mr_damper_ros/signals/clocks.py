@@ -14,7 +14,8 @@ _JITTER = 0.3
 """Standard deviation of a stamp [sample periods]: that of ± half a period, evenly distributed."""
 
 _RATE = 0.02
-"""Standard deviation of the rate at the start [1]: periods are stated in round numbers."""
+"""Standard deviation of the rate at the start [1]: periods are stated in round numbers. Samples
+that come so much faster or slower than stated cannot be used."""
 
 _MEMORY = 2.0
 """Seconds of stamps that the present offset rests on, or so."""
@@ -66,8 +67,8 @@ class StampClock:
 _SECONDS = 60
 """Seconds that the line is drawn through."""
 
-_FEWEST = 5
-"""Seconds from which on there is a rate; before there is only an offset."""
+_CHECKED = 5
+"""Seconds of arrivals that show their rate; before there is only an offset."""
 
 
 class ArrivalClock:
@@ -97,7 +98,7 @@ class ArrivalClock:
             self._least[-1] = (stamp_ns, ahead)
         else:
             return
-        if len(self._least) <= _FEWEST:
+        if len(self._least) <= _CHECKED:
             self._draw()
 
     def ahead_ns(self, stamp_ns: int) -> int:
@@ -110,27 +111,19 @@ class ArrivalClock:
             return
         base = self._least[-1][0]
         times, ahead = np.array([(t - base, a) for t, a in self._least], dtype=np.float64).T
-        if times.size < _FEWEST:
+        if times.size < _CHECKED:
             self._line = (0.0, float(ahead.min()), base)
             return
         slope, offset = np.polyfit(times, ahead, 1)
         self._line = (float(slope), float(offset), base)
 
 
-_CHECKED = 5.0
-"""Seconds of samples that show their rate by when they arrive, and are held back."""
-
-_WRONG_RATE = 0.02
-"""Difference of the rate from the stated one at which nothing of it can be used."""
-
 _PAUSE_NS = 250_000_000
-"""The least lateness within a second from which on there was a pause."""
+"""The least lateness within a second from which on there was a pause. So much too early come
+samples that had been waiting, or such of a higher rate."""
 
 _SILENCE_NS = 2 * NANOSECONDS
 """After so long without a sample there was one in any case."""
-
-_AHEAD_NS = 200_000_000
-"""So much too early come samples that had been waiting, or such of a higher rate."""
 
 _LATE, _MOST_LATE = 64, 16
 """A count this far back is a sample that was overtaken; so many in a row are a new count."""
@@ -186,7 +179,7 @@ class CountedTimes:
     @property
     def rate_is_wrong(self) -> bool:
         """Whether the samples come so much faster or slower that they cannot be used."""
-        return self._checks_rate and abs(self._clock.rate) > _WRONG_RATE
+        return self._checks_rate and abs(self._clock.rate) > _RATE
 
     def time_ns(self, index: int) -> int:
         """When a sample was taken, by the clock of the arrivals."""
@@ -213,7 +206,7 @@ class CountedTimes:
         self._index += step
         nominal_ns = round(self._index * self._period_ns)
         late_ns = arrival_ns - nominal_ns - self._clock.ahead_ns(nominal_ns)
-        if self._arrival_ns is None or late_ns < -_AHEAD_NS:
+        if self._arrival_ns is None or late_ns < -_PAUSE_NS:
             # The first, or a clock that was wrong: what follows is looked at anew.
             self._begin_clock(arrival_ns)
             self._checked_from = self._index

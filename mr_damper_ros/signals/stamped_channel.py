@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS
 from mr_damper_ros.signals.clocks import ArrivalClock, StampClock
 
 V = TypeVar("V")
@@ -228,7 +228,7 @@ class StampedChannel(Generic[V]):
     """Puts values in the order of their stamps [ns] and tells when each was taken.
 
     Values wait until the stamps are ``hold_back`` [s] further, for those that they have overtaken.
-    Stamps that jump back by more than a second begin anew.
+    Stamps that are set back begin anew.
     """
 
     def __init__(self, hold_back: float) -> None:
@@ -267,7 +267,7 @@ class StampedChannel(Generic[V]):
             if stamp_ns in self._seen:
                 counts.repeated += 1
                 return []
-            if self._released - stamp_ns < NANOSECONDS:
+            if self._released - stamp_ns < LATE_NS:
                 counts.late += 1
                 return []
             counts.jumps += 1

@@ -24,21 +24,19 @@ import numpy as np
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.clocks import StampClock
 
-_FEWEST, _MOST = 3, 12
-"""Samples on either side of a gap that its slope is taken from."""
-
-_AROUND = 13
-"""Samples that the way of one of them in the middle is taken from; at the end, those before."""
+_FEWEST, _AROUND = 3, 12
+"""Samples on either side of a gap that its slope is taken from, and around one its way; so many are
+kept of the past."""
 
 _RIDGE = 1e-9
 
 _DECIDED = 3.0
 """Standard errors by which the share must lie above or below one half to be believed."""
 
-_TOGETHER, _ENOUGH = 32, 30
+_TOGETHER = 32
 """Samples that are looked at together where none is lost, and at least before anything is said."""
 
 _FORGETTING = 0.9997
@@ -68,7 +66,7 @@ def on_a_cubic(before: Array, after: Array, count: int) -> Array:
     line = on_a_line(before, after, count)
     if before.size < _FEWEST:
         return line
-    points = min(max(count + 2, _FEWEST), _MOST)
+    points = min(max(count + 2, _FEWEST), _AROUND)
     # Slopes less that of the line, times the width of the gap.
     start = width * _end_slope(before[-points:]) - (high - low)
     if after.size < _FEWEST:
@@ -85,7 +83,7 @@ def at_even_times(wanted: Array, places: Array, values: Array) -> Array:
     noise stays its own: on a line between two samples it would be the smaller the further from
     them, and a filter that knows noise by its being white would take what is left of it for motion.
     """
-    width = min(_AROUND, places.size)
+    width = min(_AROUND + 1, places.size)
     powers = np.arange(min(3, width - 1) + 1)
     own = np.arange(places.size - wanted.size, places.size)
     first = np.clip(own - width // 2, 0, places.size - width)
@@ -156,16 +154,13 @@ class UnevenSampling:
         self._square = known * self._square + float(expected @ expected)
         self._rest = known * self._rest + float(off @ off)
         self._count = known * self._count + off.size
-        if self._count < _ENOUGH or self._square == 0.0:
+        if self._count < _TOGETHER or self._square == 0.0:
             return
         share = self._product / self._square
         noise = max(self._rest / self._square - share**2, 0.0) / self._count
         if abs(share - 0.5) > _DECIDED * noise**0.5:
             self.found = share > 0.5
 
-
-_REPEAT_HORIZON_NS = NANOSECONDS
-"""A block older than the last one by less than a second is a repeat, by more a jump back."""
 
 _JITTER_NS, _JITTER = 5_000_000, 1.5
 """A stamp may be off by so many nanoseconds, or sample periods where that is more, while the count
@@ -176,9 +171,6 @@ _EVEN = 0.1
 
 _NOTICED = 0.02
 """One that is off by more tells whether the samples were taken unevenly."""
-
-_TAIL = 12
-"""Samples kept of the past, for the slope at a gap."""
 
 _DELAY, _SLEW = 0.5, 0.01
 """Sample periods that the grid is behind where samples are taken unevenly, so that it lies between
@@ -332,7 +324,7 @@ class UniformGrid:
                 return _NEXT
             if missing > 0 and missing * block.period <= self._settings.longest_gap + 1e-9:
                 return Continuity("bridged", missing)
-            if missing < 0 and off_ns < abs(late_ns) < _REPEAT_HORIZON_NS:
+            if missing < 0 and off_ns < abs(late_ns) < LATE_NS:
                 return _REPEAT
         if abs(late_ns) <= allowed_ns and missing != 0:
             # The stamps go on but the count does not: the source was started again.
@@ -351,7 +343,7 @@ class UniformGrid:
                 else f"the samples pause for {late:.3g} s"
             )
             return Continuity("gap", lost, f"{detail}: what was being collected starts again")
-        if block.end_ns <= due_ns + allowed_ns and -late_ns < _REPEAT_HORIZON_NS and missing < 0:
+        if block.end_ns <= due_ns + allowed_ns and -late_ns < LATE_NS and missing < 0:
             return _REPEAT
         return Continuity(
             "jump_back",
@@ -446,7 +438,7 @@ class UniformGrid:
     def _remember(self, block: SampleBlock, late: float) -> None:
         recent = self._recent
         recent.append((block, late))
-        while len(recent) > _TAIL or (len(recent) > 1 and recent[1][0].sample_count >= _TAIL):
+        while len(recent) > _AROUND or (len(recent) > 1 and recent[1][0].sample_count >= _AROUND):
             recent.popleft()
 
     def _tail(self) -> tuple[Array, Array, Array]:
@@ -465,7 +457,7 @@ class UniformGrid:
                 strict=True,
             )
         )
-        return places[-_TAIL:], displacement[-_TAIL:], force[-_TAIL:]
+        return places[-_AROUND:], displacement[-_AROUND:], force[-_AROUND:]
 
 
 def _brought(wanted: Array, places: Array, displacement: Array, lost: int) -> Array:

@@ -9,14 +9,11 @@ from bisect import bisect_left, bisect_right
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.blocks import LATE_NS, NANOSECONDS
 
 KEEP_CURRENT = 3600.0
 """Seconds of values that a stream keeps: where a bag is played as fast as it goes, the current may
 come far ahead of the samples that it belongs to."""
-
-_LATE_NS = NANOSECONDS // 2
-"""A stamp this much before the newest one is late; further back, time itself was set back."""
 
 _SURPLUS = 8
 """One part in so many may be older than what is kept: to let go of them moves all the others, which
@@ -52,7 +49,7 @@ class ZeroOrderHold:
             raise CurrentError(f"the current is {current}: it must be a finite number")
         place = bisect_left(self._stamps, stamp_ns)
         back_ns = self._stamps[-1] - stamp_ns if self._stamps else 0
-        if back_ns > _LATE_NS:
+        if back_ns > LATE_NS:
             self._jumped = True
             del self._stamps[place:], self._values[place:]
         elif place < len(self._stamps) and self._stamps[place] == stamp_ns:
