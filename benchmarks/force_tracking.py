@@ -19,7 +19,7 @@ from mr_damper_ros.emulation.emulator import (
 )
 from mr_damper_ros.emulation.plant_rig import HIGHEST_CURRENT, HOT_FORCE, invented_damper
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.tracking.engine import Engine
 
 VALUES = invented_damper(0.01).as_dict()

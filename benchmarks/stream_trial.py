@@ -37,8 +37,7 @@ from mr_damper_ros.emulation.motions import Excitation
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock, check_live
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, RigBlock, SampleBlock, check_live
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report

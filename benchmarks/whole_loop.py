@@ -51,8 +51,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.sources.quarter_car_source import moment_of
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
 from mr_damper_ros.tracking.engine import Engine
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind

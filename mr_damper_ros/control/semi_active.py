@@ -18,7 +18,7 @@ import numpy as np
 from mr_damper_ros.control.linear_quadratic import regulator_gain
 from mr_damper_ros.control.quarter_car import QuarterCar
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.rig_block import Moment
+from mr_damper_ros.signals.blocks import Moment
 
 Controller = Callable[[Moment], float]
 

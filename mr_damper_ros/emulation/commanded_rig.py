@@ -8,8 +8,7 @@ from typing import NamedTuple
 from mr_damper_ros.control.force_controller import Command, ForceController
 from mr_damper_ros.emulation.emulator import MeasuredRig, SupplyKnob
 from mr_damper_ros.emulation.plant_rig import PlantMotion, PlantRig
-from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
 from mr_damper_ros.tracking.engine import Engine
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.reports import Report

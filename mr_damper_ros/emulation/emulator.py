@@ -27,9 +27,8 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
 )
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.recording import DEFAULT_START_NS, Recording
-from mr_damper_ros.signals.rig_block import RigBlock
 
 THESIS_FORCE_NOISE = 5.53
 """Standard deviation [N] of the force error after the fit in the thesis (section 4.6)."""

@@ -17,8 +17,7 @@ import numpy as np
 
 from mr_damper_ros.emulation.motions import EnvelopedMotion, Excitation, Kinematics, WarpedMotion
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 
 CHANNELS = ("displacement", "force", "current", "temperature")
 """What a rig measures, as :class:`RigBlock` names it."""

@@ -30,7 +30,7 @@ from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 _ACCELERATION_MEMORY = 0.008
 """Time constant [s] of the acceleration that the law's peak velocity is reckoned from: that of the

@@ -20,8 +20,7 @@ from mr_damper_ros.nodes.messages import (
 )
 from mr_damper_ros.nodes.pacing import Outlet, Pacer, wait_for_subscribers
 from mr_damper_ros.rig.blocks import Meter, Reading
-from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 
 _TOPICS = {
     "mts/samples": MtsSamples,

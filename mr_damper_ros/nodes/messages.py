@@ -12,8 +12,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import BlockError, SampleBlock, check_live, fits_a_stamp
-from mr_damper_ros.signals.rig_block import Moment, RigBlock
+from mr_damper_ros.signals.blocks import (
+    BlockError,
+    Moment,
+    RigBlock,
+    SampleBlock,
+    check_live,
+    fits_a_stamp,
+)
 
 _SECOND = 1_000_000_000
 

@@ -22,8 +22,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import fits_a_stamp
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock, fits_a_stamp
 from mr_damper_ros.signals.stamped_channel import ChannelJoin, JoinedRun, StampedChannel
 
 _POLL = 0.005

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 
 _LARGEST = 1e9
 """No press moves so many metres or pulls so many newtons."""

@@ -32,7 +32,7 @@ from mr_damper_ros.report.document import (
     panels,
 )
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.tracking.predictor import PredictorSettings
 from studies.control.ground_motion import (
     NEAR_FAULT,

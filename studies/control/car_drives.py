@@ -38,7 +38,7 @@ from mr_damper_ros.emulation.plant_rig import (
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.sources.quarter_car_source import moment_of
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 CAR = QuarterCar()
 GRAVITY = 9.80665

@@ -28,8 +28,7 @@ from mr_damper_ros.report.document import (
     panels,
 )
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
 from studies.control.car_drives import (

@@ -19,7 +19,7 @@ from mr_damper_ros.rig.sources import SOURCES, analog_input, daq_source
 from mr_damper_ros.rig.sources.device_source import Device
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import build
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 START = 1_700_000_000_000_000_000
 PATIENCE = 30.0

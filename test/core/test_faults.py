@@ -21,7 +21,7 @@ from mr_damper_ros.emulation.faults import (
     faults_of,
 )
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 BEGIN, END, DURATION = 0.5, 0.8, 1.2
 SIZE = 10

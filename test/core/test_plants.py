@@ -18,7 +18,7 @@ from mr_damper_ros.emulation.commanded_rig import commanded
 from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig, invented_damper
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.rig_block import Moment
+from mr_damper_ros.signals.blocks import Moment
 from studies.control.buildings import reversals
 from studies.control.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION, el_centro
 

@@ -24,8 +24,8 @@ from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.recorded_source import recorded_blocks
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import build
+from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.signals.rig_block import RigBlock
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 START = 1_700_000_000_000_000_000

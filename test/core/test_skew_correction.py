@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.rig.blocks import aligned
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 PERIOD = 1e-3
 START = 1_700_000_000_000_000_000

@@ -34,7 +34,7 @@ from mr_damper_ros.rig.sources.rows import (
 )
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import build
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 START = 1_700_000_000_000_000_000
 PATIENCE = 30.0

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.rig.sources.source import Source
 from mr_damper_ros.settings.option_table import ParameterTable, option
 

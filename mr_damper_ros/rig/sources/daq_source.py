@@ -16,8 +16,7 @@ from mr_damper_ros.rig.sources.device_source import DeviceSource, Portion
 from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 
 if TYPE_CHECKING:
     from mr_damper_ros.rig.sources.row_times import TimedSample

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, 
 
 from mr_damper_ros.rig.blocks import BlockMaker
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 if TYPE_CHECKING:
     from mr_damper_ros.rig.sources.row_times import RowTimes, TimedSample

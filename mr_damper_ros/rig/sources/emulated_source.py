@@ -37,7 +37,7 @@ from mr_damper_ros.rig.commander import (
 )
 from mr_damper_ros.rig.sources.source import MOST_CURRENT, Source, StreamSettings, emulated_supply
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 _THESIS_TEMPERATURES = "thesis_temperatures"
 

@@ -19,7 +19,7 @@ from mr_damper_ros.emulation.plant_rig import (
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.sources.source import MOST_CURRENT, Source, StreamSettings, emulated_supply
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.rig_block import Moment, RigBlock
+from mr_damper_ros.signals.blocks import Moment, RigBlock
 
 _BUMP = "bump"
 _INVENTED = "invented"

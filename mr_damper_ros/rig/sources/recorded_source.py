@@ -12,9 +12,8 @@ import numpy as np
 
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.signals.rig_block import RigBlock
 
 _PAUSE_NS = NANOSECONDS
 """Time left out of the stamps between two recordings, and before a recording starts again: no

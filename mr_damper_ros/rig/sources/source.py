@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, MotionCommander
 from mr_damper_ros.settings.option_table import ParameterTable
-from mr_damper_ros.signals.rig_block import RigBlock
+from mr_damper_ros.signals.blocks import RigBlock
 
 MOST_CURRENT = 10.0
 """Largest current [A] of an emulated supply, of either sign."""

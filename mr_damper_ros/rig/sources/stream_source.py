@@ -11,8 +11,8 @@ from mr_damper_ros.rig.sources.byte_links import connector, parse_address
 from mr_damper_ros.rig.sources.device_source import Device, DeviceSource, Portion
 from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.clocks import CountedTimes
-from mr_damper_ros.signals.rig_block import RigBlock
 
 if TYPE_CHECKING:
     from mr_damper_ros.rig.sources.row_times import RowTimes, TimedSample
