@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mr_damper_ros.io.sampled_record import GAP, SampledRecord, integrated
 from mr_damper_ros.kinematics.window import turning_points
-from mr_damper_ros.signals.arrays import Array, white_noise
+from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _BLOCK = 0.1
 """Seconds of a block; a rest is found to this accuracy, and so much of it is left to a run."""
@@ -23,10 +23,7 @@ _REST_OF_STROKE = 0.3
 """and this part of a stroke: a slow motion turns slowly."""
 
 _STILL = 0.002
-"""The rod rests where the displacement keeps within this part of its span,"""
-
-_NOISE_SPANS = 8.0
-"""or within so many standard deviations of its noise."""
+"""The rod rests where the displacement keeps within this part of its span, or of its noise."""
 
 _CURRENT_STEP = 0.05
 """A change of a measured current [A] that begins another run."""
@@ -167,7 +164,7 @@ def _motions(record: SampledRecord, rows: slice) -> Iterator[slice]:
         return
     blocks = position[: count * length].reshape(count, length)
     noise = white_noise(position)
-    still = max(_STILL * span, _NOISE_SPANS * noise)
+    still = max(_STILL * span, NOISE_SPAN * noise)
     high = np.lib.stride_tricks.sliding_window_view(blocks.max(axis=1), window).max(axis=1)
     low = np.lib.stride_tricks.sliding_window_view(blocks.min(axis=1), window).min(axis=1)
     resting = np.convolve(high - low < still, np.ones(window)) > 0.0

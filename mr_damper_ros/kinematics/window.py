@@ -10,16 +10,14 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import DataError, Motion, Sine, window_motion
 from mr_damper_ros.kinematics.motion_history import MotionHistory, following_stride
-from mr_damper_ros.signals.arrays import Array, white_noise
+from mr_damper_ros.signals.arrays import NOISE_SPAN, Array, white_noise
 
 _TURN = 0.05
 """A way back of this part of the span is a turn of the motion, ..."""
 
-_NOISE_TURN = 8.0
-"""... if it is more than so many standard deviations of the noise, ..."""
-
 _LARGEST_TURN = 0.25
-"""... which is not told from motion near the sampling rate: no turn needs more of the span."""
+"""... if it is more than the span of the noise, which is not told from motion near the sampling
+rate: no turn needs more of the span."""
 
 _EACH_WAY = 0.75
 """Part of the span that each of the two directions must go, in all its strokes."""
@@ -56,7 +54,7 @@ def _holds_cycle(u: Array) -> bool:
     if u.size < _FEWEST_SAMPLES:
         return False
     span = float(np.ptp(u))
-    noise = _NOISE_TURN * white_noise(u)
+    noise = NOISE_SPAN * white_noise(u)
     turn = min(max(_TURN * span, noise), _LARGEST_TURN * span)
     if not turn > 0.0:
         return False

@@ -23,6 +23,9 @@ def span_of(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
+NOISE_SPAN = 8.0
+"""Standard deviations that the white noise of a long signal spans."""
+
 _NORMAL_MEDIAN = 0.6745
 """Median size of a normal number over its standard deviation."""
 
