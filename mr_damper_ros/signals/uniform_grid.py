@@ -36,7 +36,7 @@ _RIDGE = 1e-9
 _DECIDED = 3.0
 """Standard errors by which the share must lie above or below one half to be believed."""
 
-_TOGETHER = 32
+_TOGETHER, _ENOUGH = 32, 30
 """Samples that are looked at together where none is lost, and at least before anything is said."""
 
 _FORGETTING = 0.9997
@@ -154,7 +154,7 @@ class UnevenSampling:
         self._square = known * self._square + float(expected @ expected)
         self._rest = known * self._rest + float(off @ off)
         self._count = known * self._count + off.size
-        if self._count < _TOGETHER or self._square == 0.0:
+        if self._count < _ENOUGH or self._square == 0.0:
             return
         share = self._product / self._square
         noise = max(self._rest / self._square - share**2, 0.0) / self._count
