@@ -31,12 +31,52 @@ EXPLAINS_TOO_LITTLE = 3
 AUTO = "auto"
 """In place of a law's name: the one that the bags support."""
 
+_AUTO_HELP = (
+    "; auto: the simplest of those that predict best what was left out of the bags, with a table "
+    "of all"
+)
+
 _DEFAULTS = EvolutionSettings()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; returns the exit code."""
     return run_tool(_parser(), _identify, arguments)
+
+
+def add_search_options(
+    group: argparse.ArgumentParser | argparse._ArgumentGroup, models: Sequence[str]
+) -> None:
+    """Add what a program takes that identifies: the law, the search, its start and its seed."""
+    group.add_argument(
+        "--model",
+        choices=models,
+        default=DEFAULT_MODEL,
+        help="force law (default %(default)s); sigmoid_lag: with the lag of the force, a stiffness "
+        "and an offset as well" + (_AUTO_HELP if AUTO in models else ""),
+    )
+    group.add_argument(
+        "--method",
+        choices=GLOBAL_METHODS,
+        default="global",
+        help="global: laws by differential evolution, then least squares on the samples (default); "
+        "nelder_mead, least_squares: local search on the samples; differential_evolution: over "
+        "all free parameters at once, as in the thesis",
+    )
+    group.add_argument(
+        "--start",
+        metavar="FILE",
+        help="parameter file whose values undetermined parameters keep (default: the model's own "
+        "initial values, for the sigmoid law those of the thesis' literature set); model "
+        "sigmoid_lag also starts from a set of model sigmoid",
+    )
+    group.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
+    group.add_argument(
+        "--generations",
+        type=int,
+        default=_DEFAULTS.generations,
+        help="of differential evolution, at most (default %(default)s)",
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -49,41 +89,12 @@ def _parser() -> argparse.ArgumentParser:
         f"option cannot be used; {INTERRUPTED} after Ctrl-C pressed twice.",
     )
     add_run_options(parser)
-    parser.add_argument(
-        "--model",
-        choices=(*MODELS, AUTO),
-        default=DEFAULT_MODEL,
-        help="force law (default %(default)s); sigmoid_lag: with the lag of the force, a stiffness "
-        "and an offset as well; auto: the simplest of those that predict best what was left out "
-        "of the bags, with a table of all",
-    )
-    parser.add_argument(
-        "--method",
-        choices=GLOBAL_METHODS,
-        default="global",
-        help="global: laws by differential evolution, then least squares on the samples (default); "
-        "nelder_mead, least_squares: local search on the samples; differential_evolution: over "
-        "all free parameters at once, as in the thesis",
-    )
-    parser.add_argument(
-        "--start",
-        metavar="FILE",
-        help="parameter file whose values undetermined parameters keep (default: the model's own "
-        "initial values, for the sigmoid law those of the thesis' literature set); model "
-        "sigmoid_lag also starts from a set of model sigmoid",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default 0)")
+    add_search_options(parser, (*MODELS, AUTO))
     parser.add_argument(
         "--strategy",
         choices=STRATEGIES,
         default=_DEFAULTS.strategy,
         help="of differential evolution (default %(default)s)",
-    )
-    parser.add_argument(
-        "--generations",
-        type=int,
-        default=_DEFAULTS.generations,
-        help="of differential evolution, at most (default %(default)s)",
     )
     parser.add_argument(
         "--starts",

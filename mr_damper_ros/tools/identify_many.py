@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.lots.many_dampers import ManyDampers, identify_many
 from mr_damper_ros.lots.report import (
     require_parquet,
@@ -19,8 +18,8 @@ from mr_damper_ros.lots.report import (
     write_population_report,
 )
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.tools.console import FAILED, INTERRUPTED, run_tool
+from mr_damper_ros.tools.identify import add_search_options
 
 LEFT_OUT = 3
 """Exit code where a file was left out or a damper not identified; all others are there."""
@@ -87,12 +86,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     records.add_argument("--period", type=float, metavar="S", help="time between samples [s]")
     records.add_argument("--variable", metavar="NAME", help="matrix, sheet or group")
-    search = parser.add_argument_group("identification, as in identify")
-    search.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL)
-    search.add_argument("--method", choices=GLOBAL_METHODS, default="global")
-    search.add_argument("--start", metavar="FILE", help="parameter file to start from")
-    search.add_argument("--seed", type=int, default=0)
-    search.add_argument("--generations", type=int, default=_DEFAULTS.generations)
+    search = parser.add_argument_group("identification")
+    add_search_options(search, tuple(MODELS))
     search.add_argument(
         "--accept-doubtful", action="store_true", help="take runs that would be refused"
     )

@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from mr_damper_ros.report.document import Block, Chapter, styled, write_report
+from mr_damper_ros.report.document import Chapter, styled, write_report
 from studies.program import Say, Study
 from studies.thesis import (
     conditions,
@@ -28,90 +26,27 @@ from studies.thesis import (
 from studies.thesis.campaign import Campaign, Settings
 from studies.thesis.published_runs import PROVENANCE
 
-
-@dataclass(frozen=True)
-class Section:
-    """``compute`` makes the numbers, ``show`` the blocks of the report from them.
-
-    ``headline`` says the result in a sentence.
-    """
-
-    name: str
-    title: str
-    compute: Callable[[Campaign], dict[str, Any]]
-    show: Callable[[dict[str, Any]], list[Block]]
-    headline: Callable[[dict[str, Any]], str]
-
-
-SECTIONS = (
-    Section(
-        "force-error",
-        "Sine and force identified, and their errors",
-        force_error.compute,
-        force_error.show,
-        force_error.headline,
-    ),
-    Section(
-        "dependency",
-        "Dependency on current, frequency, displacement and temperature",
-        dependency.compute,
-        dependency.show,
-        dependency.headline,
-    ),
-    Section(
-        "conditions", "All conditions", conditions.compute, conditions.show, conditions.headline
-    ),
-    Section(
-        "sensitivity",
-        "Sensitivity of the force",
-        sensitivity.compute,
-        sensitivity.show,
-        sensitivity.headline,
-    ),
-    Section(
-        "repeated",
-        "Repeated differential evolution",
-        repeated.compute,
-        repeated.show,
-        repeated.headline,
-    ),
-    Section(
-        "methods",
-        "Both methods, and the literature",
-        methods.compute,
-        methods.show,
-        methods.headline,
-    ),
-    Section(
-        "optimisers",
-        "Optimisers side by side",
-        optimisers.compute,
-        optimisers.show,
-        optimisers.headline,
-    ),
-    Section(
-        "observability",
+SECTIONS = {
+    "force-error": ("Sine and force identified, and their errors", force_error),
+    "dependency": ("Dependency on current, frequency, displacement and temperature", dependency),
+    "conditions": ("All conditions", conditions),
+    "sensitivity": ("Sensitivity of the force", sensitivity),
+    "repeated": ("Repeated differential evolution", repeated),
+    "methods": ("Both methods, and the literature", methods),
+    "optimisers": ("Optimisers side by side", optimisers),
+    "observability": (
         "What the thesis could not show: why the parameters scatter",
-        identifiability.compute,
-        identifiability.show,
-        identifiability.headline,
+        identifiability,
     ),
-    Section(
-        "models",
-        "The reviewed models compared",
-        model_table.compute,
-        model_table.show,
-        model_table.headline,
-    ),
-    Section(
-        "one-set",
-        "What the thesis could not show: one set for all conditions",
-        one_set.compute,
-        one_set.show,
-        one_set.headline,
-    ),
-    Section("errata", "Errata", errata.compute, errata.show, errata.headline),
-)
+    "models": ("The reviewed models compared", model_table),
+    "one-set": ("What the thesis could not show: one set for all conditions", one_set),
+    "errata": ("Errata", errata),
+}
+"""Title and module of each section by its name.
+
+In a module ``compute`` makes the numbers of a campaign, ``show`` the blocks of the report from
+them, and ``headline`` says the result in a sentence.
+"""
 
 _TITLE = "Parameter identification of the sigmoid model of an MR damper: the thesis reproduced"
 
@@ -123,13 +58,13 @@ def build(campaign: Campaign, only: Sequence[str]) -> Path:
     """Compute what is missing and write the report; returns its page."""
     settings = campaign.settings
     chapters, headlines = [], []
-    for section in SECTIONS:
-        if section.name not in only:
+    for name, (title, section) in SECTIONS.items():
+        if name not in only:
             continue
-        campaign.say(section.title)
+        campaign.say(title)
         data = section.compute(campaign)
         with styled():
-            chapters.append(Chapter(section.name, section.title, section.show(data)))
+            chapters.append(Chapter(name, title, section.show(data)))
         headlines.append(section.headline(data))
     notice = (
         "The recordings behind the thesis (D. M. D. da Silva, University of Brasília, 2023) were "
@@ -181,7 +116,7 @@ main = Study(
     "sets, and write one report. What was computed earlier is not computed again, so a stopped "
     "campaign goes on where it was. With the variable MR_DAMPER_DATA set to a folder that holds "
     "utfsm/processed, the models are compared on those recordings too.",
-    [section.name for section in SECTIONS],
+    tuple(SECTIONS),
     f"{_QUICK_RUNS} runs instead of {_RUNS}, fewer evaluations and cases",
     _reproduce,
     _add_options,
