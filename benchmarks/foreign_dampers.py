@@ -36,7 +36,7 @@ from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
 from mr_damper_ros.emulation.emulator import CurrentSchedule, ThermalModel
 from mr_damper_ros.emulation.faults import faults_of
 from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion
-from mr_damper_ros.estimation.set_error import error_of_set
+from mr_damper_ros.estimation.global_fit import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array

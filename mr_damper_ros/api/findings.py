@@ -22,8 +22,7 @@ from mr_damper_ros.estimation.observability import (
     parameter_ranges,
     parameter_spans,
 )
-from mr_damper_ros.estimation.profile_likelihood import Profile
-from mr_damper_ros.estimation.profiled_fit import search_misfit
+from mr_damper_ros.estimation.profile_likelihood import Profile, search_misfit
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet

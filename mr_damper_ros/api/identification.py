@@ -50,7 +50,7 @@ from mr_damper_ros.estimation.multi_start import (
     SearchRecordError,
     identify_from_seeds,
 )
-from mr_damper_ros.estimation.profiled_fit import profiled, profiles_of, record_levels
+from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of, record_levels
 from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model

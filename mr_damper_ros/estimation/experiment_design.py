@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.covariance import triangular_factor
+from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.observability import (
     determined_parameters,
     noise_level,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,13 +24,12 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.global_search import Candidate, GlobalSearch
 from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
 from mr_damper_ros.estimation.record_levels import LevelPrior, counted_samples
-from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.operating_points import PooledProblem
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.error_sums import pooled
+from mr_damper_ros.signals.error_sums import ErrorSums, pooled
 
 GLOBAL_METHODS = (GLOBAL_SOURCE, "nelder_mead", "least_squares", "differential_evolution")
 
@@ -89,6 +88,11 @@ class GlobalFit:
     def median_nrmse(self) -> float:
         """Median over the windows."""
         return float(np.median(self.nrmse))
+
+
+def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
+    """Error of a set of any model on the samples of all windows together."""
+    return pooled(ErrorSums.of(found.force(window), window.force) for window in windows)
 
 
 def identify_global(

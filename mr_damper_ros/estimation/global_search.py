@@ -1,7 +1,7 @@
 """One parameter set of a model for many windows: the steps of the search.
 
 1. Each window gives its own coefficients (least squares, no dependence on velocity or current
-   assumed within it).
+   assumed within it); what these leave of the force is the noise of the window.
 2. The laws over operating points are fitted to these coefficients: linear where they are, else by
    differential evolution.
 3. A local search on the samples themselves, over the parameters that the data determine. It
@@ -11,18 +11,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.estimation.adaptation import adapted
+from mr_damper_ros.estimation.covariance import correlation_length
 from mr_damper_ros.estimation.differential_evolution import (
     EvolutionSettings,
     ProgressClock,
     evolve,
 )
-from mr_damper_ros.estimation.local_search import StopRequestedError
+from mr_damper_ros.estimation.local_search import LocalSearch, StopRequestedError
 from mr_damper_ros.estimation.observability import (
     current_varies,
     determined_parameters,
@@ -32,15 +33,288 @@ from mr_damper_ros.estimation.observability import (
     parameter_ranges,
     varied_parameters,
 )
-from mr_damper_ros.estimation.pooled_polish import PooledPolish
-from mr_damper_ros.estimation.record_levels import LevelPrior
-from mr_damper_ros.estimation.separate_fits import SeparateFits
-from mr_damper_ros.estimation.window_fit import WindowFit
+from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
+from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import PooledProblem
+from mr_damper_ros.models.operating_points import CoefficientTable, PooledProblem
 from mr_damper_ros.signals.arrays import Array
+
+
+def adapted(
+    model: Model,
+    windows: Sequence[Window],
+    reference: Array,
+    changed: Array,
+    linear: frozenset[str],
+) -> Array:
+    """The set ``changed`` (p,) with parameters under which the force stays that of ``reference``.
+
+    ``linear`` names those that may follow, of the parameters that are linear in the laws: they are
+    solved for at the operating points of the windows.
+    """
+    speeds, currents = np.array([window.operating_point for window in windows]).T
+    coefficients = model.coefficients_at(reference, speeds, currents).T
+    table = CoefficientTable(speeds, currents, coefficients, np.zeros_like(coefficients))
+    return model.fit_laws(table, changed, linear, no_search)
+
+
+def no_search(
+    cost: Callable[[Array], Array],
+    bounds: Sequence[tuple[float, float]],
+    start: Array,
+    stage: str,
+) -> Array:
+    """What is not linear stays where it is; see :data:`LawSearch`."""
+    return start
+
+
+_RIDGE = 1e-4
+"""Weight that keeps a flat direction from running away: no more than a trace of the misfit."""
+
+
+class FreeParameters:
+    """A pooled problem for unknowns (f,): the parameters at ``places``, each in its own unit.
+
+    ``values`` (p,) are where it starts, ``sizes`` (f,) the units, ``bounds`` those of all
+    parameters (p,). A ridge keeps flat directions where they are.
+    """
+
+    def __init__(
+        self,
+        pooled: PooledProblem,
+        values: Array,
+        places: Sequence[int],
+        sizes: Array,
+        bounds: tuple[Array, Array],
+    ) -> None:
+        self._pooled = pooled
+        self._values = np.array(values, dtype=float)
+        self._places = list(places)
+        self._sizes = sizes
+        self._ridge = _RIDGE * np.sqrt(pooled.sample_count)
+        self.start = self._values[self._places] / sizes
+        low, high = (bound[self._places] / sizes for bound in bounds)
+        unbounded = bool(np.all(np.isinf(low)) and np.all(np.isinf(high)))
+        self.bounds = None if unbounded else (low, high)
+
+    def parameters(self, unknowns: Array) -> Array:
+        """All parameters (p,)."""
+        values = self._values.copy()
+        values[self._places] = unknowns * self._sizes
+        return values
+
+    def residual(self, unknowns: Array) -> Array:
+        """Weighted residual of all windows [1], and below it that of the ridge."""
+        plain = self._pooled.residual(self.parameters(unknowns))
+        return np.concatenate((plain, self._ridge * (unknowns - self.start)))
+
+    def jacobian(self, unknowns: Array) -> Array:
+        """Derivatives of the residual by the unknowns."""
+        derivatives = self._pooled.jacobian(self.parameters(unknowns), self._places) * self._sizes
+        return np.concatenate((derivatives, self._ridge * np.eye(len(self._places))))
+
+
+_MEANINGLESS = 0.01
+"""A step that lowers the misfit by so many of its variances is a tenth of a standard error."""
+
+_SMALLEST = 0.05
+"""A parameter counts as no smaller than this part of its range or typical size."""
+
+_ON_BOUND = 1e-3
+"""A parameter this part of its size from a bound lies on it."""
+
+
+class PooledPolish:
+    """Local searches for a model whose parameters have these ``sizes`` (p,).
+
+    ``clock`` hears of them and may stop them: StopRequestedError is raised, and ``latest`` (p,) is
+    how far the search had come. ``exhausted``: whether the latest one ended at its limit of steps;
+    ``evaluations`` are those of all.
+    """
+
+    def __init__(self, model: Model, sizes: Array, clock: ProgressClock) -> None:
+        self._model = model
+        self._names = model.parameter_names
+        self._sizes = sizes
+        self._clock = clock
+        self.latest: Array | None = None
+        self.exhausted = False
+        self.evaluations = 0
+
+    def search(
+        self,
+        pooled: PooledProblem,
+        start: Array,
+        free: frozenset[str],
+        *,
+        nelder_mead: bool = False,
+    ) -> Array:
+        """The parameters (p,) that the search ends at; never worse than ``start`` (p,)."""
+        found = self._polished(pooled, start, free, nelder_mead)
+        on_bound = self._nearly_on_bound(found, free)
+        if not on_bound:
+            return found
+        # The best that is allowed lies on the bound, which a search only approaches.
+        low, high = self._model.bounds
+        moved = found.copy()
+        for name in on_bound:
+            place = self._names.index(name)
+            nearer = abs(found[place] - low[place]) < abs(found[place] - high[place])
+            moved[place] = low[place] if nearer else high[place]
+        moved = self._polished(pooled, moved, free - on_bound, False)
+        return min((moved, start), key=pooled.mean_square)
+
+    def _nearly_on_bound(self, values: Array, free: frozenset[str]) -> frozenset[str]:
+        distance = np.minimum(*(np.abs(values - bound) for bound in self._model.bounds))
+        near = distance < _ON_BOUND * self._sizes
+        return frozenset(name for name in free if near[self._names.index(name)])
+
+    def _polished(
+        self, pooled: PooledProblem, start: Array, free: frozenset[str], nelder_mead: bool
+    ) -> Array:
+        places = [place for place, name in enumerate(self._names) if name in free]
+        residual = pooled.residual(start)
+        with np.errstate(over="ignore"):
+            overflows = not math.isfinite(float(residual @ residual))
+        if not places or overflows:
+            return start
+        sizes = np.maximum(np.abs(start[places]), _SMALLEST * self._sizes[places])
+        problem = FreeParameters(pooled, start, places, sizes, self._model.bounds)
+        stage = "Nelder-Mead" if nelder_mead else "least squares"
+        search = LocalSearch(
+            problem,
+            problem.start,
+            lambda: self._clock.poll(stage, search.best_cost / pooled.sample_count),
+        )
+        try:
+            if nelder_mead:
+                search.nelder_mead()
+            search.least_squares(tolerance=_MEANINGLESS / _independent(residual))
+        except StopRequestedError:
+            self.latest = problem.parameters(search.best)
+            raise
+        finally:
+            self.exhausted = search.exhausted
+            self.evaluations += search.evaluations
+        return problem.parameters(search.best)
+
+
+def _independent(residual: Array) -> float:
+    """How many independent samples (n,) amount to: correlated ones count once together."""
+    return residual.size / max(correlation_length(residual), 1)
+
+
+_SEARCH_SAMPLES = 8000
+_FEWEST_SEARCH_SAMPLES = 250
+"""The search thins the windows to so many samples in all, and each to no fewer than that; the
+last polish uses all samples."""
+
+_STAGE = "each run by itself"
+
+
+class SeparateFits:
+    """Fits of the windows one by one, thinned; what they leave of the force is the noise of each.
+
+    ``pooled``: the misfit of one set to all of the thinned windows, weighed by their noise, with
+    the ``levels`` of their records if they have any.
+    """
+
+    pooled: PooledProblem
+
+    def __init__(
+        self,
+        model: Model,
+        windows: Sequence[Window],
+        clock: ProgressClock,
+        levels: LevelPrior | None = None,
+    ) -> None:
+        self._model = model
+        self._levels = levels
+        self._thinned = thinned_for_search(windows)
+        self._clock = clock
+        self.fits: list[WindowFit] = []
+        self.evaluations = 0
+
+    def fit(self, start: Array, known: Array | None = None) -> None:
+        """Fit each window from ``start``; that of varying current from ``known``, if it is better.
+
+        Without its dependence on the current no law comes near to the force of such a window.
+        Raises StopRequestedError where the clock has stopped it; what was known before then stays.
+        """
+        found = []
+        for window in self._thinned:
+            starts = [start]
+            if known is not None and current_varies(window):
+                starts.append(known)
+            fits = [
+                fit_window(
+                    self._model, window, each, method="least_squares", should_stop=self._stops
+                )
+                for each in starts
+            ]
+            found.append(min(fits, key=lambda fit: fit.rmse))
+        self.evaluations += sum(fit.evaluations for fit in found)
+        if not (self._clock.stopped and self.fits):
+            self.fits = found
+            self.pooled = self.misfit(self._thinned)
+        if self._clock.stopped:
+            raise StopRequestedError
+
+    def _stops(self) -> bool:
+        return self._clock.poll(_STAGE, math.nan)
+
+    def misfit(self, windows: Sequence[Window], known: Array | None = None) -> PooledProblem:
+        """The misfit of one set to these windows, the same ones, thinned or not."""
+        noise = [fit.rmse for fit in self.fits]
+        return levelled(self._model.pooled_problem(windows, noise, known), self._levels)
+
+    @property
+    def operating_points(self) -> tuple[list[float], list[float]]:
+        """Peak velocities [m/s] and currents [A] of the windows."""
+        return _points(self.fits)
+
+    def table(self) -> CoefficientTable:
+        """The coefficients of all windows."""
+        return _table(self.fits)
+
+    def without_search(self, start: Array) -> list[Array]:
+        """Parameters (p,) from those windows that were fitted before a stop, as far as they go.
+
+        Those of one of them, and the laws over all as far as they are linear.
+        """
+        fitted = [fit for fit in self.fits if fit.success] or self.fits[:1]
+        free = varied_parameters(self._model, *_points(fitted))
+        laws = self._model.fit_laws(_table(fitted), start, free, no_search)
+        return [fitted[0].parameters, laws]
+
+
+def _points(fits: Sequence[WindowFit]) -> tuple[list[float], list[float]]:
+    speeds, currents = zip(*(fit.operating_point for fit in fits), strict=True)
+    return list(speeds), list(currents)
+
+
+def _table(fits: Sequence[WindowFit]) -> CoefficientTable:
+    speeds, currents = _points(fits)
+    return CoefficientTable(
+        peak_velocity=np.array(speeds),
+        current=np.array(currents),
+        coefficients=np.array([fit.coefficients for fit in fits]),
+        errors=np.array([np.sqrt(np.diag(fit.coefficient_covariance)) for fit in fits]),
+    )
+
+
+def levelled(pooled: PooledProblem, levels: LevelPrior | None) -> PooledProblem:
+    """The problem with the levels of its records integrated out, or as it is where None."""
+    return pooled if levels is None else LevelledProblem(pooled, levels)
+
+
+def thinned_for_search(windows: Sequence[Window]) -> list[Window]:
+    """The windows with as many samples as a search needs."""
+    most = max(_SEARCH_SAMPLES // len(windows), _FEWEST_SEARCH_SAMPLES)
+    return [window.thinned(most) for window in windows]
+
 
 _EVOLUTION_SAMPLES = 200
 """Samples per window where differential evolution evaluates thousands of sets."""

@@ -20,7 +20,6 @@ from enum import Enum
 
 import numpy as np
 
-from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.force_knowledge import (
     FEW,
     Cycles,
@@ -35,6 +34,7 @@ from mr_damper_ros.estimation.force_knowledge import (
     repeated_error,
     window_information,
 )
+from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.planned_run import (
     CandidateRuns,
     MachineLimits,

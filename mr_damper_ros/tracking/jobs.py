@@ -14,11 +14,10 @@ from enum import Enum
 
 import numpy as np
 
-from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.set_error import error_of_set
+from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identify_global
+from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.motion_history import LONGEST_SETTLING

@@ -21,13 +21,12 @@ from mr_damper_ros.estimation.differential_evolution import (
     ProgressClock,
     evolve,
 )
-from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
+from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identify_global
 from mr_damper_ros.estimation.observability import (
     determined_parameters,
     standard_errors,
     varied_parameters,
 )
-from mr_damper_ros.estimation.set_error import error_of_set
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.operating_points import CoefficientTable
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS

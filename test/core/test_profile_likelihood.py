@@ -10,8 +10,8 @@ import pytest
 from known import SIGMOID
 from scipy.signal import lfilter
 
-from mr_damper_ros.estimation.adaptation import adapted
 from mr_damper_ros.estimation.covariance import least_squares_covariance
+from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.profile_likelihood import ProfileLikelihood
 from mr_damper_ros.kinematics.window import Window

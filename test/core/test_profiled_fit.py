@@ -11,7 +11,7 @@ from known import SIGMOID
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.profiled_fit import profiled, profiles_of
+from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.processes.process_pool import ProcessPool

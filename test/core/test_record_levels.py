@@ -14,7 +14,7 @@ import mr_damper_ros as mr
 from benchmarks.other_dampers import DAMPERS
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.profiled_fit import record_levels
+from mr_damper_ros.estimation.profile_likelihood import record_levels
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior, counted_samples
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS

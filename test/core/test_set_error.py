@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from known import SIGMOID
 
-from mr_damper_ros.estimation.set_error import error_of_set
+from mr_damper_ros.estimation.global_fit import error_of_set
 from mr_damper_ros.models.parameter_set import ParameterSet
 
 ROUNDING = 1e-9
