@@ -389,12 +389,7 @@ class StreamTrial:
             self._reports.append(outcome.report)
             self._report_times.append(outcome.time)
             # The node publishes the report first, then the set.
-            report = outcome.report
-            self._predictor.follow_verdict(
-                report.verdict, report.nrmse_before, confirms=report.confirms
-            )
-            if report.confirms:
-                self._predictor.confirm(report.set_id, report.window_start_ns, report.stamp_ns)
+            self._predictor.follow_report(outcome.report)
             if outcome.parameters is not None:
                 self._use(outcome.parameters)
 

@@ -8,9 +8,7 @@ asks which model it is. A stream is the force of a motion that goes on, block by
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from typing import ClassVar
@@ -30,24 +28,13 @@ from mr_damper_ros.models.operating_points import (
     WindowProblem,
 )
 from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity, SearchEffort, State
-from mr_damper_ros.signals.arrays import Array, span_of
+from mr_damper_ros.signals.arrays import Array
 
 _FORGOTTEN = 0.01
 """A start is forgotten where it changes the force by less than this part of its span."""
 
 _STEP = 1e-6
 """Step of a difference, relative to the size of the parameter."""
-
-_KEPT = 0.5
-"""Seconds of motion from which a state is found anew: a lag forgets sooner. A hysteresis forgets
-with the way: so much more is kept as its model asks for."""
-
-_LONGEST_KEPT = 30.0
-"""Seconds; a damper that hardly moves would else be remembered for ever."""
-
-_TOGETHER = 500
-"""Samples that are followed at once where the past is: sample by sample half a minute takes ten
-seconds, which no stream waits for."""
 
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
 """A usual run: 1 kN, 5 mm, 1 Hz."""
@@ -390,103 +377,31 @@ class Model(ABC):
 
 
 class ForceStream:
-    """Force of a motion that goes on: the same as in one piece, however it is cut into blocks.
-
-    The state goes on where the parameters change, unless :meth:`retrace` finds it anew.
-    """
+    """Force of a motion that continues: as in one piece, however it is cut into blocks."""
 
     def __init__(self, model: Model, period: float) -> None:
         if not period > 0.0:
             raise ValueError(f"the sample period is {period} s: it must be positive")
-        self.model = model
+        self._model = model
         self._period = period
         self._state: State | None = None
-        # Blocks of the last while, each with the state before it and its way [m], and the samples
-        # and the way in them.
-        self._past: deque[tuple[State | None, Motion, Array, float]] = deque()
-        self._past_count = 0
-        self._past_way = 0.0
-        # The way [m] to be kept, and the parameters and the range of currents that it is for.
-        self._way_kept = 0.0
-        self._way_of: tuple[Array | None, float, float] = (None, math.inf, -math.inf)
-
-    @property
-    def state(self) -> State | None:
-        """What the law remembers after the last sample; None before the first."""
-        return self._state
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the force so far depends on the samples before."""
-        return self.model.remembers or len(self._state or ()) > self.model.turning
 
     def follow(self, parameters: ArrayLike, motion: Motion, current: ArrayLike) -> Array:
         """Force [N] of the next samples, shape (..., n), for parameters of shape (..., p).
 
-        ``current`` [A] is a number or has shape (n,). Raises ValueError where the number of
-        parameters is wrong.
+        ``current`` [A] is a number or has shape (n,). The state continues where the parameters
+        change. Raises ValueError where the number of parameters is wrong.
         """
         values = np.asarray(parameters, dtype=float)
-        count = len(self.model.parameters)
+        count = len(self._model.parameters)
         if values.shape[-1:] != (count,):
             raise ValueError(
-                f"model '{self.model.name}' has {count} parameters "
-                f"({', '.join(self.model.parameter_names)}): got shape {values.shape}"
+                f"model '{self._model.name}' has {count} parameters "
+                f"({', '.join(self._model.parameter_names)}): got shape {values.shape}"
             )
-        amperes = np.asarray(current, dtype=float)
-        if amperes.shape != motion.velocity.shape:
-            amperes = np.broadcast_to(amperes, motion.velocity.shape)
+        amperes = np.broadcast_to(np.asarray(current, dtype=float), motion.velocity.shape)
         with np.errstate(over="ignore", invalid="ignore"):
-            force, state = self.model.follow(values, motion, amperes, self._period, self._state)
-        if self.model.remembers:
-            self._measure_memory(values, amperes)
-            self._keep(motion, amperes)
-        self._state = state
+            force, self._state = self._model.follow(
+                values, motion, amperes, self._period, self._state
+            )
         return force
-
-    def _measure_memory(self, parameters: Array, current: Array) -> None:
-        """Find the way to be kept: at any of the currents so far, as the next may be like them."""
-        known, low, high = self._way_of
-        lowest, highest = span_of(current)
-        if parameters is not known:
-            low, high, self._way_kept = math.inf, -math.inf, 0.0
-        one = parameters.reshape(-1, parameters.shape[-1])[0]
-        for amperes in {lowest, highest}:
-            if not low <= amperes <= high:
-                way = self.model.memory_length(one, amperes)
-                self._way_kept = max(self._way_kept, way)
-        self._way_of = parameters, min(low, lowest), max(high, highest)
-
-    def _keep(self, motion: Motion, current: Array) -> None:
-        way = float(np.abs(motion.velocity).sum()) * self._period
-        self._past.append((self._state, motion, current, way))
-        self._past_count += current.size
-        self._past_way += way
-        while self._is_spare(self._past[0][2].size, self._past[0][3]):
-            _, _, amperes, way = self._past.popleft()
-            self._past_count -= amperes.size
-            self._past_way -= way
-
-    def _is_spare(self, count: int, way: float) -> bool:
-        """Whether the rest is enough without so many samples and so much of the way [m]."""
-        duration = (self._past_count - count) * self._period
-        moved_enough = self._past_way - way >= self._way_kept
-        return duration >= _LONGEST_KEPT or (duration >= _KEPT and moved_enough)
-
-    def retrace(self, parameters: ArrayLike) -> None:
-        """Follow the motion of the last while once more, with other parameters.
-
-        What the model remembers is then what it would be had these been in use; a lagging force,
-        for one, would else be that of the old parameters for a while.
-        """
-        past, self._past, self._past_count, self._past_way = self._past, deque(), 0, 0.0
-        if past:
-            self._state = past[0][0]
-        while past:
-            motions, currents, count = [], [], 0
-            while past and count < _TOGETHER:
-                _, motion, amperes, _ = past.popleft()
-                motions.append(motion)
-                currents.append(amperes)
-                count += amperes.size
-            self.follow(parameters, Motion.joined(motions), np.concatenate(currents))

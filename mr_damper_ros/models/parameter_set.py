@@ -16,6 +16,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.models.quantities import State
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import fits_a_stamp
@@ -27,7 +28,7 @@ DEFAULT_MODEL = "sigmoid"
 _ENTRIES = ("value", "unit", "standard_error", "discrepancy", "observable")
 """What a file may say of a parameter."""
 
-_LONGEST_NAME = 200
+LONGEST_NAME = 200
 """Characters of an id or a source; ours have at most some thirty."""
 
 GLOBAL_SOURCE, EARLY_SOURCE = "global", "force_scale"
@@ -164,6 +165,29 @@ class ParameterSet:
     def held(self, motion: Moved) -> Moved:
         """A motion as the set predicts its force: the peak velocity held within its range."""
         return motion.held_within(*self.peak_velocity_range)
+
+    def law_turning(self, *, gradual: bool) -> Model:
+        """The law whose force is ``gradual`` where the motion turns, or jumps, if it has both."""
+        return self.law.continuous if gradual else self.law
+
+    def follow(
+        self,
+        motion: Motion,
+        current: Array,
+        period: float,
+        state: State | None = None,
+        *,
+        gradual: bool,
+    ) -> tuple[Array, State]:
+        """Force (n,) [N] of samples ``period`` [s] apart, and the state after them.
+
+        ``current`` [A] has shape (n,); ``state`` is that after the sample before; ``gradual`` as
+        for :meth:`law_turning`.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.law_turning(gradual=gradual).follow(
+                self.values, self.held(motion), current, period, state
+            )
 
     def force(self, window: Window) -> Array:
         """Force (n,) [N] that the set predicts at the samples of a window."""
@@ -391,10 +415,10 @@ class ParameterSet:
 
 def check_name(what: str, text: str) -> None:
     """Raises ParameterError where a message could not hold a text, or nobody could read it."""
-    if not text.isprintable() or len(text) > _LONGEST_NAME:
+    if not text.isprintable() or len(text) > LONGEST_NAME:
         raise ParameterError(
             f"the {what} of the parameters is {text[:40]!a}: give at most "
-            f"{_LONGEST_NAME} printable characters"
+            f"{LONGEST_NAME} printable characters"
         )
 
 

@@ -30,8 +30,8 @@ from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.deferred import PostponedWork
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
-from mr_damper_ros.tracking.running_error import RunningError
 
 DEMAND_TOPIC = "damper/desired_force"
 COMMAND_TOPIC = "supply/current_command"

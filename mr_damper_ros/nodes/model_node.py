@@ -24,10 +24,10 @@ from mr_damper_ros.processes.deferred import PostponedWork
 from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.running_error import RunningError
 
 _LATE = 0.8
 """Share of ``max_age`` from which on the forces of older samples would soon be invalid."""

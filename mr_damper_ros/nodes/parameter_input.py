@@ -16,6 +16,7 @@ from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.nodes.results import parameter_set
 from mr_damper_ros.tracking.predictor import ForcePredictor
+from mr_damper_ros.tracking.reports import WindowVerdict
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
 
 PARAMETERS_TOPIC = "damper/parameters"
@@ -107,13 +108,16 @@ class ParameterInput:
     def _take_report(self, message: FitReport) -> None:
         if self._trust.objection(REPORT_TOPIC, message.node):
             return
-        self._predictor.follow_verdict(
-            message.verdict, message.nrmse_before, confirms=message.confirms
+        self._predictor.follow_report(
+            WindowVerdict(
+                window_start_ns=to_nanoseconds(message.window_start),
+                stamp_ns=to_nanoseconds(message.header.stamp),
+                verdict=message.verdict,
+                nrmse_before=message.nrmse_before,
+                confirms=message.confirms,
+                set_id=message.parameter_set,
+            )
         )
-        if message.confirms:
-            start_ns = to_nanoseconds(message.window_start)
-            stamp_ns = to_nanoseconds(message.header.stamp)
-            self._predictor.confirm(message.parameter_set, start_ns, stamp_ns)
 
     def finding(self, doing: str) -> Finding:
         """Which set is in use; ``doing`` says for what, such as "predicting"."""

@@ -15,27 +15,37 @@ from mr_damper_ros.tracking.jobs import Job, Outcome
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class WindowVerdict:
+    """What a report tells those who predict with the running set; a stamp is that of a sample.
+
+    ``confirms``: the samples up to the stamp fit the set of ``set_id``, which is in use after this
+    report. ``nrmse_before``: what the set in use before leaves of the window, NaN where unknown.
+    """
+
+    window_start_ns: int
+    stamp_ns: int
+    verdict: int
+    nrmse_before: float
+    confirms: bool
+    set_id: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Report(WindowVerdict):
     """Outcome of one window or one global identification, as published; SI units, NaN = unknown.
 
-    ``reason`` puts the ``verdict`` into words. ``confirms``: the samples up to the stamp fit the
-    set of ``set_id``, which is in use after this report. ``temperature`` is the measured one;
+    ``reason`` puts the ``verdict`` into words. ``temperature`` is the measured one;
     where there is none, ``fluid`` is what the force tells of it, once a map of force over
     temperature has been learnt at the operating point. ``coefficient_errors`` are those from window
     to window, ``coefficient_discrepancies`` what another motion or law may say besides.
     """
 
-    window_start_ns: int
-    stamp_ns: int
+    verdict: Verdict
     sample_count: int
     method: str
     evaluations: int
-    nrmse_before: float
     nrmse_after: float
-    verdict: Verdict
     reason: str
-    confirms: bool
-    set_id: str
     scale: ForceScale = field(default_factory=ForceScale)
     peak_velocity: float = math.nan
     amplitude: float = math.nan

@@ -1,7 +1,7 @@
-"""Why a predicted force should not be relied on: the kinds of doubt, and what each is judged by.
+"""The validity rules: the reason codes of a force that is not valid, and what each is judged by.
 
-Every kind of evidence is a function or a small class that returns a :class:`Doubt`; the predictor
-asks them all. The evidence of the measured force is in :mod:`mr_damper_ros.tracking.force_watch`.
+Every rule is a function or a small class that returns a :class:`Doubt`; the predictor asks them
+all. What the measured force says is in :mod:`mr_damper_ros.tracking.residual_monitor`.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
-from mr_damper_ros.models.force_model import ForceStream
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.signals.arrays import Array, Mask, span_of
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.signals.zero_order_hold import ZeroOrderHold
+from mr_damper_ros.tracking.acceptance import Verdict
 
 Codes = NDArray[np.uint8]
 """A :class:`DoubtKind` for each sample."""
@@ -87,13 +87,6 @@ class Doubt:
     def __bool__(self) -> bool:
         """Whether there is any doubt."""
         return self.kind is not DoubtKind.NONE
-
-    def part(self, chosen: slice) -> Doubt:
-        """That of the chosen samples."""
-        if self.at is None:
-            return self
-        at = self.at[chosen]
-        return replace(self, at=at) if at.any() else NO_DOUBT
 
     def after(self, count: int) -> Doubt:
         """The same where so many samples without doubt come before."""
@@ -275,14 +268,14 @@ def doubt_of_motion(motion: MotionFollower) -> Doubt:
     return NO_DOUBT
 
 
-def doubt_of_past(motion: MotionFollower, stream: ForceStream, begun_at: int) -> Doubt:
-    """Whether enough of the motion is known, and of what a model remembers of it.
+def doubt_of_past(motion: MotionFollower, *, begun: bool) -> Doubt:
+    """Whether enough of the motion is known, and of what a law remembers of it.
 
-    ``begun_at``: reversals of the motion when the stream began.
+    ``begun``: the law remembers, and the motion has not reversed since it began to follow it.
     """
     if motion.doubt:
         return Doubt(DoubtKind.SETTLING, motion.doubt)
-    if stream.remembers and motion.reversals == begun_at:
+    if begun:
         return Doubt(
             DoubtKind.SETTLING,
             "the model does not know its past before the motion has reversed",
@@ -349,3 +342,101 @@ def middle(values: Array) -> float:
         return float(values[0])
     half = values.size // 2
     return float(np.partition(values, half)[half])
+
+
+_LIVE = 60.0
+"""Stamps within so many seconds of the clock are those of a running machine."""
+
+
+class Freshness:
+    """Follows the age of the samples of a stream, where they come from a running machine.
+
+    The stamps of a recording that is played tell when it was recorded, and nothing of how late the
+    samples come. So a stream counts as live once its stamps have been within a minute of the clock,
+    and stays so until they jump back: an overloaded computer does not turn it into a recording.
+
+    ``max_age`` [s] is the limit; 0: none, nothing is taken for live. ``age`` [s] is that of the
+    last samples, NaN where they are not live.
+    """
+
+    def __init__(self, max_age: float) -> None:
+        self._max_age = max_age
+        self.live = False
+        self.age = math.nan
+
+    def restart(self) -> None:
+        """The stamps have jumped back: whether they are live shows again."""
+        self.live = False
+        self.age = math.nan
+
+    def are_older(self, stamp_ns: int, now_ns: int, limit: float) -> bool:
+        """Whether live samples up to the stamp are older than the limit [s]."""
+        return self.live and (now_ns - stamp_ns) / NANOSECONDS > limit
+
+    def judge(self, stamp_ns: int, now_ns: int | None) -> Doubt:
+        """Whether samples up to the stamp are too old by the clock; None: there is no clock."""
+        if now_ns is None or self._max_age == 0.0:
+            return NO_DOUBT
+        age = (now_ns - stamp_ns) / NANOSECONDS
+        self.live = self.live or abs(age) <= _LIVE
+        if not self.live:
+            return NO_DOUBT
+        self.age = age
+        if abs(age) <= self._max_age:
+            return NO_DOUBT
+        if age > 0.0:
+            sentence = (
+                f"the samples are {age:.2f} s old, and max_age is {self._max_age:g} s: is the "
+                "computer overloaded, or its clock not that of the samples?"
+            )
+        else:
+            sentence = (
+                f"the samples are stamped {-age:.2f} s in the future: are the clocks of the "
+                "computers set alike? for a replay set max_age to 0"
+            )
+        return Doubt(DoubtKind.OUTDATED, sentence)
+
+
+_DISTRUST = {
+    Verdict.FAULT_OF_DATA: "the samples cannot be used",
+    Verdict.POOR_FIT: "no parameters fit the samples",
+    Verdict.DISTURBED: "the residual is far above the usual one",
+    Verdict.UNCONFIRMED: "the force has changed by too much at once",
+    Verdict.BEYOND_LIMITS: "the force is beyond what this damper can have changed to",
+}
+"""Verdicts that speak against the samples or the parameters, in words."""
+
+_IN_A_ROW = 2
+"""One window may be spoilt by a passing fault: the force is doubted from the second on."""
+
+_FITS = 0.3
+"""Where the running parameters leave less than this NRMSE of a window they are trusted."""
+
+
+class RefusedWindows:
+    """Follows the identifier's verdicts on windows: several refused in a row raise a doubt."""
+
+    def __init__(self) -> None:
+        self._refused = 0
+        self._doubt = NO_DOUBT
+
+    @property
+    def doubt(self) -> Doubt:
+        """Why the newest windows speak against the force."""
+        return self._doubt if self._refused >= _IN_A_ROW else NO_DOUBT
+
+    def follow(self, verdict: int, nrmse_before: float, *, confirms: bool) -> None:
+        """Follow a report: its verdict, and the NRMSE of the parameters in use (NaN: unknown)."""
+        if confirms or nrmse_before < _FITS:
+            self.forget()
+        elif verdict in _DISTRUST:
+            self._refused += 1
+            self._doubt = Doubt(
+                DoubtKind.REFUSED,
+                f"the identifier has refused {self._refused} windows in a row: "
+                f"{_DISTRUST[Verdict(verdict)]}; its reports on damper/fit_report say more",
+            )
+
+    def forget(self) -> None:
+        """The parameters are others now, or have been confirmed."""
+        self._refused = 0

@@ -29,7 +29,8 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.reports import Report
+from mr_damper_ros.tracking.acceptance import Verdict
+from mr_damper_ros.tracking.reports import Report, WindowVerdict
 from mr_damper_ros.tracking.tracker import WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
@@ -290,3 +291,13 @@ def recordings_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"MR_DAMPER_DATA={place} holds no utfsm/processed")
     return folder
+
+
+def confirmation(set_id: str, start_ns: int, stamp_ns: int) -> WindowVerdict:
+    """A report that a set fits the window between two stamps."""
+    return WindowVerdict(start_ns, stamp_ns, Verdict.NO_BETTER, 0.1, True, set_id)
+
+
+def refusal(verdict: Verdict, nrmse_before: float) -> WindowVerdict:
+    """A report that confirms nothing."""
+    return WindowVerdict(T0, T0, verdict, nrmse_before, False, "any")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.signals.error_sums import ErrorSums, pooled
+from mr_damper_ros.signals.error_sums import ErrorSums, RunningError, pooled
 
 ROUNDING = 1e-9
 """Relative: sums for means and standard deviations of the samples."""
@@ -39,3 +39,25 @@ def test_records_taken_together_are_one_record(cuts: list[int]) -> None:
 @pytest.mark.parametrize("measured", [np.empty(0), np.full(10, 300.1)])
 def test_without_samples_or_variation_there_is_no_nrmse(measured: np.ndarray) -> None:
     assert math.isnan(ErrorSums.of(measured + 1.0, measured).nrmse)
+
+
+def test_the_running_error_is_the_nrmse_of_what_lies_within_the_memory() -> None:
+    rng = np.random.default_rng(1)
+    measured = 300.0 + rng.normal(0.0, 100.0, 1000)
+    predicted = measured + rng.normal(3.0, 10.0, 1000)
+    running = RunningError(memory=0.5)
+    for block in np.split(np.arange(1000), 100):
+        running.add(predicted[block], measured[block], 1e-3)
+    recent = slice(500, None)
+    error = predicted[recent] - measured[recent]
+    expected = math.sqrt(np.mean(error**2)) / np.std(measured[recent])
+    assert running.nrmse == pytest.approx(expected, rel=ROUNDING)
+    running.reset()
+    assert math.isnan(running.nrmse)
+
+
+def test_without_variation_there_is_no_running_error() -> None:
+    running = RunningError(memory=1.0)
+    assert math.isnan(running.nrmse)
+    running.add(np.ones(10), np.full(10, 300.1), 1e-3)
+    assert math.isnan(running.nrmse)

@@ -22,12 +22,6 @@ ROUNDING = 1e-9
 SETTLED = 1e-3
 """[N], 100 ms after a change: fifteen time constants leave a millionth of the step of force."""
 
-RETRACED = 1e-6
-"""[N]: the half second that is retraced is 280 time constants, which leave rounding only."""
-
-FORGOTTEN = 0.1
-"""[N] of 500: ten ways to the yield leave a part in twenty thousand, half a second 0.6 N."""
-
 FIRST_SAMPLE = 0.2
 """Part of a step that the lag may let through at once: tau is 2.4 ms, a sample 1 ms, so 0.19."""
 
@@ -168,75 +162,6 @@ def test_a_lagging_force_does_not_jump_where_the_parameters_change():
     step = settled[0] - last
     assert 0.0 < (after[0] - last) / step < FIRST_SAMPLE
     np.testing.assert_allclose(after[100:], settled[100:], atol=SETTLED)
-
-
-def test_a_retraced_state_is_that_of_the_newer_parameters():
-    _, _, changed = changed_on_the_way("sigmoid_lag", "f0", 2.0)
-    w, model = motion(1000), MODELS["sigmoid_lag"]
-    stream = model.stream(PERIOD)
-    for first in range(0, 800, 50):
-        stream.follow(EXAMPLES["sigmoid_lag"], cut(w, first, first + 50), 1.0)
-    stream.retrace(changed)
-    after = stream.follow(changed, cut(w, 800, 1000), 1.0)
-    whole = model.force(changed, w, 1.0, PERIOD)
-    np.testing.assert_allclose(after, whole[800:], rtol=0.0, atol=RETRACED)
-
-
-def test_a_rest_of_single_samples_is_retraced_in_few_pieces(monkeypatch):
-    law, count = MODELS["bouc_wen"], 5000
-    stream = law.stream(PERIOD)
-    values = law.initial_values()[0]
-    still = Motion(*np.zeros((4, 1)), sine=None)
-    for _ in range(count):
-        stream.follow(values, still, 1.0)
-    follow, sizes = type(law).follow, []
-
-    def counted(self, parameters, motion, *rest):
-        sizes.append(motion.velocity.size)
-        return follow(self, parameters, motion, *rest)
-
-    monkeypatch.setattr(type(law), "follow", counted)
-    stream.retrace(values)
-    assert sum(sizes) == count
-    assert len(sizes) <= 10
-
-
-def test_a_slow_hysteresis_is_retraced_over_the_way_that_it_remembers():
-    """It forgets by motion: in the half second after a reversal at 0.05 Hz there is hardly any."""
-    model, values, period = MODELS["bouc_wen"], EXAMPLES["bouc_wen"].copy(), 0.02
-    values[model.parameter_names.index("yield_length")] = 1e-3
-    changed = values.copy()
-    changed[model.parameter_names.index("share")] = 0.9
-    slow = run(samples=1000, period=period, frequency=0.05, phase=0.0, noise=0.0).window.motion
-    last = 540
-    stream = model.stream(period)
-    for first in range(0, last, 5):
-        stream.follow(values, cut(slow, first, first + 5), 1.0)
-    stream.retrace(changed)
-    after = stream.follow(changed, cut(slow, last, 1000), 1.0)
-    whole = model.force(changed, slow, 1.0, period)
-    np.testing.assert_allclose(after, whole[last:], rtol=0.0, atol=FORGOTTEN)
-
-
-def test_as_much_of_the_motion_is_kept_as_the_present_current_asks_for():
-    """The way to the yield follows the current: a tenth of it at the first of two currents."""
-    model, values, period = MODELS["bouc_wen"], EXAMPLES["bouc_wen"].copy(), 0.02
-    values[model.places(("yield_length", "yield_length_1"))] = 1e-3, -0.9
-    short, long = (model.memory_length(values, current) for current in (1.0, 0.0))
-    assert long == pytest.approx(10.0 * short)
-    changed = values.copy()
-    changed[model.parameter_names.index("share")] = 0.9
-    slow = run(samples=1000, period=period, frequency=0.05, phase=0.0, noise=0.0).window.motion
-    first, last = 40, 540
-    stream = model.stream(period)
-    stream.follow(values, cut(slow, 0, first), 1.0)
-    for place in range(first, last, 5):
-        stream.follow(values, cut(slow, place, place + 5), 0.0)
-    stream.retrace(changed)
-    after = stream.follow(changed, cut(slow, last, 1000), 0.0)
-    current = np.where(np.arange(1000) < first, 1.0, 0.0)
-    whole = model.force(changed, slow, current, period)
-    np.testing.assert_allclose(after, whole[last:], rtol=0.0, atol=FORGOTTEN)
 
 
 AMPLITUDE, OMEGA = 5e-3, 2.0 * np.pi

@@ -221,11 +221,11 @@ def test_parameters_that_nothing_confirms_become_doubtful() -> None:
 def test_a_confirmation_makes_parameters_young_again() -> None:
     made = predictor(parameters=None, parameters_timeout=5.0)
     made.set_parameters(SET, confirmed_ns=known.T0)
-    made.confirm("another", known.T0, known.T0 + 4 * NANOSECONDS)
+    made.follow_report(known.confirmation("another", known.T0, known.T0 + 4 * NANOSECONDS))
     assert "no window has confirmed" in last_reason(made, stream())
     made = predictor(parameters=None, parameters_timeout=5.0)
     made.set_parameters(SET, confirmed_ns=known.T0)
-    made.confirm("known", known.T0, known.T0 + 4 * NANOSECONDS)
+    made.follow_report(known.confirmation("known", known.T0, known.T0 + 4 * NANOSECONDS))
     assert last_reason(made, stream()) == ""
 
 
@@ -392,7 +392,7 @@ def test_a_force_beyond_all_numbers_is_no_force() -> None:
     huge = known.EXAMPLES["bouc_wen"].copy()
     huge[:4] = 1.7e308
     made = predictor(ParameterSet(huge, set_id="huge", model="bouc_wen"))
-    beyond = [p for p in predicted(made, stream()[:300]) if "beyond what a number" in p.reason]
+    beyond = [p for p in predicted(made, stream()[:300]) if "overflows" in p.reason]
     assert beyond
     assert np.isnan(forces(beyond)).all()
     made.set_parameters(set_of("bouc_wen"))

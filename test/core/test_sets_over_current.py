@@ -17,10 +17,10 @@ from mr_damper_ros.models.parameter_set import EARLY_SOURCE, GLOBAL_SOURCE, Para
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.known_set import KnownSet
+from mr_damper_ros.tracking import model_bank
+from mr_damper_ros.tracking.model_bank import KnownSet, force_ratio
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.sets_over_current import SetsOverCurrent, force_ratio
 from mr_damper_ros.tracking.validity import DoubtKind
 
 LOW, HIGH = 0.4, 1.2
@@ -151,7 +151,7 @@ def course(
             end_ns = stamp(rig, one.time - one.late)
             begin_ns = end_ns - round(one.length * NANOSECONDS)
             if one.reported:
-                made.confirm(one.parameters.set_id, begin_ns, end_ns)
+                made.follow_report(known.confirmation(one.parameters.set_id, begin_ns, end_ns))
             made.set_parameters(one.parameters, end_ns)
         made.add_current(block.start_ns, float(block.current[0]))
         samples = SampleBlock(
@@ -246,7 +246,7 @@ def at(set_id: str, current: float, stamp_ns: int, source: str = "nelder_mead") 
 
 
 def test_the_newest_set_of_a_current_is_the_one() -> None:
-    sets = SetsOverCurrent()
+    sets = model_bank.CurrentSchedule()
     for number, current in enumerate((LOW, HIGH, LOW + 0.02)):
         sets.add(at(f"set-{number}", current, number))
     found = sets.at_current(LOW, 3)
@@ -255,14 +255,14 @@ def test_the_newest_set_of_a_current_is_the_one() -> None:
 
 
 def test_a_set_of_long_ago_is_not() -> None:
-    sets = SetsOverCurrent()
+    sets = model_bank.CurrentSchedule()
     sets.add(at("low", LOW, known.T0))
     assert sets.at_current(LOW, known.T0 + 59 * NANOSECONDS) is not None
     assert sets.at_current(LOW, known.T0 + 61 * NANOSECONDS) is None
 
 
 def test_after_a_sudden_change_the_sets_of_before_are_forgotten() -> None:
-    sets = SetsOverCurrent()
+    sets = model_bank.CurrentSchedule()
     sets.add(at("high", HIGH, known.T0))
     sets.add(at("early", LOW, known.T0 + 1, EARLY_SOURCE))
     assert sets.at_current(HIGH, known.T0 + 2) is None

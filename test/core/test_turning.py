@@ -9,7 +9,7 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.known_sets import KnownSets
+from mr_damper_ros.tracking.model_bank import ModelBank
 
 CYCLE = 1000
 """Samples; one comes a millisecond."""
@@ -43,7 +43,7 @@ MOSTLY_JUMPING = GRADUAL + SMEARED * (JUMPING - GRADUAL)
 
 def looked_at(*cycles: Array) -> list[bool]:
     """Whether the force is taken to be gradual after each of these cycles of it [N]."""
-    sets = KnownSets(0.25, gradual=True)
+    sets = ModelBank(0.25, gradual=True)
     sets.add(SET, None, 0.5)
     found = []
     for measured in cycles:

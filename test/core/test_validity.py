@@ -20,8 +20,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, joined
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.validity import DoubtKind, current_allowance
-from mr_damper_ros.tracking.verdict_watch import VerdictWatch
+from mr_damper_ros.tracking.validity import DoubtKind, RefusedWindows, current_allowance
 
 PERIOD = 1e-3
 RUN = known.run(current=1.0, samples=6000, seed=0)
@@ -455,7 +454,7 @@ def test_a_current_that_stays_ahead_of_a_running_machine_stays_unknown() -> None
 
 
 def verdicts(*reports: tuple[Verdict, float]) -> DoubtKind:
-    watch = VerdictWatch()
+    watch = RefusedWindows()
     for verdict, nrmse_before in reports:
         watch.follow(verdict, nrmse_before, confirms=verdict is Verdict.NO_BETTER)
     return watch.doubt.kind
@@ -490,7 +489,7 @@ def test_a_refusal_makes_no_force_invalid_that_the_measured_one_agrees_with() ->
     for number, block in enumerate(known.blocks(RUN.displacement, RUN.force, (10,))):
         made.add_current(block.start_ns, 1.0)
         if number in (400, 450):
-            made.follow_verdict(Verdict.DISTURBED, 0.5, confirms=False)
+            made.follow_report(known.refusal(Verdict.DISTURBED, 0.5))
         prediction = made.predict(block)
         made.catch_up()
         assert prediction.valid or number < 300, prediction.reason
@@ -504,7 +503,7 @@ def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come()
     for number, block in enumerate(known.blocks(RUN.displacement, RUN.force, (10,))):
         made.add_current(block.start_ns, 1.0)
         if number in (400, 450):
-            made.follow_verdict(Verdict.FAULT_OF_DATA, math.nan, confirms=False)
+            made.follow_report(known.refusal(Verdict.FAULT_OF_DATA, math.nan))
         if number == 500:
             made.set_parameters(SET)
         results.append(made.predict(block).doubt.kind)

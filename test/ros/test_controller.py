@@ -24,8 +24,8 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.controller_node import ControllerNode
 from mr_damper_ros.nodes.messages import header
 from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.running_error import RunningError
 from mr_damper_ros.tracking.validity import DoubtKind
 
 ROOT = Path(__file__).parents[2]

@@ -11,7 +11,7 @@ from itertools import compress, product
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array, span_of, white_noise
-from mr_damper_ros.tracking.known_set import SAME_CURRENT
+from mr_damper_ros.tracking.model_bank import SAME_CURRENT
 
 _HALF_CYCLES = 8
 _SHORTEST_MEMORY = 2.0
@@ -69,7 +69,7 @@ class _Stretch:
         return self.settled and all(abs(end - current) <= SAME_CURRENT for end in self.currents)
 
 
-class RecentForce:
+class ForceStatistics:
     """Remembers some cycles of a stream of samples ``period`` [s] apart.
 
     ``peak`` and ``centre`` [N]: the largest size of the measured force and the middle of its span,

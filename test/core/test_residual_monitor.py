@@ -1,4 +1,4 @@
-"""How long a large force is remembered depends on whether the motion is steady."""
+"""What counts as a wrong force, by the noise of the load cell and the latest peak."""
 
 from __future__ import annotations
 
@@ -6,9 +6,48 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.recent_force import RecentForce
+from mr_damper_ros.tracking.force_statistics import ForceStatistics
+from mr_damper_ros.tracking.residual_monitor import ResidualMonitor
 
 PERIOD = 1e-3
+PEAK = 1000.0
+LIMIT = 0.2
+
+
+def watch_of(noise: float) -> tuple[ResidualMonitor, Array]:
+    """One that has followed a second of a sine force, and the next samples of that."""
+    watch = ResidualMonitor(PERIOD, LIMIT)
+    angle = 2.0 * np.pi * PERIOD * np.arange(3000)
+    force = PEAK * np.sin(angle) + noise * np.random.default_rng(0).standard_normal(angle.size)
+    for part in np.split(force, 300):
+        watch.judge(part, part)
+        watch.learn((part, part), part / PEAK, 1.0, 0.5, steady=True)
+    return watch, force[:10]
+
+
+@pytest.mark.parametrize(("error", "valid"), [(0.19, True), (0.21, False)])
+def test_without_noise_the_limit_is_that_of_the_error_itself(error: float, valid: bool) -> None:
+    watch, force = watch_of(0.0)
+    off = np.where(np.arange(force.size) == 4, error * PEAK, 0.0)
+    assert any(watch.judge(force + off, force)) is not valid
+
+
+def test_much_noise_alone_is_no_wrong_force() -> None:
+    noise = 0.04 * PEAK
+    watch, force = watch_of(noise)
+    beyond = np.where(np.arange(force.size) == 4, 4.0 * noise, 0.0)
+    assert not any(watch.judge(force, force + beyond))
+
+
+def test_noise_leaves_a_margin_to_the_limit() -> None:
+    watch, force = watch_of(0.004 * PEAK)
+    off = np.where(np.arange(force.size) == 4, 0.195 * PEAK, 0.0)
+    assert any(watch.judge(force + off, force))
+
+
+# -- the peak that errors are held against ---------------------------------------------------------
+
+
 HALF_CYCLE = 0.1
 LARGE, SMALL = 700.0, 300.0
 
@@ -17,7 +56,7 @@ LARGE, SMALL = 700.0, 300.0
 def test_small_half_cycles_are_no_smaller_peak_unless_the_motion_is_steady(
     steady: bool, peak: float
 ) -> None:
-    recent = RecentForce(PERIOD)
+    recent = ForceStatistics(PERIOD)
     for size, seconds in ((LARGE, 2), (SMALL, 4)):
         time = PERIOD * np.arange(seconds * 1000)
         force = size * np.sign(np.cos(np.pi * time / HALF_CYCLE))
@@ -28,16 +67,16 @@ def test_small_half_cycles_are_no_smaller_peak_unless_the_motion_is_steady(
 
 @pytest.mark.parametrize("half_cycle", [HALF_CYCLE, 2.5])
 def test_a_large_force_is_forgotten_in_any_motion(half_cycle: float) -> None:
-    recent = RecentForce(PERIOD)
+    recent = ForceStatistics(PERIOD)
     for size, seconds in ((LARGE, 2), (SMALL, 11)):
         for part in np.split(size * np.tile((1.0, -1.0), 500 * seconds), seconds * 10):
             recent.add((part, part), part / LARGE, 1.0, half_cycle, steady=False)
     assert recent.peak == pytest.approx(SMALL)
 
 
-def followed(force: Array, current: Array, half_cycle: float) -> RecentForce:
+def followed(force: Array, current: Array, half_cycle: float) -> ForceStatistics:
     """What is remembered after a force [N] at a current [A], each of shape (n,)."""
-    recent = RecentForce(PERIOD)
+    recent = ForceStatistics(PERIOD)
     for part in np.split(np.arange(force.size), force.size // 10):
         forces = force[part], force[part]
         recent.add(forces, force[part], current[part], half_cycle, steady=True)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from mr_damper_ros.signals.arrays import Array, Mask
-from mr_damper_ros.tracking.recent_force import RecentForce
+from mr_damper_ros.tracking.force_statistics import ForceStatistics
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
 _SEEN = 0.98
@@ -53,7 +53,7 @@ _SHORTEST, _LONGEST = 0.2, 20.0
 """Seconds within which the half-cycle lies over which a lasting error is taken."""
 
 
-class ForceWatch:
+class ResidualMonitor:
     """Watches the forces of samples ``period`` [s] apart.
 
     ``maximum_error`` is a part of the peak of the measured force; 0: that force is not looked at.
@@ -62,7 +62,7 @@ class ForceWatch:
     def __init__(self, period: float, maximum_error: float) -> None:
         self._period = period
         self._limit = maximum_error
-        self._recent = RecentForce(period)
+        self._recent = ForceStatistics(period)
         self._time = _SHORTEST
         # Mean square [1] of the error over the peak.
         self._square = 0.0

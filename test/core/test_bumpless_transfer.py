@@ -1,0 +1,240 @@
+"""Where another set takes over the force continues; the law's state is that of the new set."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import known
+import numpy as np
+import pytest
+
+from mr_damper_ros.kinematics.motion import Motion, Sine
+from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.extension import without_extension
+from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.tracking.bumpless_transfer import FADES, ForceInUse
+from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+
+LAWS = ("sigmoid", "hyperbolic_tangent", "bouc_wen", "modified_bouc_wen")
+
+CHANGED = 333
+"""Blocks after which another set comes."""
+
+BLOCK = 10
+RUN = known.run(current=1.0, samples=6000, seed=None)
+FADED = round(FADES / known.PERIOD)
+
+SAME_FORCE = 1e-6
+"""[N]: of a kilonewton, nothing but rounding."""
+
+SAME_DIFFERENCE = 1.0
+"""[N] of some hundred: the motion is not followed quite the same in other blocks."""
+
+
+def set_of(model: str, factor: float = 1.0) -> ParameterSet:
+    values = np.array(known.EXAMPLES[model])
+    values[list(MODELS[model].strength_indices)] *= factor
+    return ParameterSet(values, set_id=f"{model} x {factor}", model=model)
+
+
+def blocks(size: int = BLOCK, force: Array | None = None) -> list[SampleBlock]:
+    measured = np.zeros(RUN.displacement.size) if force is None else force
+    return known.blocks(RUN.displacement, measured, (size,))
+
+
+def predicted(
+    before: ParameterSet,
+    after: ParameterSet | None = None,
+    *,
+    size: int = BLOCK,
+    aged: bool = True,
+    force: Array | None = None,
+) -> list[Prediction]:
+    """What comes of a stream during which another set comes, of an age unless somebody gave it."""
+    sent = blocks(size, force)
+    made = ForcePredictor(PredictorSettings(maximum_error=0.0 if force is None else 0.2))
+    for k in range(100):
+        made.add_current(known.T0 + k * NANOSECONDS // 10, 1.0)
+    made.set_parameters(before, known.T0 if aged else None)
+    count = CHANGED * BLOCK // size
+    first = [made.predict(block) for block in sent[:count]]
+    if after is not None:
+        made.set_parameters(after, sent[count].start_ns if aged else None)
+    return first + [made.predict(block) for block in sent[count:]]
+
+
+def forces(predictions: list[Prediction]) -> Array:
+    return np.concatenate([each.force for each in predictions])
+
+
+@pytest.mark.parametrize("model", LAWS)
+def test_the_force_does_not_step_where_a_set_comes(model: str) -> None:
+    before, after = set_of(model), set_of(model, 1.4)
+    alone = [np.abs(np.diff(forces(predicted(each))[1000:])).max() for each in (before, after)]
+    apart = np.abs(forces(predicted(before)) - forces(predicted(after)))[1000:].max()
+    step = np.abs(np.diff(forces(predicted(before, after))[1000:])).max()
+    assert step <= max(alone) + 1.1 * apart / FADED
+
+
+@pytest.mark.parametrize("model", LAWS)
+def test_the_force_is_that_of_the_new_set_once_the_other_has_faded(model: str) -> None:
+    rest = slice(CHANGED * BLOCK + FADED, None)
+    found = forces(predicted(set_of(model), set_of(model, 1.4)))[rest]
+    np.testing.assert_allclose(found, forces(predicted(set_of(model, 1.4)))[rest], atol=SAME_FORCE)
+
+
+def test_how_it_fades_does_not_depend_on_the_blocks() -> None:
+    before, after = set_of("sigmoid"), set_of("sigmoid", 1.4)
+    by_tens, one_by_one = (
+        (forces(predicted(before, after, size=size)) - forces(predicted(after, size=size)))[-2670:]
+        for size in (BLOCK, 1)
+    )
+    np.testing.assert_allclose(by_tens, one_by_one, atol=SAME_DIFFERENCE)
+
+
+def test_a_set_that_somebody_gives_counts_at_once() -> None:
+    rest = slice(CHANGED * BLOCK, None)
+    found = forces(predicted(set_of("sigmoid"), set_of("sigmoid", 1.4), aged=False))[rest]
+    np.testing.assert_array_equal(found, forces(predicted(set_of("sigmoid", 1.4)))[rest])
+
+
+def test_no_force_goes_on_that_no_such_damper_gives() -> None:
+    rest = slice(CHANGED * BLOCK, None)
+    after = dataclasses.replace(set_of("sigmoid"), largest_force=1500.0)
+    found = forces(predicted(set_of("sigmoid", 50.0), after))[rest]
+    np.testing.assert_array_equal(found, forces(predicted(set_of("sigmoid")))[rest])
+
+
+@pytest.mark.parametrize(("before", "after"), [(1.6, 1.0), (1.3, 1.15)])
+def test_what_is_left_of_a_wrong_force_is_not_valid(before: float, after: float) -> None:
+    """Nor where that of the set in use is off, too, and each of both is within what is allowed."""
+    truth = forces(predicted(set_of("sigmoid")))
+    sets = set_of("sigmoid", before), set_of("sigmoid", after)
+    rest = predicted(*sets, force=truth)[CHANGED:]
+    wrong = [np.abs(p.force - truth[p.sequence : p.sequence + BLOCK]).max() for p in rest]
+    peak = np.abs(truth).max()
+    assert max(wrong) > 0.2 * peak
+    assert not any(p.valid for p, off in zip(rest, wrong, strict=True) if off > 0.2 * peak)
+
+
+# -- the state of the law --------------------------------------------------------------------------
+
+
+RECOMPUTED = 1e-6
+"""[N]: the half second that is followed again is 280 time constants, which leave rounding only."""
+
+FORGOTTEN = 0.1
+"""[N] of 500: ten ways to the yield leave a part in twenty thousand, half a second 0.6 N."""
+
+CLOSE = 1e-3
+"""Of the force's span: what is left of a lag after the time that it is given to settle."""
+
+
+def in_use(parameters: ParameterSet, period: float = known.PERIOD) -> ForceInUse:
+    made = ForceInUse(period)
+    made.use(parameters, gradual=False, fade=False)
+    return made
+
+
+def follow(made: ForceInUse, motion: Motion, size: int, current: float = 1.0) -> Array:
+    """The force of a motion in blocks of so many samples."""
+    count = motion.velocity.size
+    parts = [motion.part(slice(first, first + size)) for first in range(0, count, size)]
+    return np.concatenate(
+        [made.follow(part, np.full(part.velocity.size, current), math.nan) for part in parts]
+    )
+
+
+def all_along(parameters: ParameterSet, motion: Motion, current: float, period: float) -> Array:
+    return parameters.law.force(parameters.values, parameters.held(motion), current, period)
+
+
+@pytest.mark.parametrize("fastest", [math.inf, 0.02])
+def test_the_state_is_that_of_the_new_set_and_its_range(fastest: float) -> None:
+    motion = RUN.window.motion.part(slice(1000))
+    before = dataclasses.replace(set_of("sigmoid_lag"), peak_velocity_range=(0.0, fastest))
+    after = set_of("sigmoid_lag", 2.0)
+    made = in_use(before)
+    follow(made, motion.part(slice(800)), 50)
+    made.use(after, gradual=False, fade=True)
+    force = follow(made, motion.part(slice(800, None)), 50)
+    expected = all_along(after, motion, 1.0, known.PERIOD)[800:]
+    np.testing.assert_allclose(force, expected, rtol=0.0, atol=RECOMPUTED)
+
+
+def test_a_rest_of_single_samples_is_followed_again_in_few_pieces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    law, count = MODELS["bouc_wen"], 5000
+    made = in_use(ParameterSet(law.initial_values()[0], model="bouc_wen"))
+    follow(made, Motion(*np.zeros((4, count)), sine=None), 1)
+    compute, sizes = type(law).follow, []
+
+    def counted(self: Model, parameters: Array, motion: Motion, *rest: Any) -> Any:
+        sizes.append(motion.velocity.size)
+        return compute(self, parameters, motion, *rest)
+
+    monkeypatch.setattr(type(law), "follow", counted)
+    made.use(set_of("bouc_wen"), gradual=False, fade=False)
+    assert sum(sizes) == count
+    assert len(sizes) <= 10
+
+
+@pytest.mark.parametrize(("way_at_zero", "first"), [(0.0, 0), (-0.9, 40)])
+def test_a_slow_hysteresis_is_followed_again_over_the_way_that_it_remembers(
+    way_at_zero: float, first: int
+) -> None:
+    """It forgets by motion: in the half second after a reversal at 0.05 Hz there is hardly any.
+
+    Where the way to the yield follows the current, the way kept is that of the present current.
+    """
+    model, values, period, last = MODELS["bouc_wen"], known.EXAMPLES["bouc_wen"].copy(), 0.02, 540
+    values[model.places(("yield_length", "yield_length_1"))] = 1e-3, way_at_zero
+    changed = values.copy()
+    changed[model.places(("share",))] = 0.9
+    before, after = (ParameterSet(each, model="bouc_wen") for each in (values, changed))
+    slow = known.run(samples=1000, period=period, frequency=0.05, phase=0.0, noise=0.0)
+    motion = slow.window.motion
+    made = in_use(before, period)
+    if first:
+        follow(made, motion.part(slice(first)), first, current=1.0)
+    follow(made, motion.part(slice(first, last)), 5, current=0.0)
+    made.use(after, gradual=False, fade=False)
+    force = follow(made, motion.part(slice(last, None)), 20, current=0.0)
+    current = np.where(np.arange(1000) < first, 1.0, 0.0)
+    expected = model.force(changed, motion, current, period)[last:]
+    np.testing.assert_allclose(force, expected, rtol=0.0, atol=FORGOTTEN)
+
+
+@pytest.mark.parametrize("rate", [500, 20_000])
+def test_a_set_that_starts_again_has_settled_at_any_rate(rate: int) -> None:
+    late = without_extension(THESIS_28_CELSIUS)
+    late[16] = 2e-6  # compliance [m/N]: a lag of some ten milliseconds
+    found = ParameterSet(late, set_id="late", model="sigmoid_lag")
+    motion = Motion.of_sine(Sine(8e-3, 2.0, 0.0, 0.0, 0.0), np.arange(2 * rate) / rate, 0.1)
+    made = in_use(found, 1.0 / rate)
+    follow(made, motion.part(slice(rate)), 10)
+    made.use(found, gradual=True, fade=False, restart=True)
+    force = follow(made, motion.part(slice(rate, None)), 10)
+    expected = found.law.continuous.force(late, motion, 1.0, 1.0 / rate)[rate:]
+    assert np.max(np.abs(force - expected)) < CLOSE * np.ptp(expected)
+
+
+def test_a_set_that_starts_again_forgets_what_could_not_be_known() -> None:
+    motion = RUN.window.motion.part(slice(1000))
+    parameters = set_of("sigmoid_lag")
+    made = in_use(parameters)
+    broken = dataclasses.replace(motion, velocity=motion.velocity + 10.0)
+    follow(made, broken.part(slice(400)), 10)
+    made.forget_known()
+    follow(made, motion.part(slice(400, 600)), 10)
+    made.use(parameters, gradual=False, fade=False, restart=True)
+    force = follow(made, motion.part(slice(600, None)), 10)
+    expected = all_along(parameters, motion.part(slice(400, None)), 1.0, known.PERIOD)[200:]
+    np.testing.assert_allclose(force, expected, rtol=0.0, atol=RECOMPUTED)
