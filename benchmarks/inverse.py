@@ -8,8 +8,7 @@ import numpy as np
 
 from benchmarks.figure import Figure
 from benchmarks.timing import cpu_seconds
-from mr_damper_ros.control.inverse_model import InverseModel
-from mr_damper_ros.control.inversion import Inversion
+from mr_damper_ros.control.inverse_model import InverseModel, Inversion
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.kinematics.motion import Motion
@@ -52,7 +51,7 @@ def largest_miss(parameters_of: ParameterSet, count: int, rng: np.random.Generat
     size = np.maximum(np.maximum(np.abs(least), np.abs(most)), 1.0)
     allowed = np.maximum(span, _ROUNDING / 1e-6 * size)
     misses = []
-    # Few samples are searched in another way than many.
+    # The nodes of several samples are looked at together.
     for block in (BLOCK, count):
         parts = [slice(first, first + block) for first in range(0, count, block)]
         found = [inverse.currents(motion.part(part), wanted[part]).current for part in parts]

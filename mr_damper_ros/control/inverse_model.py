@@ -1,20 +1,26 @@
-"""The inverse of an identified damper: wanted forces of a motion to currents of its coil."""
+"""The inverse of an identified damper: wanted forces of a motion to currents of its coil.
+
+The force is not monotone in the current: of several currents the lowest is taken, or the one
+nearest to the last, so that a current does not jump where the force moves on. Beyond what the
+limits of the current allow, the nearest force is aimed at, with the lowest current that gives it:
+above one ampere a damper may have nearly all of its force.
+
+Each sample is searched by itself in floating-point scalars: the law's force at some sixty nodes of
+the current shows brackets; within one the secant method refines, falling back to bisection.
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.control.inversion import Inversion, invert
-from mr_damper_ros.control.sample_inversion import (
-    FoundCurrent,
-    SampleInversion,
-    find_current,
-    invert_sample,
-    invert_samples,
-)
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models.current_response import CurrentResponse, SampleResponse
@@ -22,6 +28,77 @@ from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
 from mr_damper_ros.signals.arrays import Array
+
+TOLERANCE = 1e-6
+"""Part of the span, the forces that the currents can give, by which the force may be missed; a
+command of the supply resolves a thousandth."""
+
+_WITHIN = 0.4
+"""Part of that by which the ends of the span are drawn in, so that they can be met too."""
+
+_CLOSE = 1e-3
+"""Part of that at which a search ends: the next step of the secant costs less than a miss."""
+
+_CLOSE_IN_CELL = 1e-8
+"""Part of the force over a cell of the nodes at which a search in it ends, where the span is not
+known."""
+
+_MOST_STEPS = 80
+"""A bisection alone would need 55."""
+
+_LEAST_GAIN = 0.5
+"""A step of the secant that leaves more than this part of the error is followed by a bisection."""
+
+_NEAR = 8
+"""Cells that are looked at one by one: to look at all takes as long as that."""
+
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_GOLDEN_STEPS = 30
+"""They narrow a cell to a millionth: the force at an extremum is flat, or has a kink."""
+
+_STEP = 1e-6
+"""Amperes over which is looked whether a force rises."""
+
+_TOGETHER = 32
+"""Samples whose forces at the nodes are computed at once."""
+
+_ROUNDING = 4.0 * float(np.finfo(float).eps)
+
+Force = Callable[[float], float]
+"""Force [N] of a sample at a current [A]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inversion:
+    """Currents for wanted forces; all of shape (n,).
+
+    ``current`` [A] of the coil, the ``force`` [N] that it gives, and whether that is what was
+    wanted (``attainable``); ``least`` and ``most`` [N]: the forces that could be had.
+    """
+
+    current: Array
+    force: Array
+    attainable: np.ndarray
+    least: Array
+    most: Array
+
+
+class SampleInversion(NamedTuple):
+    """What :class:`Inversion` holds, of one sample."""
+
+    current: float
+    force: float
+    attainable: bool
+    least: float
+    most: float
+
+
+class FoundCurrent(NamedTuple):
+    """A current [A], the force [N] that it gives, and whether that is what was wanted."""
+
+    current: float
+    force: float
+    attainable: bool
 
 
 class InverseModel:
@@ -70,11 +147,26 @@ class InverseModel:
         one.
         """
         forces = np.broadcast_to(np.asarray(wanted, dtype=float), motion.velocity.shape)
-        near = None if last is None else np.asarray(last, dtype=float)
-        several = self._responses.several(motion.held_within(*self._range), period, state)
-        if several is None:
-            return invert(self._response(motion, period, state), self._nodes, forces, near)
-        return invert_samples(several, self._node_list, forces, near)
+        near: list[float] | list[None] = [None] * forces.size
+        if last is not None:
+            near = np.broadcast_to(np.asarray(last, dtype=float), forces.shape).tolist()
+        found: list[SampleInversion] = []
+        for first in range(0, forces.size, _TOGETHER):
+            part = slice(first, first + _TOGETHER)
+            held = motion.part(part).held_within(*self._range)
+            several = self._responses.several(held, period, state)
+            rows = zip(
+                several.each,
+                several.at_nodes.tolist(),
+                forces[part].tolist(),
+                near[part],
+                strict=True,
+            )
+            found += [
+                _search(force_at, self._node_list, at_nodes, force, before)
+                for force_at, at_nodes, force, before in rows
+            ]
+        return _together(found)
 
     def slope(
         self,
@@ -108,7 +200,7 @@ class InverseModel:
         self, response: SampleResponse, wanted: float, last: float | None = None
     ) -> FoundCurrent:
         """The current for a force [N], as :meth:`currents`, of the response :meth:`at` a sample."""
-        return find_current(response, self._node_list, wanted, last)
+        return _find_current(response, self._node_list, wanted, last)
 
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
@@ -123,15 +215,20 @@ class InverseModel:
         last: float | None = None
         for place, force in enumerate(forces.tolist()):
             response = self.at(MotionSample.of(motion, place), period=period, state=state)
-            found.append(invert_sample(response, self._node_list, force, last))
+            nodes = self._node_list
+            found.append(_search(response.force, nodes, response.at_nodes(), force, last))
             last = found[-1].current
             sample = motion.part(slice(place, place + 1)).held_within(*self._range)
             _, state = self.law.follow(self.values, sample, np.array([last]), period, state)
-        return Inversion(*(np.array(part) for part in zip(*found, strict=True))), state
+        return _together(found), state
 
     def _response(self, motion: Motion, period: float, state: State | None) -> CurrentResponse:
         held = motion.held_within(*self._range)
         return self.law.response(self.values, held, period, state)
+
+
+def _together(found: list[SampleInversion]) -> Inversion:
+    return Inversion(*(np.array(part) for part in zip(*found, strict=True)))
 
 
 def _each(current: ArrayLike, motion: Motion) -> Array:
@@ -152,3 +249,186 @@ def in_coil(parameters: ParameterSet) -> Array:
 def coil_time_constant(parameters: ParameterSet) -> float:
     """Time constant [s] of the coil that a set knows; 0 where it knows of none."""
     return parameters.as_dict().get(COIL, 0.0)
+
+
+def _find_current(
+    response: SampleResponse, nodes: list[float], wanted: float, last: float | None = None
+) -> FoundCurrent:
+    """The current of :func:`_search`, in less time where it is near the last one.
+
+    The cells of the nodes are looked at as they lie ever further from the last current: the first
+    that has the wanted force within is the nearest. Only where none of a few has are all looked at.
+    """
+    near = nodes[0] if last is None else last
+    low = min(max(bisect_left(nodes, near) - 1, 0), len(nodes) - 2)
+    high = low + 1
+    at_low, at_high = response.force(nodes[low]), response.force(nodes[high])
+    ends, forces = nodes[low : high + 1], [at_low, at_high]
+    for _ in range(_NEAR):
+        if (forces[0] > wanted) != (forces[1] > wanted):
+            rounding = _ROUNDING * max(abs(forces[0]), abs(forces[1]))
+            close = max(_CLOSE_IN_CELL * abs(forces[1] - forces[0]), rounding)
+            return FoundCurrent(
+                *_root(response.force, wanted, ends, forces, close), attainable=True
+            )
+        downwards = low > 0 and (high == len(nodes) - 1 or near - nodes[low] <= nodes[high] - near)
+        if downwards:
+            low, above = low - 1, at_low
+            at_low = response.force(nodes[low])
+            ends, forces = nodes[low : low + 2], [at_low, above]
+        elif high < len(nodes) - 1:
+            high, below = high + 1, at_high
+            at_high = response.force(nodes[high])
+            ends, forces = nodes[high - 1 : high + 1], [below, at_high]
+        else:
+            break
+    found = _search(response.force, nodes, response.at_nodes(), wanted, last)
+    return FoundCurrent(found.current, found.force, found.attainable)
+
+
+def _search(
+    force_at: Force,
+    nodes: list[float],
+    forces: list[float],
+    wanted: float,
+    last: float | None,
+) -> SampleInversion:
+    """That of a sample with these forces [N] at the nodes."""
+    rising = sorted(forces)
+    least, most = rising[0], rising[-1]
+    falling = rising[::-1]
+    winding = forces not in (rising, falling)
+    # A force that only an extremum between two nodes may give.
+    if wanted < least or wanted > most:
+        bend = _furthest_bend(force_at, nodes, forces, 1.0 if wanted > most else -1.0, winding)
+        if bend is not None:
+            nodes, forces, winding = *bend, True
+            least, most = min(forces), max(forces)
+    span = most - least
+    margin = _WITHIN * TOLERANCE * span
+    aimed = min(max(wanted, least + margin), most - margin)
+    floor = _ROUNDING * max(abs(least), abs(most))
+    close = max(_CLOSE * TOLERANCE * span, floor)
+    if winding:
+        cell = _cell(nodes, [force > aimed for force in forces], last)
+    else:
+        below = bisect_right(rising, aimed)
+        cell = (below if forces == rising else len(nodes) - below) - 1
+        if not 0 < below < len(nodes):
+            cell = 0
+    beside = slice(cell, cell + 2)
+    current, force = _root(force_at, aimed, nodes[beside], forces[beside], close)
+    attainable = abs(force - wanted) <= max(TOLERANCE * span, 2.0 * floor)
+    return SampleInversion(current, force, attainable, least, most)
+
+
+def _cell(nodes: list[float], above: list[bool], last: float | None) -> int:
+    """The cell of which one end is above: the first, or the nearest to last."""
+    best, least, place = 0, math.inf, 0
+    while True:
+        try:
+            place = above.index(not above[place], place) - 1
+        except ValueError:
+            return best
+        away = 0.0
+        if last is not None:
+            away = max(nodes[place] - last, last - nodes[place + 1], 0.0)
+        if away < least:
+            best, least = place, away
+        if least == 0.0:
+            return best
+        place += 1
+
+
+def _root(
+    force_at: Force, aimed: float, nodes: list[float], forces: list[float], close: float
+) -> tuple[float, float]:
+    """The current between two that gives the force to within ``close``, and its force."""
+    (low, high), (at_low, at_high) = nodes, (force - aimed for force in forces)
+    rises = at_low <= 0.0
+    run = at_low - at_high
+    part = at_low / run if run else 0.5
+    current = low + (part if 0.0 <= part <= 1.0 else 0.5) * (high - low)
+    other, at_other = (low, at_low) if abs(at_low) < abs(at_high) else (high, at_high)
+    narrowest = _ROUNDING * max(abs(high), 1.0)
+    before = math.inf
+    for _ in range(_MOST_STEPS):
+        found = current, force_at(current)
+        error = found[1] - aimed
+        size = abs(error)
+        if not (size > close and high - low > narrowest):
+            break
+        if (error <= 0.0) == rises:
+            low = current
+        else:
+            high = current
+        run = error - at_other
+        secant = current - error * (current - other) / run if run else math.nan
+        other, at_other = current, error
+        if low < secant < high and size <= _LEAST_GAIN * before:
+            current, before = secant, size
+        else:
+            current, before = 0.5 * (low + high), math.inf
+    return found
+
+
+def _furthest_bend(
+    force_at: Force, nodes: list[float], forces: list[float], sign: float, winding: bool
+) -> tuple[list[float], list[float]] | None:
+    """Nodes and forces, the node at the furthest bend up (or down, by ``sign``) moved onto it.
+
+    None where there is none that is further than its node.
+    """
+    heights = [sign * force for force in forces]
+    last = len(heights) - 1
+    bends = [
+        place
+        for place in range(1, last if winding else 0)
+        if heights[place - 1] < heights[place] >= heights[place + 1]
+    ]
+    # Beside the first or the last node there is one only where the force rises inwards.
+    if heights[0] >= heights[1] and sign * _slope(force_at, nodes[0]) > 0.0:
+        bends.append(0)
+    if heights[last] > heights[last - 1] and sign * _slope(force_at, nodes[last]) < 0.0:
+        bends.append(last)
+    if not bends:
+        return None
+    best = max(bends, key=heights.__getitem__)
+    low, high = nodes[max(best - 1, 0)], nodes[min(best + 1, last)]
+    close = _CLOSE * TOLERANCE * (max(forces) - min(forces))
+    found = _extremum(force_at, low, high, sign, close)
+    force = force_at(found)
+    if sign * force <= heights[best]:
+        return None
+    nodes, forces = nodes.copy(), forces.copy()
+    nodes[best], forces[best] = found, force
+    return nodes, forces
+
+
+def _slope(force_at: Force, current: float) -> float:
+    return force_at(current + _STEP) - force_at(current - _STEP)
+
+
+def _extremum(force_at: Force, low: float, high: float, sign: float, close: float) -> float:
+    """The current of the largest force (or the least, by ``sign``), by golden section.
+
+    Two equal forces may lie on both sides of it; two pairs in a row differ by less than ``close``
+    [N] only on top of it.
+    """
+    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    at_left, at_right = sign * force_at(left), sign * force_at(right)
+    before = math.inf
+    for _ in range(_GOLDEN_STEPS):
+        difference = abs(at_left - at_right)
+        if difference <= close and before <= close:
+            break
+        before = difference
+        if at_left > at_right:
+            high, right, at_right = right, left, at_left
+            left = high - _GOLDEN * (high - low)
+            at_left = sign * force_at(left)
+        else:
+            low, left, at_left = left, right, at_right
+            right = low + _GOLDEN * (high - low)
+            at_right = sign * force_at(right)
+    return 0.5 * (low + high)

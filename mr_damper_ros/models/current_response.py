@@ -70,9 +70,10 @@ class SampleResponses:
         """That of the sample ``period`` [s] after the state."""
         return ArraySampleResponse(lambda: self._respond(sample.motion, period, state), self._nodes)
 
-    def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples | None:
-        """Those of the samples (n,) of a motion; None where arrays take less time."""
-        return None
+    def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples:
+        """Those of the samples (n,) of a motion, each after the state."""
+        each = [self.of(sample, period, state).force for sample in MotionSample.each(motion)]
+        return SeveralSamples(each, self._respond(motion, period, state).force(self._nodes))
 
 
 class SeveralSamples(NamedTuple):

@@ -1,4 +1,4 @@
-"""The inverse of one sample, in plain numbers, against that of the arrays."""
+"""The inverse of one sample against a scan of the currents, by all ways to ask for it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import controllable, fixed
 
-from mr_damper_ros.control.inverse_model import InverseModel
-from mr_damper_ros.control.inversion import Inversion, invert
-from mr_damper_ros.control.sample_inversion import FoundCurrent, invert_sample
+from mr_damper_ros.control.inverse_model import TOLERANCE, FoundCurrent, InverseModel
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models import MODELS
@@ -97,14 +95,6 @@ def state_after(inverse: InverseModel, asked: Asked) -> State:
     return state
 
 
-def in_arrays(inverse: InverseModel, asked: Asked, state: State) -> Inversion:
-    """What the search in arrays finds."""
-    response = inverse.law.response(inverse.values, asked.sample.motion, PERIOD, state)
-    nodes = inverse.law.current_nodes(inverse.values, LOWEST, HIGHEST)
-    last = None if asked.last is None else np.array([asked.last])
-    return invert(response, nodes, np.array([asked.wanted]), last)
-
-
 SCALES = st.lists(st.floats(0.2, 3.0), min_size=5, max_size=5)
 
 
@@ -115,33 +105,35 @@ LAWS = [(name, True) for name in MODELS] + [
 
 
 @pytest.mark.parametrize(("name", "gradual"), LAWS)
-def test_the_current_is_that_of_the_arrays(name: str, gradual: bool) -> None:
+def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool) -> None:
     @fixed(40)
     @given(questions(), SCALES)
     def check(asked: Asked, scales: list[float]) -> None:
         inverse = InverseModel(scaled(name, scales), LOWEST, HIGHEST, gradual_reversal=gradual)
         state = state_after(inverse, asked)
-        response = inverse.at(asked.sample, period=PERIOD, state=state)
-        nodes = inverse.law.current_nodes(inverse.values, LOWEST, HIGHEST).tolist()
-        found = invert_sample(response, nodes, asked.wanted, asked.last)
-        expected = in_arrays(inverse, asked, state)
-        least, most = float(expected.least[0]), float(expected.most[0])
+        motion = asked.sample.motion
+        scan = np.linspace(LOWEST, HIGHEST, 2001)
+        forces = inverse.law.response(inverse.values, motion, PERIOD, state).force(scan)[0]
+        found = inverse.currents(motion, asked.wanted, last=asked.last, period=PERIOD, state=state)
+        least, most = float(found.least[0]), float(found.most[0])
         span, size = most - least, max(abs(least), abs(most), 1.0)
-        met = bool(expected.attainable[0])
-        allowed = (SAME_FORCE if met else SAME_EXTREMUM) * span + ROUNDING * size
         beyond = SAME_EXTREMUM * span + ROUNDING * size
-        assert found.least == pytest.approx(least, rel=SAME, abs=beyond)
-        assert found.most == pytest.approx(most, rel=SAME, abs=beyond)
-        together = inverse.currents(
-            asked.sample.motion, asked.wanted, last=asked.last, period=PERIOD, state=state
-        )
-        few = FoundCurrent(together.current[0], together.force[0], together.attainable[0])
-        for one in (found, few, inverse.current(response, asked.wanted, asked.last)):
-            assert one.force == pytest.approx(float(expected.force[0]), abs=allowed)
-            assert one.attainable == expected.attainable[0]
-            between = np.linspace(one.current, float(expected.current[0]), 5)
-            forces = [response.force(current) for current in between.tolist()]
-            assert max(forces) - min(forces) <= FLAT * span + ROUNDING * size
+        # An extremum between two nodes counts where a force beyond those of the nodes is wanted.
+        if asked.wanted < least:
+            assert least <= forces.min() + beyond
+        if asked.wanted > most:
+            assert most >= forces.max() - beyond
+        if math.isfinite(asked.wanted):
+            nearest = min(max(asked.wanted, least), most)
+            assert abs(found.force[0] - nearest) <= TOLERANCE * span + ROUNDING * size
+        response = inverse.at(asked.sample, period=PERIOD, state=state)
+        one = inverse.current(response, asked.wanted, asked.last)
+        few = FoundCurrent(found.current[0], found.force[0], bool(found.attainable[0]))
+        assert one.attainable == few.attainable
+        allowed = (SAME_FORCE if few.attainable else SAME_EXTREMUM) * span + ROUNDING * size
+        assert one.force == pytest.approx(few.force, abs=allowed)
+        between = [response.force(c) for c in np.linspace(one.current, few.current, 5).tolist()]
+        assert max(between) - min(between) <= FLAT * span + ROUNDING * size
 
     check()
 

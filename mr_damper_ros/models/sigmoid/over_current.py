@@ -36,9 +36,6 @@ from mr_damper_ros.models.sigmoid.following import branch_before, lag_before, ow
 from mr_damper_ros.models.sigmoid.law import LAW, PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
-_FEW = 32
-"""Samples up to which a search in scalars takes less time than one in arrays."""
-
 _MOTION = ("scale", "alpha", "viscous", "centred", "width")
 """Formulas that the motion alone decides on."""
 
@@ -134,10 +131,8 @@ class SigmoidSampleResponses(SampleResponses):
         seen = (*self._motion(sample.velocity, sample.peak_velocity), *branch)
         return SigmoidSample(self, seen, self._late(sample.displacement, period, state))
 
-    def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples | None:
-        """Those of a few samples (n,)."""
-        if motion.velocity.size > _FEW:
-            return None
+    def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples:
+        """Those of the samples (n,) of a motion, each after the state."""
         samples = [self.of(sample, period, state) for sample in MotionSample.each(motion)]
         rows = [(*sample.seen, 0.0)[: len(_MOTION) + 2] for sample in samples]
         *parts, change = np.array(rows).T[:, :, np.newaxis]
