@@ -86,7 +86,7 @@ class ExtraRun:
 
     ``determines``: the parameters that it would determine, after those advised before it.
     ``worst_error``: the largest standard error that would then be left, in spans (see
-    :mod:`determination`), 1 where nothing but the plausible range is known.
+    :mod:`observability`), 1 where nothing but the plausible range is known.
     """
 
     amplitude: float

@@ -46,7 +46,7 @@ class GlobalFit:
 
     ``covariance`` (p, p) of the parameters, zero where a parameter was held, and ``discrepancy``
     (p, p): the part of it that comes from what the law cannot follow, NaN where that is not known
-    (:mod:`between_motions`; of a single window :mod:`repeatability`). ``nrmse`` (k,):
+    (:mod:`covariance`). ``nrmse`` (k,):
     RMSE/std of the force, window by window; ``message`` says how it ended. ``noise`` (k,) [N]:
     what each window's own coefficients leave of its force; ``cost``: mean square over all samples
     of the residual in units of it, 1 where nothing but noise is left. ``candidates``: the local

@@ -81,7 +81,7 @@ class WindowFit:
     (f, f): the seven scales of the sigmoid law, the parameters that one run determines of another.
     It is that of their repeatability from window to window of the same motion; ``discrepancy``
     (f, f), where it is known, is that of what another motion or law would say, see
-    :mod:`repeatability`.
+    :mod:`covariance`.
     ``parameters`` (p,) are all of them. ``coefficients`` (c,) and their covariances
     ``coefficient_covariance`` and ``coefficient_discrepancy`` (c, c) hold at ``operating_point``
     (peak velocity [m/s], current [A]); they are empty for a model without. ``rmse`` [N] over the
