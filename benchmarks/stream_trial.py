@@ -2,20 +2,19 @@
 
     trial = StreamTrial(DAMPERS["viscous_tanh"], SineMotion(0.005, 1.0), 1.5)
     trial.advance(10.0)
-    broken = trial.branch([Gain(10.0, begin=12.0, channel="force")])
+    broken = trial.branch(faults_of(["force_gain:10@12"]))
     broken.advance(10.0)
     broken.result().wrong_valid(since=12.0).longest
 
-No wall clock is asked: what a trial gives depends on its arguments alone. It does what the nodes
-do with the same objects (bridge, identifier, model), block by block; a set or a report takes
-effect on the prediction a stated time after the samples that completed its window.
+No wall clock is asked: what a trial gives depends on its arguments alone. It does what the bridge
+does, block by block, and drives the engine; a set or a report takes effect on the prediction a
+stated time after the samples that completed its window.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections import deque
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
@@ -38,12 +37,13 @@ from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, RigBlock, SampleBlock, check_live
+from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import PredictorSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.validity import DoubtKind
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler, WindowSettings
+from mr_damper_ros.tracking.window_assembler import WindowSettings
 
 CURRENT_STEP = 0.005
 """As the bridge: a change [A] of the current that is published at once."""
@@ -204,14 +204,6 @@ def _without_gaps(wrong: np.ndarray, valid: np.ndarray, longest: int) -> np.ndar
     return closed
 
 
-class _Outcome(NamedTuple):
-    """What takes effect once the samples are at ``time`` [s]."""
-
-    time: float
-    report: Report
-    parameters: ParameterSet | None
-
-
 class StreamTrial:
     """A trial that can be run on, and branched: several may go on from the same past."""
 
@@ -243,26 +235,24 @@ class StreamTrial:
         self._noise = [np.random.default_rng((given.seed, channel)) for channel in range(2)]
         self._instruments = Instruments(faults)
         self._supply = Meter(1.0 / given.current_rate, step=CURRENT_STEP)
-        windows = given.windows
-        self._assembler = WindowAssembler(
-            windows.window,
-            windows.hop,
-            windows.looks,
-            windows.longest_window,
-            centre_memory=windows.centre_memory,
-        )
         initial = given.initial or start_set(given.tracker.law)
-        self._tracker = WindowTracker(given.tracker, initial)
-        self._predictor = ForcePredictor(given.predictor)
-        self._waiting: deque[_Outcome] = deque()
+        self._engine = Engine(
+            EngineSettings(
+                windows=given.windows,
+                tracking=given.tracker,
+                predictor=given.predictor,
+                fit_delay=given.delay,
+                search_delay=given.search_delay,
+            ),
+            initial,
+        )
         self._now = 0.0
         self._parts: list[Array] = []
         self._reasons: dict[str, int] = {"": 0}
-        self._sets: list[SetInUse] = []
+        self._sets = [SetInUse(0.0, initial)]
         self._reports: list[Report] = []
         self._report_times: list[float] = []
         self._rejected: list[str] = []
-        self._use(initial)
 
     @property
     def now(self) -> float:
@@ -272,7 +262,7 @@ class StreamTrial:
     @property
     def tracker(self) -> WindowTracker:
         """The identification, as it is now."""
-        return self._tracker
+        return self._engine.tracker
 
     def branch(
         self, faults: Sequence[Fault] = (), current: CurrentSchedule | None = None
@@ -343,7 +333,7 @@ class StreamTrial:
         block = delivery.block
         ahead = block.supply_ahead_ns
         for reading in self._supply.read(block, block.current, ahead):
-            self._take_current(reading.stamp_ns, reading.value)
+            self._engine.add_current(reading.stamp_ns, reading.value)
         try:
             samples = SampleBlock(
                 block.start_ns, block.sequence, block.period, block.displacement, block.force
@@ -352,50 +342,14 @@ class StreamTrial:
         except BlockError as error:
             self._rejected.append(str(error))
             return
-        self._take_outcomes()
         now_ns = self._rig.settings.start_ns + round(self._now * NANOSECONDS)
-        prediction = self._predictor.predict(samples, now_ns)
-        self._predictor.catch_up()
+        prediction = self._engine.predict(samples, now_ns)
+        for publication in self._engine.take_publications():
+            self._reports.append(publication.report)
+            self._report_times.append(self._now)
+            if publication.parameters is not None:
+                self._sets.append(SetInUse(self._now, publication.parameters))
         self._note(delivery, prediction)
-        self._identify(self._assembler.add_block(samples))
-
-    # --- what the identifier does --------------------------------------------------------------
-
-    def _take_current(self, stamp_ns: int, value: float) -> None:
-        self._predictor.add_current(stamp_ns, value)
-        self._identify(self._assembler.add_current(stamp_ns, value))
-
-    def _identify(self, windows: list[RawWindow]) -> None:
-        for window in windows:
-            report = self._tracker.follow(window)
-            if report is None:
-                continue
-            self._give_out(report, self._settings.delay)
-            if report.global_due:
-                self._give_out(self._tracker.identify(), self._settings.search_delay)
-
-    def _give_out(self, report: Report, delay: float) -> None:
-        time = self._now + delay
-        if self._waiting:
-            time = max(time, self._waiting[-1].time)
-        found = self._tracker.parameters if report.accepted else None
-        self._waiting.append(_Outcome(time, report, found))
-
-    # --- what the model does -------------------------------------------------------------------
-
-    def _take_outcomes(self) -> None:
-        while self._waiting and self._waiting[0].time <= self._now:
-            outcome = self._waiting.popleft()
-            self._reports.append(outcome.report)
-            self._report_times.append(outcome.time)
-            # The node publishes the report first, then the set.
-            self._predictor.follow_report(outcome.report)
-            if outcome.parameters is not None:
-                self._use(outcome.parameters)
-
-    def _use(self, parameters: ParameterSet) -> None:
-        self._predictor.set_parameters(parameters, parameters.stamp_ns or None)
-        self._sets.append(SetInUse(self._now, parameters))
 
     def _note(self, delivery: Delivery, prediction: Prediction) -> None:
         size = self._settings.block_size

@@ -390,18 +390,30 @@ def _answer(number: int, call: memoryview, control: Control) -> bytes:
 class InlineWorker:
     """Runs a task when it is submitted; its outcome is handed out some time of the data later.
 
-    ``now`` [s] is the time of the data: the user sets it. ``latency`` returns the seconds until
+    ``now`` [s] is the time of the data: the user sets it. Where it goes back, because a clock was
+    set, what waits comes no later for that. ``latency`` returns the seconds until
     the outcome of a task, of which it is given the first argument. ``processor_time`` [s] is what
     the tasks have taken so far.
     """
 
     def __init__(self, latency: Callable[[Any], float]) -> None:
-        self.now = -math.inf
+        self._now = -math.inf
         self.processor_time = 0.0
         self._latency = latency
         self._number = 0
         self._outcome: Outcome | None = None
         self._due = -math.inf
+
+    @property
+    def now(self) -> float:
+        """Time of the data [s]."""
+        return self._now
+
+    @now.setter
+    def now(self, time: float) -> None:
+        if time < self._now:
+            self._due -= self._now - time
+        self._now = time
 
     @property
     def busy(self) -> bool:
