@@ -18,10 +18,10 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.coefficient_laws import shape_bounds
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 
 GENERATIONS = 500
@@ -57,7 +57,7 @@ def search_bounds(windows: Sequence[Window], found: Array) -> list[tuple[float, 
 
 
 def reference_search(
-    misfit: PooledMisfit,
+    misfit: Misfit,
     bounds: Sequence[tuple[float, float]],
     generations: int,
     after_generation: Callable[[], None],
@@ -112,7 +112,7 @@ def contest(windows: Sequence[Window], generations: int, repetitions: int) -> Co
         fit_window(MODELS["sigmoid"], window, LITERATURE, method="least_squares").rmse
         for window in windows
     ]
-    misfit = PooledMisfit(windows, noise)
+    misfit = Misfit(MODELS["sigmoid"], windows, noise)
     costs: list[float] = []
     bounds = search_bounds(windows, found)
     both = cpu_seconds(

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.operating_points import PriorRows
+from mr_damper_ros.models.misfit import PriorRows
 from mr_damper_ros.signals.arrays import Array
 
 _DETERMINED = 1e-10

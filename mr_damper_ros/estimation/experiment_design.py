@@ -28,7 +28,7 @@ from mr_damper_ros.estimation.observability import (
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import PooledProblem
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 _SETS = 16
@@ -109,7 +109,7 @@ class ExtraRun:
 
 def extra_runs(
     model: Model,
-    misfit: PooledProblem,
+    misfit: Misfit,
     noise: float,
     parameters: Array,
     observable: np.ndarray,
@@ -135,7 +135,7 @@ def extra_runs(
     sizes = {name: high - low for name, (low, high) in ranges.items()}
     candidates = _candidates(rig)
     share = misfit.sample_count / len(misfit.windows)
-    cycles = model.pooled_problem([_cycle(c) for c in candidates], [noise] * len(candidates))
+    cycles = Misfit(model, [_cycle(c) for c in candidates], [noise] * len(candidates))
     level = noise_level(misfit, parameters)
     spans = parameter_spans(model, misfit.jacobian(parameters), parameters, ranges)
     present: list[Array] = []

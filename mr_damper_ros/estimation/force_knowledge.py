@@ -17,6 +17,7 @@ import numpy as np
 from mr_damper_ros.estimation.covariance import correlation_length
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 PHASES = 64
@@ -108,7 +109,7 @@ class Cycles:
 
     def __init__(self, model: Model, cycles: Sequence[Window]) -> None:
         self.count = len(cycles)
-        self._problem = model.pooled_problem(cycles, [1.0] * len(cycles))
+        self._problem = Misfit(model, cycles, [1.0] * len(cycles))
 
     def force(self, parameters: Array) -> Array:
         """Force (k, phases) [N]."""
@@ -220,7 +221,7 @@ def window_information(
     total = np.zeros((parameters.size, parameters.size))
     for window, sigma in zip(windows, noise, strict=True):
         few = window.thinned(FEW)
-        jacobian = model.pooled_problem([few], [sigma]).jacobian(parameters)
+        jacobian = Misfit(model, [few], [sigma]).jacobian(parameters)
         total += (window.sample_count / few.sample_count) * (jacobian.T @ jacobian)
     return total
 
@@ -243,8 +244,7 @@ def most_probable(
     from scipy.optimize import least_squares
 
     problems = [
-        model.pooled_problem([window], [sigma])
-        for window, sigma in zip(windows, noise, strict=True)
+        Misfit(model, [window], [sigma]) for window, sigma in zip(windows, noise, strict=True)
     ]
     weight = np.sqrt(np.diagonal(prior))
 

@@ -26,7 +26,7 @@ from mr_damper_ros.estimation.local_search import Ending, StopRequestedError
 from mr_damper_ros.estimation.record_levels import LevelPrior, counted_samples
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import PooledProblem
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.error_sums import ErrorSums, pooled
@@ -152,7 +152,7 @@ def identify_global(
 
 def _recounted(levels: LevelPrior, fit: GlobalFit, windows: Sequence[Window]) -> LevelPrior:
     found = fit.parameter_set
-    misfit = found.law.pooled_problem(windows, fit.noise.tolist(), found.values)
+    misfit = Misfit(found.law, windows, fit.noise.tolist(), found.values)
     return replace(levels, counted_samples=counted_samples(misfit, levels, found.values))
 
 
@@ -204,7 +204,7 @@ def _result(search: GlobalSearch, method: str, ending: Ending) -> GlobalFit:
     )
 
 
-def _errors(misfit: PooledProblem, best: Array, places: Sequence[int]) -> tuple[Array, Array]:
+def _errors(misfit: Misfit, best: Array, places: Sequence[int]) -> tuple[Array, Array]:
     """Covariance (f, f) of the parameters at some places, and the discrepancy in it."""
     jacobian, residual = misfit.jacobian(best, places), misfit.residual(best)
     if len(misfit.windows) == 1 and misfit.prior is None:

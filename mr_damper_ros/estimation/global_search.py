@@ -38,7 +38,8 @@ from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import CoefficientTable, PooledProblem
+from mr_damper_ros.models.misfit import Misfit
+from mr_damper_ros.models.quantities import CoefficientTable
 from mr_damper_ros.signals.arrays import Array
 
 
@@ -83,7 +84,7 @@ class FreeParameters:
 
     def __init__(
         self,
-        pooled: PooledProblem,
+        pooled: Misfit,
         values: Array,
         places: Sequence[int],
         sizes: Array,
@@ -145,7 +146,7 @@ class PooledPolish:
 
     def search(
         self,
-        pooled: PooledProblem,
+        pooled: Misfit,
         start: Array,
         free: frozenset[str],
         *,
@@ -172,7 +173,7 @@ class PooledPolish:
         return frozenset(name for name in free if near[self._names.index(name)])
 
     def _polished(
-        self, pooled: PooledProblem, start: Array, free: frozenset[str], nelder_mead: bool
+        self, pooled: Misfit, start: Array, free: frozenset[str], nelder_mead: bool
     ) -> Array:
         places = [place for place, name in enumerate(self._names) if name in free]
         residual = pooled.residual(start)
@@ -221,7 +222,7 @@ class SeparateFits:
     the ``levels`` of their records if they have any.
     """
 
-    pooled: PooledProblem
+    pooled: Misfit
 
     def __init__(
         self,
@@ -265,10 +266,10 @@ class SeparateFits:
     def _stops(self) -> bool:
         return self._clock.poll(_STAGE, math.nan)
 
-    def misfit(self, windows: Sequence[Window], known: Array | None = None) -> PooledProblem:
+    def misfit(self, windows: Sequence[Window], known: Array | None = None) -> Misfit:
         """The misfit of one set to these windows, the same ones, thinned or not."""
         noise = [fit.rmse for fit in self.fits]
-        return levelled(self._model.pooled_problem(windows, noise, known), self._levels)
+        return levelled(Misfit(self._model, windows, noise, known), self._levels)
 
     @property
     def operating_points(self) -> tuple[list[float], list[float]]:
@@ -305,7 +306,7 @@ def _table(fits: Sequence[WindowFit]) -> CoefficientTable:
     )
 
 
-def levelled(pooled: PooledProblem, levels: LevelPrior | None) -> PooledProblem:
+def levelled(pooled: Misfit, levels: LevelPrior | None) -> Misfit:
     """The problem with the levels of its records integrated out, or as it is where None."""
     return pooled if levels is None else LevelledProblem(pooled, levels)
 
@@ -401,7 +402,7 @@ class GlobalSearch:
         return self._separate.fits
 
     @property
-    def pooled(self) -> PooledProblem:
+    def pooled(self) -> Misfit:
         """The misfit that is searched with."""
         return self._separate.pooled
 
@@ -610,7 +611,7 @@ class GlobalSearch:
             if self.free == before:
                 break
 
-    def whole_misfit(self) -> PooledProblem:
+    def whole_misfit(self) -> Misfit:
         """Of all samples, but those that with the best set still depend on an unknown past."""
         return self._separate.misfit(self.windows, self.best)
 

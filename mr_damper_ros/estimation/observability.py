@@ -26,7 +26,7 @@ from mr_damper_ros.estimation.covariance import (
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import PooledProblem
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 _DIFFERENT_VELOCITY = 1.2
@@ -134,7 +134,7 @@ def determined_parameters(
 
 def not_known(
     model: Model,
-    misfit: PooledProblem,
+    misfit: Misfit,
     parameters: Array,
     free: frozenset[str],
     ranges: Mapping[str, float],
@@ -274,7 +274,7 @@ def parameter_spans(
     return np.asarray(np.where(spans > 0.0, spans, 1.0))
 
 
-def noise_level(misfit: PooledProblem, parameters: Array) -> float:
+def noise_level(misfit: Misfit, parameters: Array) -> float:
     """Standard deviation [1] of the residual that its Jacobian may be divided by.
 
     Correlated samples count once together, so what a law leaves of the force is not taken for

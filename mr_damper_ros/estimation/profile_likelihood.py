@@ -42,7 +42,7 @@ from mr_damper_ros.estimation.observability import parameter_ranges, parameter_s
 from mr_damper_ros.estimation.record_levels import Level, LevelledProblem
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import PooledProblem
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
@@ -97,7 +97,7 @@ class ProfileLikelihood:
     def __init__(
         self,
         model: Model,
-        misfit: PooledProblem,
+        misfit: Misfit,
         parameters: Array,
         observable: np.ndarray,
         ranges: Mapping[str, tuple[float, float]],
@@ -169,7 +169,7 @@ class _Walk:
     def __init__(
         self,
         model: Model,
-        misfit: PooledProblem,
+        misfit: Misfit,
         start: Array,
         spans: Array,
         name: str,
@@ -288,11 +288,11 @@ _POLL = 0.2
 _Ranges = Mapping[str, tuple[float, float]]
 
 
-def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> PooledProblem:
+def search_misfit(fit: GlobalFit, windows: Sequence[Window]) -> Misfit:
     """The misfit that the set was searched with."""
     found = fit.parameter_set
     few = thinned_for_search(windows)
-    pooled = found.law.pooled_problem(few, fit.noise.tolist(), found.values)
+    pooled = Misfit(found.law, few, fit.noise.tolist(), found.values)
     return levelled(pooled, fit.levels)
 
 
@@ -363,7 +363,7 @@ def profiled(
     return fit, found
 
 
-def _profile(task: tuple[ParameterSet, PooledProblem, _Ranges, str], tell: Tell) -> Profile | None:
+def _profile(task: tuple[ParameterSet, Misfit, _Ranges, str], tell: Tell) -> Profile | None:
     found, misfit, ranges, name = task
     told = time.monotonic()
     stopped = False

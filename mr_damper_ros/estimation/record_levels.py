@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.estimation.observability import noise_level
-from mr_damper_ros.models.operating_points import PooledProblem, PriorRows
+from mr_damper_ros.models.misfit import Misfit, PriorRows
 from mr_damper_ros.signals.arrays import Array
 
 _ZERO_SPREAD = 0.3
@@ -86,19 +86,15 @@ class _Whitened(NamedTuple):
     right: Array
 
 
-class LevelledProblem:
-    """A pooled problem with the levels of its records integrated out; see :class:`PooledProblem`.
+class LevelledProblem(Misfit):
+    """A pooled problem with the levels of its records integrated out; see :class:`Misfit`.
 
     The rows of a record are followed by two for its levels. The Jacobian is that of the sum of
     squares: exact in its gradient, and in its curvature as far as Gauss and Newton go.
     """
 
-    def __init__(self, pooled: PooledProblem, prior: LevelPrior) -> None:
-        self.windows = pooled.windows
-        self.sample_count = pooled.sample_count
-        self._pooled = pooled
-        self._weights = pooled.sample_weights
-        self._measured = np.concatenate([window.force for window in self.windows])
+    def __init__(self, pooled: Misfit, prior: LevelPrior) -> None:
+        super().__init__(*pooled.given, forces=pooled.forces)
         sizes = [window.sample_count for window in self.windows]
         of_sample = np.repeat(np.array(prior.records), sizes)
         self._records = [np.flatnonzero(of_sample == k) for k in sorted(set(prior.records))]
@@ -108,14 +104,9 @@ class LevelledProblem:
         self._spreads = spreads / self._noise
 
     @property
-    def sample_weights(self) -> Array:
-        """Weights of the samples alone (n,)."""
-        return self._weights
-
-    @property
     def row_windows(self) -> np.ndarray:
         """The place of the window that each row (n,) of the residual belongs to."""
-        of_sample = self._pooled.row_windows
+        of_sample = self.sample_windows
         return np.concatenate([of_sample[[*rows, rows[-1], rows[-1]]] for rows in self._records])
 
     @property
@@ -129,15 +120,15 @@ class LevelledProblem:
 
     def residual(self, parameters: Array) -> Array:
         """Weighted residual [1], two rows more for each record; infinite where it overflows."""
-        plain = self._pooled.residual(parameters)
+        plain = super().residual(parameters)
         if not np.all(np.isfinite(plain)):
             return np.full(plain.size + 2 * len(self._records), math.inf)
         return self._each(plain, lambda each: _damped(each, plain[each.rows]))
 
     def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
         """Derivatives of it, so far as its sum of squares is concerned."""
-        plain = self._pooled.residual(parameters)
-        derivatives = self._pooled.jacobian(parameters, columns)
+        plain = super().residual(parameters)
+        derivatives = super().jacobian(parameters, columns)
 
         def of_record(each: _Whitened) -> Array:
             scale = 1.0 + float(_levels(each, plain)[0])
@@ -156,9 +147,9 @@ class LevelledProblem:
 
     def levels(self, parameters: Array, covariance: Array) -> list[Level]:
         """Of each record, by rising number, for parameters (p,) of that covariance (p, p)."""
-        plain = self._pooled.residual(parameters)
+        plain = super().residual(parameters)
         varied = np.flatnonzero(np.diag(covariance) > 0.0)
-        derivatives = self._pooled.jacobian(parameters, varied.tolist())
+        derivatives = super().jacobian(parameters, varied.tolist())
         found = []
         for each in self._whitened(plain):
             scale, zero = _levels(each, plain)
@@ -167,7 +158,7 @@ class LevelledProblem:
             by_parameters = _levels(each, derivatives)
             moved = by_parameters @ covariance[np.ix_(varied, varied)]
             errors = np.sqrt(given + np.sum(moved * by_parameters, axis=1))
-            weights, measured = self._weights[each.rows], self._measured[each.rows]
+            weights, measured = self.sample_weights[each.rows], self._measured[each.rows]
             counted = weights > 0.0
             force = measured + np.divide(
                 plain[each.rows], weights, out=np.zeros(measured.size), where=counted
@@ -190,7 +181,7 @@ class LevelledProblem:
     def _whitened(self, plain: Array) -> list[_Whitened]:
         whitened = []
         for rows in self._records:
-            weights = self._weights[rows]
+            weights = self.sample_weights[rows]
             force = plain[rows] + weights * self._measured[rows]
             effect = np.column_stack((force, weights)) * self._spreads
             left, sizes, right = np.linalg.svd(effect, full_matrices=False)
@@ -198,7 +189,7 @@ class LevelledProblem:
         return whitened
 
 
-def counted_samples(pooled: PooledProblem, prior: LevelPrior, parameters: Array) -> float:
+def counted_samples(pooled: Misfit, prior: LevelPrior, parameters: Array) -> float:
     """That of a prior, for a set with parameters (p,) that is about right.
 
     By what the residual still is without what levels of any size would explain.

@@ -33,7 +33,7 @@ from mr_damper_ros.estimation.local_search import Ending, LocalSearch, StopReque
 from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import WindowProblem
+from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 
 WINDOW_METHODS = ("nelder_mead", "least_squares")
@@ -148,7 +148,7 @@ def fit_window(
         # "not <=" also holds for a cost that is not a number.
         if not _mean_square(search) <= POOR_START * spread**2:
             search = contest.settle()
-        problem, effort = search.problem, search.problem.effort
+        problem, effort = search.problem, model.effort
         if method == "nelder_mead":
             search.nelder_mead()
         if prior is not None:
@@ -235,7 +235,7 @@ class _Contest:
 
     def enter(self, parameters: Array) -> LocalSearch[WindowProblem]:
         """A search from parameters (p,), its start tried out."""
-        return self._enter(self._model.window_problem(self._window, parameters))
+        return self._enter(WindowProblem(self._model, self._window, parameters))
 
     def _enter(self, problem: WindowProblem) -> LocalSearch[WindowProblem]:
         search = LocalSearch(problem, problem.start, self._should_stop)
@@ -250,7 +250,7 @@ class _Contest:
         """
         first = self._searches[0]
         cold = [self._enter(first.problem.restarted(s)) for s in first.problem.cold_starts()]
-        effort = first.problem.effort
+        effort = self._model.effort
         cold = sorted(cold, key=_mean_square)[: effort.polished_starts]
         hopeful = [
             search
@@ -298,7 +298,7 @@ class _Weighed:
     @classmethod
     def of(cls, model: Model, window: Window, prior: WindowPrior, cycle: float) -> _Weighed | None:
         """None for a set without any force, which knows nothing."""
-        running = model.window_problem(window, prior.parameters)
+        running = WindowProblem(model, window, prior.parameters)
         width = running.usual_change(WANDER, prior.fastest)
         return cls(running, width, cycle) if np.isfinite(width).all() else None
 
@@ -321,7 +321,7 @@ class _Weighed:
         """
         from scipy.special import chdtri  # here: see mr_damper_ros.entry_points
 
-        effort = self.problem.effort
+        effort = self.problem.model.effort
         # Of so many squared normal numbers.
         most = float(chdtri(self._width.size, _CONTRADICTED))
         search.least_squares(tolerance=effort.tolerance, most_steps=effort.most_steps)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
@@ -80,7 +81,7 @@ class KnownDamper:
         """Largest force [N] of a cycle in extension at (m/s, A), and its standard error, (k,)."""
         cycles = [_cycle(*point) for point in points]
         values = self.parameter_set.values
-        problem = self.parameter_set.law.pooled_problem(cycles, [1.0] * len(cycles), values)
+        problem = Misfit(self.parameter_set.law, cycles, [1.0] * len(cycles), values)
         # The force of the cycles is zero, so that the residual is the force of the set.
         force = problem.residual(values).reshape(len(points), _PHASES)
         gradient = problem.jacobian(values).reshape(len(points), _PHASES, values.size)

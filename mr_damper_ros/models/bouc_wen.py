@@ -22,15 +22,17 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_dependence import Coefficient, CurrentDependentModel, integrated
-from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.known_derivatives import (
+from mr_damper_ros.models.current_dependence import (
+    Coefficient,
+    CurrentDependentModel,
     DifferentiatedModel,
     accumulated,
     along,
     at_samples,
     driven,
+    integrated,
 )
+from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop
 from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_response import CurrentResponse
-from mr_damper_ros.models.difference_problems import DifferenceProblem, PooledDifferences
 from mr_damper_ros.models.first_order_lag import (
     COIL,
     PLAUSIBLE_COIL,
@@ -34,14 +33,15 @@ from mr_damper_ros.models.first_order_lag import (
     coil_state,
     coil_unsettled,
 )
-from mr_damper_ros.models.force_model import Model
-from mr_damper_ros.models.operating_points import (
+from mr_damper_ros.models.force_model import Model, WindowForces
+from mr_damper_ros.models.quantities import (
     CoefficientTable,
     LawSearch,
-    PooledProblem,
-    WindowProblem,
+    LoopReading,
+    Parameter,
+    Quantity,
+    State,
 )
-from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity, State
 from mr_damper_ros.signals.arrays import Array
 
 _GROWTH = 100.0
@@ -181,19 +181,10 @@ class CurrentDependentModel(Model):
         values = self._all_at(parameters, in_coil)
         return self.force_at(values, window.motion, history.period, None)[0]
 
-    def window_problem(self, window: Window, parameters: Array) -> WindowProblem:
-        """What one current determines; derivatives are by differences."""
-        return DifferenceProblem(self, window, parameters)
-
-    def pooled_problem(
-        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
-    ) -> PooledProblem:
-        """All windows; derivatives are by differences."""
-        return PooledDifferences(self, windows, noise, known)
-
-    def settled(self, window: Window, parameters: Array) -> np.ndarray:
+    def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
         """Mask (n,) of samples at which law and coil have forgotten what came before the window."""
-        return super().settled(window, parameters) & ~coil_unsettled(window, float(parameters[-1]))
+        coil = 0.0 if parameters is None else float(parameters[-1])
+        return super().settled(window, parameters) & ~coil_unsettled(window, coil)
 
     def needs_past(self, window: Window) -> bool:
         """Where the law remembers, or the coil may: the current changes."""
@@ -383,3 +374,97 @@ def integrated(
         result[place] = integrate([c[place] for c in every], motion, period, memory)
         kept[(slice(None), *place)] = memory
     return result, tuple(kept)
+
+
+class DifferentiatedModel(CurrentDependentModel):
+    """A law that knows the derivatives of its force.
+
+    One that is integrated sample by sample takes as long for each set as for the first: differences
+    would take as many times as long as there are parameters.
+    """
+
+    @abstractmethod
+    def window_derivatives(
+        self, window: Window, parameters: Array, columns: Sequence[int]
+    ) -> Array:
+        """Derivatives (n, c) of the force in a window by the parameters at c places."""
+
+    def window_forces(self, windows: Sequence[Window]) -> WindowForces:
+        """With these derivatives."""
+        return _DifferentiatedForces(self, windows)
+
+
+class _DifferentiatedForces(WindowForces):
+    def __init__(self, model: DifferentiatedModel, windows: Sequence[Window]) -> None:
+        super().__init__(model, windows)
+        self._law = model
+
+    def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
+        """Derivatives (n, c) of the force of each window by the parameters (p,) at c places."""
+        law = self._law
+        return [law.window_derivatives(window, parameters, columns) for window in self.windows]
+
+
+_STEP_OF_COIL = 1e-6
+"""[s], of a difference by the coil's time constant."""
+
+
+class Along(NamedTuple):
+    """What a law is differentiated along: the motion, coefficients (n,) each, and their chain.
+
+    ``chain`` (c, n, p): derivatives of the coefficients by the parameters; (c, 1, p) where the
+    current is constant.
+    """
+
+    motion: Motion
+    period: float
+    coefficients: list[Array]
+    chain: Array
+
+
+def along(
+    model: CurrentDependentModel, window: Window, parameters: Array, columns: Sequence[int]
+) -> Along:
+    """The history of a window at its own pace; of a cycle that has always gone on, two.
+
+    The ``chain`` is that of the p parameters of some ``columns``.
+    """
+    history = window.history.coarse
+    motion, current, count = history.motion, history.current, history.current.size
+    if history.periodic:
+        twice = np.concatenate((np.arange(count), np.arange(count)))
+        motion, current = motion.part(twice), current[twice]
+    tau, late = float(parameters[-1]), current
+    if float(np.ptp(current)) > 0.0:
+        constants = np.array([tau, tau + _STEP_OF_COIL])
+        late, later = coil_current(current, constants, history.period, None)
+        chain = model.dependences(parameters, late, (later - late) / _STEP_OF_COIL)
+    else:
+        chain = model.dependences(parameters, current[:1], np.zeros(1))
+    values = model.coefficients_along(parameters, late)
+    return Along(motion, history.period, values, chain[..., list(columns)])
+
+
+def at_samples(window: Window, derivatives: Array) -> Array:
+    """Derivatives (m, p) along the history of a window at its samples (n, p)."""
+    history = window.history.coarse
+    return history.at_samples(derivatives[-history.current.size :])
+
+
+def driven(by: Mapping[int, Array], chain: Array) -> Array:
+    """What steps add by the parameters (n, p), from what they add (n,) by coefficients."""
+    places = list(by)
+    if chain.shape[1] == 1:
+        # By columns, which lie together in memory: each is then solved for as it is.
+        return np.asarray(chain[places, 0].T @ np.stack(list(by.values()))).T
+    return sum((by[place][:, np.newaxis] * chain[place] for place in places), np.zeros(()))
+
+
+def accumulated(kept: Array, added: Array) -> Array:
+    """Solve y[k] = kept[k] y[k-1] + added[k] for columns (n, p), which may be overwritten."""
+    from scipy.linalg.lapack import dtbtrs  # here: see mr_damper_ros.entry_points
+
+    bands = np.ones((2, kept.size), order="F")
+    bands[1, :-1] = -kept[1:]
+    solved = dtbtrs(bands, added, uplo="L", diag="U", overwrite_b=True)[0]
+    return np.asarray(solved.reshape(added.shape))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
@@ -21,13 +21,15 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_response import CurrentResponse, SampleResponses, even_nodes
 from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
-from mr_damper_ros.models.operating_points import (
+from mr_damper_ros.models.quantities import (
     CoefficientTable,
     LawSearch,
-    PooledProblem,
-    WindowProblem,
+    LoopReading,
+    Parameter,
+    Quantity,
+    SearchEffort,
+    State,
 )
-from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity, SearchEffort, State
 from mr_damper_ros.signals.arrays import Array
 
 _FORGOTTEN = 0.01
@@ -35,6 +37,20 @@ _FORGOTTEN = 0.01
 
 _STEP = 1e-6
 """Step of a difference, relative to the size of the parameter."""
+
+_SMALLEST = 0.1
+"""A parameter counts as no smaller than this part of its typical size, for a difference."""
+
+_KEPT = 0.5
+"""Seconds of motion from which a state is found anew: a lag forgets sooner. A hysteresis forgets
+with the way: so much more is kept as its model asks for."""
+
+_LONGEST_KEPT = 30.0
+"""Seconds; a damper that hardly moves would else be remembered for ever."""
+
+_TOGETHER = 500
+"""Samples that are followed at once where the past is: sample by sample half a minute takes ten
+seconds, which no stream waits for."""
 
 _USUAL_RUN = LoopReading(1000.0, 0.0, 2.0 * np.pi * 1.0 * 5e-3, 5e-3)
 """A usual run: 1 kN, 5 mm, 1 Hz."""
@@ -48,9 +64,10 @@ class Model(ABC):
     start. ``remembers``: whether the force depends on the samples before. ``turning``: arrays of
     the state, the first ones, that only matter where the motion turns. ``strength`` names the
     parameters that rise and fall with the strength of the damper; where none are named, all that
-    have a force in their unit. ``coefficient_quantities``: what the force depends on at one
-    operating point; ``linear`` names what enters the laws over operating points linearly,
-    ``shape_groups`` the shape parameters, law by law.
+    have a force in their unit. ``effort``: how far a window is searched.
+    ``coefficient_quantities``: what the force depends on at one operating point; ``linear`` names
+    what enters the laws over operating points linearly, ``shape_groups`` the shape parameters, law
+    by law.
     """
 
     name: ClassVar[str]
@@ -224,9 +241,12 @@ class Model(ABC):
 
     @as_machine_code()
     @np.errstate(over="ignore", invalid="ignore")
-    def settled(self, window: Window, parameters: Array) -> np.ndarray:
-        """Mask (n,) of samples whose force does not depend on what came before the window."""
-        if not self.remembers or window.history.periodic:
+    def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
+        """Mask (n,) of samples whose force does not depend on what came before the window.
+
+        For parameters (p,), or None where no set is known yet.
+        """
+        if parameters is None or not self.remembers or window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
         history = window.history.coarse
         along = parameters, history.motion, history.current, history.period
@@ -267,19 +287,55 @@ class Model(ABC):
         """The law for other languages; None where it was not written down for them."""
         return None
 
-    # One window
+    def window_forces(self, windows: Sequence[Window]) -> WindowForces:
+        """Force at the samples of some windows, and its derivatives by the parameters."""
+        return WindowForces(self, windows)
 
-    @abstractmethod
-    def window_problem(self, window: Window, parameters: Array) -> WindowProblem:
-        """What of ``parameters`` (p,) a window determines, as a least-squares problem."""
+    # The unknowns of one window: as they are, the parameters that it determines
+
+    @cached_property
+    def unknown_indices(self) -> np.ndarray:
+        """Places (f,) of the parameters that a window is fitted with."""
+        return self.places(self.scale_names)
+
+    @cached_property
+    def _unknown_bounds(self) -> tuple[Array, Array]:
+        low, high = self.bounds
+        return low[self.unknown_indices], high[self.unknown_indices]
+
+    @property
+    def strong_unknowns(self) -> np.ndarray:
+        """Mask (f,) of the unknowns that rise and fall with the strength of the damper."""
+        return np.isin(self.unknown_indices, self.strength_indices)
+
+    def unknowns(self, parameters: Array) -> Array:
+        """Those (f,) of parameters (p,), within their bounds."""
+        return np.clip(parameters[self.unknown_indices], *self._unknown_bounds)
+
+    def with_unknowns(self, parameters: Array, unknowns: Array) -> Array:
+        """Parameters (..., p) with these unknowns (..., f), all else as in ``parameters`` (p,)."""
+        values = np.empty((*unknowns.shape[:-1], parameters.size))
+        values[...] = parameters
+        values[..., self.unknown_indices] = np.clip(unknowns, *self._unknown_bounds)
+        return values
+
+    def by_unknowns(self, unknowns: Array, derivatives: Array) -> Array:
+        """Derivatives (n, f) by the unknowns (f,), from those (n, f) by the parameters."""
+        return derivatives
 
     def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
         """Places of the parameters that a window was fitted with, and their standard errors.
 
-        ``unknowns`` (f,) and their ``covariance`` (f, f) are those of :meth:`window_problem`. NaN
-        where the window does not determine one.
+        For unknowns (f,) with this ``covariance`` (f, f). NaN where the window does not determine
+        one.
         """
-        return self.free_indices, np.sqrt(np.diag(covariance))
+        return self.unknown_indices, np.sqrt(np.diag(covariance))
+
+    def cold_starts(self, window: Window, parameters: Array) -> list[Array]:
+        """Parameters (p,) with unknowns that are read off a window, to start a search from."""
+        starts = np.clip(self.starts(LoopReading.of(window)), *self.bounds)
+        places = self.unknown_indices
+        return [self.with_unknowns(parameters, read[places]) for read in starts]
 
     # Laws over operating points
 
@@ -365,15 +421,41 @@ class Model(ABC):
     ) -> dict[str, float]:
         """Shape parameters as they might be for a damper run up to [m/s] and [A]."""
 
-    @abstractmethod
-    def pooled_problem(
-        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
-    ) -> PooledProblem:
-        """Weighted residual of many windows for all parameters.
 
-        ``noise`` [N]: what each window's own best fit leaves (RMSE). ``known`` (p,), where there is
-        a set already, tells which samples do not yet depend on the motion alone.
-        """
+class WindowForces:
+    """Force of a law at the samples of windows, and its derivatives: made once, evaluated often.
+
+    The derivatives are forward differences, for a law that says no more than its force;
+    ``differences`` counts the evaluations that they took.
+    """
+
+    def __init__(self, model: Model, windows: Sequence[Window]) -> None:
+        self.model = model
+        self.windows = tuple(windows)
+        self.differences = 0
+
+    def forces(self, parameters: Array) -> list[Array]:
+        """Force (..., n) [N] of each window, for parameters (..., p)."""
+        return [self.model.window_force(window, parameters) for window in self.windows]
+
+    def derivatives(self, parameters: Array, columns: Sequence[int]) -> list[Array]:
+        """Derivatives (n, c) of the force of each window by the parameters (p,) at c places."""
+        values, places = parameters[columns], np.arange(len(columns))
+        steps = _STEP * np.maximum(np.abs(values), _SMALLEST * self._sizes[columns])
+        steps = np.where(values + steps > self.model.bounds[1][columns], -steps, steps)
+        moved = np.tile(parameters, (len(columns) + 1, 1))
+        moved[1 + places, columns] += steps
+        found = []
+        # Window by window: all at once would take as much memory as there are parameters.
+        for window in self.windows:
+            forces = self.model.window_force(window, moved)
+            self.differences += len(moved)
+            found.append((forces[1:] - forces[0]).T / steps)
+        return found
+
+    @cached_property
+    def _sizes(self) -> Array:
+        return self.model.typical_sizes(self.windows)
 
 
 class ForceStream:

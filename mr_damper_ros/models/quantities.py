@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -70,6 +72,11 @@ class LoopReading(NamedTuple):
             max(amplitude, 1e-9),
         )
 
+    @property
+    def frequency(self) -> float:
+        """Frequency [Hz] of a sine of this speed and amplitude."""
+        return self.speed / (2.0 * math.pi * self.amplitude)
+
     def size(self, unit: str) -> float:
         """Typical size of a quantity of this unit."""
         per_ampere = unit.rstrip("²³").removesuffix("/A")
@@ -100,3 +107,46 @@ class SearchEffort:
     polished_starts: int = 4
     rough_tolerance: float = 1e-3
     rough_steps: int = 40
+
+
+_RELATIVE_ERROR = 0.05
+"""No coefficient is trusted more than to this part: the law itself is not exact."""
+
+_OPEN = 1e3
+"""The standard error of a coefficient that a window leaves open, in sizes of it."""
+
+_NOTHING = 1e-100
+"""A coefficient that is zero at every operating point has still an error: no weight is infinite."""
+
+LawSearch = Callable[[Callable[[Array], Array], Sequence[tuple[float, float]], Array, str], Array]
+"""Minimises a function of individuals (u, s) to (s,) within bounds, from a start (u,).
+
+The last argument names the stage of the search; the result (u,) is the best individual.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientTable:
+    """Coefficients of k operating points; of the sigmoid law those with positive f_t.
+
+    ``peak_velocity`` [m/s] and ``current`` [A] have shape (k,), ``coefficients`` and their
+    standard ``errors`` shape (k, c).
+    """
+
+    peak_velocity: Array
+    current: Array
+    coefficients: Array
+    errors: Array
+
+    def weights(self, column: int) -> Array:
+        """Inverse standard deviations (k,) of one coefficient, model error included.
+
+        A part of a cycle may leave a coefficient open, and its fit then puts it anywhere: the
+        usual size is that of those that are known.
+        """
+        values, errors = self.coefficients[:, column], self.errors[:, column]
+        known = errors <= np.abs(values)
+        usual = float(np.sqrt(np.mean(values[known if known.any() else slice(None)] ** 2)))
+        floor = _RELATIVE_ERROR * max(usual, _NOTHING)
+        errors = np.where(np.isnan(errors), _OPEN * np.maximum(floor, np.abs(values)), errors)
+        return 1.0 / np.sqrt(errors**2 + floor**2 + (_RELATIVE_ERROR * values) ** 2)

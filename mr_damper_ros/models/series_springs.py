@@ -26,15 +26,16 @@ import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_dependence import Coefficient, integrated
-from mr_damper_ros.models.first_order_lag import coil_unsettled, few_in_coil
-from mr_damper_ros.models.known_derivatives import (
+from mr_damper_ros.models.current_dependence import (
+    Coefficient,
     DifferentiatedModel,
     accumulated,
     along,
     at_samples,
     driven,
+    integrated,
 )
+from mr_damper_ros.models.first_order_lag import coil_unsettled, few_in_coil
 from mr_damper_ros.models.machine_code import as_machine_code, run_loop, runs_machine_code
 from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
@@ -293,13 +294,13 @@ class SeriesSprings(DifferentiatedModel):
         )
 
     @as_machine_code()
-    def settled(self, window: Window, parameters: Array) -> np.ndarray:
+    def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
         """Mask (n,) of samples at which the two springs and the coil have forgotten the past.
 
         Whatever it was, the force lies between those from springs under all of the yield force and
         under all of its reverse, where they are softest: the steps keep their order.
         """
-        if window.history.periodic:
+        if parameters is None or window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
         history = window.history.coarse
         motion, before = history.motion, float(history.motion.velocity[0])

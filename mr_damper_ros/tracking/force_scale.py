@@ -13,6 +13,7 @@ from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.operating_point import OperatingPoint, nearest_same
@@ -149,7 +150,7 @@ def force_scale(model: Model, window: Window, fit: WindowFit, baselines: Baselin
     baseline = baselines.get(point) if steady else baselines.at_current(point)
     if baseline is None:
         return ForceScale()
-    problem = model.window_problem(window, fit.parameters)
+    problem = WindowProblem(model, window, fit.parameters)
     settled = problem.settled
     reference = model.window_force(window, baseline.parameters)[settled]
     if not steady:
@@ -183,7 +184,7 @@ def with_strength(
     rest = np.setdiff1d(model.strength_indices, model.free_indices)
     start = start.copy()
     start[rest] *= found.factor
-    problem = model.window_problem(window, start)
+    problem = WindowProblem(model, window, start)
     moved = np.where(problem.strength, problem.start, 0.0)
     return fit_of(
         problem,

@@ -23,6 +23,7 @@ from mr_damper_ros.kinematics.motion import DataError
 from mr_damper_ros.kinematics.motion_history import LONGEST_SETTLING
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.signals.arrays import Array
@@ -251,7 +252,7 @@ def _followed(job: Job, window: Window) -> Outcome | None:
         return None
     unseen = round((raw.end_ns - state.stamp_ns) / (raw.period * NANOSECONDS))
     new = window.part(slice(max(window.sample_count - unseen, 0), None))
-    problem = job.model.window_problem(new, job.start)
+    problem = WindowProblem(job.model, new, job.start)
     follower = RecursiveFilter(
         state, problem, raw.end_ns, drift_rate=options.drift_rate, robust=options.robust
     )
@@ -261,7 +262,7 @@ def _followed(job: Job, window: Window) -> Outcome | None:
     if evidence.rmse_after > _ASTRAY * follower.noise_level:
         return None
     follower.take_in(held_back)
-    fit = follower.as_fit(job.model.window_problem(window, job.start))
+    fit = follower.as_fit(WindowProblem(job.model, window, job.start))
     return _outcome(job, window, fit, evidence, follower.state)
 
 
@@ -470,7 +471,7 @@ def _look(job: Job, window: Window) -> Outcome:
     fit = with_strength(model, changed, job.start, found, EARLY_SOURCE)
     state = job.state
     if state is not None:
-        strength = model.window_problem(changed, job.start).strength
+        strength = WindowProblem(model, changed, job.start).strength
         factors = np.where(strength, found.factor, 1.0)
         covariance = state.covariance * np.outer(factors, factors) + fit.covariance
         state = FilterState(state.scales * factors, covariance, raw.end_ns, here)

@@ -16,7 +16,7 @@ import numpy as np
 
 from mr_damper_ros.estimation.covariance import least_squares_covariance, normal_inverse
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_of
-from mr_damper_ros.models.operating_points import WindowProblem
+from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 

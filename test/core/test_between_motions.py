@@ -18,7 +18,7 @@ from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
 N, MOTIONS, TRIALS = 100, 20, 200
@@ -115,7 +115,7 @@ def test_a_set_tells_of_motions_that_disagree_and_of_none_that_agree() -> None:
 
 def test_a_record_with_a_level_of_its_own_keeps_its_rows() -> None:
     windows = [sine(4e-3), sine(5e-3, samples=300), sine(6e-3)]
-    pooled = PooledMisfit(windows, [5.0, 5.0, 5.0])
+    pooled = Misfit(known.SIGMOID, windows, [5.0, 5.0, 5.0])
     levelled = LevelledProblem(pooled, LevelPrior((0, 1, 1), 0.1))
     rows = levelled.row_windows
     assert rows.size == levelled.residual(known.PLAUSIBLE).size

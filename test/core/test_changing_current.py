@@ -20,6 +20,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import COIL, in_coil
 from mr_damper_ros.models.force_model import Model
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Verdict
@@ -196,7 +197,7 @@ _SERIES = ("displacement", "velocity", "acceleration", "peak_velocity")
 
 def test_the_jacobian_by_the_coil_is_that_of_differences() -> None:
     given = window(switching())
-    misfit = LAW.pooled_problem(parts_by_current(SIXTEEN, given, TOLERANCE), [known.NOISE] * 2)
+    misfit = Misfit(LAW, parts_by_current(SIXTEEN, given, TOLERANCE), [known.NOISE] * 2)
     step = 1e-4 * np.eye(20)[-1]
     expected = (misfit.residual(LATE + step) - misfit.residual(LATE - step)) / 2e-4
     got = misfit.jacobian(LATE)[:, -1]

@@ -12,7 +12,7 @@ from mr_damper_ros.estimation.covariance import (
     normal_inverse,
     triangular_factor,
 )
-from mr_damper_ros.models.sigmoid.scale_misfit import scale_parameter_errors
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.signals.arrays import Array
 
 N = 2000
@@ -154,13 +154,13 @@ def test_the_error_of_k5_is_that_of_a_quotient() -> None:
     covariance = np.diag([4.0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.09])
     covariance[0, 6] = covariance[6, 0] = 0.3
     draws = np.random.default_rng(0).multivariate_normal(scales, covariance, 200_000)
-    errors = scale_parameter_errors(scales, covariance)
+    errors = MODELS["sigmoid"].fitted_errors(scales, covariance)[1]
     assert errors[6] == pytest.approx(np.std(draws[:, 6] / draws[:, 0]), rel=0.02)
     np.testing.assert_allclose(errors[:6], np.sqrt(np.diag(covariance))[:6])
 
 
 def test_without_a_yield_force_k5_is_unknown() -> None:
-    errors = scale_parameter_errors(np.zeros(7), np.eye(7))
+    errors = MODELS["sigmoid"].fitted_errors(np.zeros(7), np.eye(7))[1]
     assert np.isnan(errors[6])
     assert np.isfinite(errors[:6]).all()
 

@@ -17,9 +17,8 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.current_dependence import COIL, Coefficient, CurrentDependentModel
-from mr_damper_ros.models.operating_points import CoefficientTable
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.quantities import LoopReading, State
+from mr_damper_ros.models.quantities import CoefficientTable, LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.force_scale import with_strength

@@ -25,8 +25,8 @@ from mr_damper_ros.estimation.observability import (
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 
 TOP_VELOCITY = 2.0 * math.pi * 3.0 * 10e-3
@@ -50,8 +50,8 @@ def windows(
     return [window(a, f, i) for a in amplitudes for f in (1.0, 3.0) for i in currents]
 
 
-def pooled(chosen: list[Window]) -> PooledMisfit:
-    return PooledMisfit(chosen, [known.NOISE] * len(chosen))
+def pooled(chosen: list[Window]) -> Misfit:
+    return Misfit(SIGMOID, chosen, [known.NOISE] * len(chosen))
 
 
 def determined(chosen: list[Window]) -> Determination:

@@ -19,11 +19,10 @@ from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, fit_window
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import Misfit, WindowProblem
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.extension import EXTENDED_NAMES
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, operating_point_coefficients
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 
 LAW = MODELS["sigmoid_lag"]
 TRUTH = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, 0.0])
@@ -121,7 +120,7 @@ def test_the_scales_of_a_window_are_found_where_the_extension_is_known(frequency
     start[SCALE_INDICES] *= 1.3
     for method in WINDOW_METHODS:
         fit = fit_window(EXTENDED, here, start, method=method)
-        truth = ScaleMisfit(here, TRUTH)
+        truth = WindowProblem(EXTENDED, here, TRUTH)
         assert fit.rmse**2 * here.sample_count <= known.sum_of_squares(truth)
         errors = (fit.scales - truth.start) / np.sqrt(np.diag(fit.covariance))
         assert np.max(np.abs(errors)) < STANDARD_ERRORS, method
@@ -134,14 +133,14 @@ def test_a_poor_start_is_searched_from_as_well_as_what_is_read_off_the_data():
     start = TRUTH.copy()
     start[SCALE_INDICES] *= 1.3
     fit = fit_window(EXTENDED, here, start, method="least_squares")
-    truth = ScaleMisfit(here, TRUTH)
+    truth = WindowProblem(EXTENDED, here, TRUTH)
     assert fit.rmse**2 * here.sample_count <= known.sum_of_squares(truth)
 
 
 @MOTIONS
 @pytest.mark.parametrize("most", [100, 5000], ids=["thinned", "whole"])
 def test_the_jacobian_of_a_window_is_that_of_differences(frequency, most):
-    misfit = ScaleMisfit(window(frequency).thinned(most), TRUTH)
+    misfit = WindowProblem(EXTENDED, window(frequency).thinned(most), TRUTH)
     scales = misfit.start
     jacobian = misfit.jacobian(scales)
     for column, size in enumerate(1e-6 * np.abs(scales)):
@@ -153,16 +152,16 @@ def test_the_jacobian_of_a_window_is_that_of_differences(frequency, most):
 
 
 def test_many_sets_of_scales_at_once_are_the_same_as_one_by_one():
-    misfit = ScaleMisfit(window(0.0).thinned(100), TRUTH)
+    misfit = WindowProblem(EXTENDED, window(0.0).thinned(100), TRUTH)
     sets = misfit.start * np.array([[0.9], [1.0], [1.2]])
-    together = misfit.residual(sets.T[:, :, np.newaxis])
+    together = misfit.residual(sets)
     np.testing.assert_allclose(together, [misfit.residual(scales) for scales in sets])
 
 
 def test_the_begin_of_a_window_of_unknown_past_says_nothing():
     whole = window(0.0)
     lone = Window(whole.motion, whole.force, whole.current, PERIOD)
-    misfit = ScaleMisfit(lone, TRUTH)
+    misfit = WindowProblem(EXTENDED, lone, TRUTH)
     residual, derivatives = misfit.residual(misfit.start), misfit.jacobian(misfit.start)
     settled = int(np.flatnonzero(residual)[0])
     assert settled == pytest.approx(SETTLED, abs=SETTLED_ERROR)
@@ -178,10 +177,10 @@ def test_a_window_without_its_period_cannot_have_a_lag():
 
 
 @cache
-def pooled(most: int) -> PooledMisfit:
+def pooled(most: int) -> Misfit:
     windows = [window(f, i, samples=600) for f in (0.0, 2.0) for i in (0.0, 1.0)]
     windows = [w.thinned(most) for w in windows]
-    return PooledMisfit(windows, [known.NOISE] * 4, slowest_lag=0.01)
+    return Misfit(EXTENDED, windows, [known.NOISE] * 4, TRUTH)
 
 
 @pytest.mark.parametrize("most", [100, 5000], ids=["thinned", "whole"])

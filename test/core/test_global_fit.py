@@ -28,8 +28,9 @@ from mr_damper_ros.estimation.observability import (
     varied_parameters,
 )
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.operating_points import CoefficientTable
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.quantities import CoefficientTable
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
@@ -37,7 +38,6 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
     sine_force,
 )
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 
 AT_THE_NOISE = 1.06
@@ -432,7 +432,7 @@ def test_progress_does_not_end_before_the_search() -> None:
 
 
 def mean_square(windows: tuple[Window, ...], parameters: Array) -> float:
-    return PooledMisfit(windows, [known.NOISE] * len(windows)).mean_square(parameters)
+    return Misfit(SIGMOID, windows, [known.NOISE] * len(windows)).mean_square(parameters)
 
 
 @pytest.mark.parametrize("after", [1, 20])
@@ -503,25 +503,25 @@ def test_every_window_counts_the_same() -> None:
         mean_square((window,), LITERATURE) * (known.NOISE / sigma) ** 2
         for window, sigma in zip(windows, noise, strict=True)
     ]
-    pooled = PooledMisfit(windows, noise)
+    pooled = Misfit(SIGMOID, windows, noise)
     assert pooled.mean_square(LITERATURE) == pytest.approx(np.mean(squares))
 
 
 def test_at_the_truth_only_the_noise_is_left() -> None:
-    assert PooledMisfit(*unequal()).mean_square(known.PLAUSIBLE) == pytest.approx(
+    assert Misfit(SIGMOID, *unequal()).mean_square(known.PLAUSIBLE) == pytest.approx(
         1.0, abs=AT_THE_TRUTH
     )
 
 
 def test_the_cost_of_a_population_is_that_of_its_members() -> None:
-    pooled = PooledMisfit(*unequal())
+    pooled = Misfit(SIGMOID, *unequal())
     sets = np.stack((LITERATURE, known.PLAUSIBLE, THESIS_28_CELSIUS))
     expected = [pooled.mean_square(values) for values in sets]
     np.testing.assert_allclose(pooled.population_cost(sets), expected, rtol=ROUNDING)
 
 
 def test_the_derivatives_of_the_pooled_residual() -> None:
-    pooled = PooledMisfit(*unequal())
+    pooled = Misfit(SIGMOID, *unequal())
     jacobian = pooled.jacobian(known.PLAUSIBLE)
     for name in ("f0", "a0", "k4", "a2"):
         step = np.where(np.arange(16) == known.index(name), 1e-5 * known.PLAUSIBLE, 0.0)

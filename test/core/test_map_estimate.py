@@ -14,8 +14,8 @@ from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.window_fit import WANDER, WindowFit, WindowPrior, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES, SCALE_INDICES
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 from mr_damper_ros.signals.arrays import Array
 
 RUNNING = known.PLAUSIBLE
@@ -135,7 +135,8 @@ def test_a_slope_that_a_window_hardly_shows_stays(seed: int) -> None:
 def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
     window = random_window(0, 1000)
     weighed = weigh(window)
-    jacobian = ScaleMisfit(window, RUNNING).jacobian(ScaleMisfit(window, RUNNING).start)
+    problem = WindowProblem(SIGMOID, window, RUNNING)
+    jacobian = problem.jacobian(problem.start)
     force = known.rms(SIGMOID.window_force(window, RUNNING))
     effects = np.sqrt(np.mean(jacobian**2, axis=0) * np.diag(weighed.covariance)) / force
     assert np.all(effects <= WANDER * (1.0 + ROUNDING))

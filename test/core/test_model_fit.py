@@ -12,6 +12,7 @@ from random_motion import BandLimitedRandom
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.quantities import SearchEffort
 
 BINGHAM = MODELS["bingham"]
@@ -146,7 +147,7 @@ def test_a_part_of_a_window_remembers_the_whole(name: str, sine: bool) -> None:
 
 def test_samples_before_which_the_past_is_unknown_have_no_residual() -> None:
     here = window("bouc_wen", sine=False)
-    misfit = MODELS["bouc_wen"].window_problem(here, known.EXAMPLES["bouc_wen"])
+    misfit = WindowProblem(MODELS["bouc_wen"], here, known.EXAMPLES["bouc_wen"])
     residual = misfit.residual(misfit.start)
     unsettled = int(np.argmax(misfit.settled))
     assert 0 < unsettled < UNSETTLED
@@ -169,7 +170,7 @@ def test_the_beginning_of_a_window_has_samples_to_be_fitted(name: str) -> None:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_unknowns_stand_for_the_parameters_they_came_from(name: str) -> None:
-    misfit = MODELS[name].window_problem(window(name), known.EXAMPLES[name])
+    misfit = WindowProblem(MODELS[name], window(name), known.EXAMPLES[name])
     np.testing.assert_allclose(
         misfit.parameters(misfit.start), known.EXAMPLES[name], rtol=ROUNDING, atol=ROUNDING
     )
@@ -177,7 +178,7 @@ def test_unknowns_stand_for_the_parameters_they_came_from(name: str) -> None:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_the_jacobian_is_that_of_differences(name: str) -> None:
-    misfit = MODELS[name].window_problem(window(name), known.EXAMPLES[name])
+    misfit = WindowProblem(MODELS[name], window(name), known.EXAMPLES[name])
     start = misfit.start
     jacobian = misfit.jacobian(start)
     relative, least = BY_DIFFERENCES

@@ -15,12 +15,12 @@ from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.profile_likelihood import ProfileLikelihood
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
 from mr_damper_ros.signals.arrays import Array
 
 NORMAL_QUANTILE = 1.96
@@ -55,11 +55,11 @@ def windows(
     return made
 
 
-def pooled(chosen: list[Window]) -> PooledMisfit:
-    return PooledMisfit(chosen, [known.NOISE] * len(chosen))
+def pooled(chosen: list[Window]) -> Misfit:
+    return Misfit(SIGMOID, chosen, [known.NOISE] * len(chosen))
 
 
-def fitted(misfit: PooledMisfit) -> Array:
+def fitted(misfit: Misfit) -> Array:
     """Least squares over all sixteen, by Gauss and Newton from the truth."""
     values = known.PLAUSIBLE.copy()
     for _ in range(5):
@@ -71,14 +71,14 @@ def fitted(misfit: PooledMisfit) -> Array:
 
 
 @pytest.fixture(scope="module", params=[0.0, MEMORY], ids=["white", "correlated"])
-def fit(request: pytest.FixtureRequest) -> tuple[PooledMisfit, Array]:
+def fit(request: pytest.FixtureRequest) -> tuple[Misfit, Array]:
     misfit = pooled(windows(memory=request.param))
     return misfit, fitted(misfit)
 
 
 @pytest.mark.parametrize("name", ["f0", "k5", "k0", "a2"])
 def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
-    fit: tuple[PooledMisfit, Array], name: str
+    fit: tuple[Misfit, Array], name: str
 ) -> None:
     misfit, values = fit
     covariance = least_squares_covariance(misfit.jacobian(values), misfit.residual(values))
@@ -89,7 +89,7 @@ def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
     assert 0.5 * (low + high) == pytest.approx(values[place], abs=CENTRED * half)
 
 
-def test_the_others_give_way(fit: tuple[PooledMisfit, Array]) -> None:
+def test_the_others_give_way(fit: tuple[Misfit, Array]) -> None:
     """With the others held, the value would seem to be known so many times as well, or better."""
     misfit, values = fit
     profile = ProfileLikelihood(SIGMOID, misfit, values, ALL, RANGES).of("I0")

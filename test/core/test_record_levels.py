@@ -18,6 +18,7 @@ from mr_damper_ros.estimation.profile_likelihood import record_levels
 from mr_damper_ros.estimation.record_levels import LevelledProblem, LevelPrior, counted_samples
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
@@ -141,7 +142,7 @@ def windows() -> list[Window]:
 
 
 def problem(law: str, spread: float = 0.1) -> LevelledProblem:
-    pooled = MODELS[law].pooled_problem(windows(), [20.0, 30.0, 15.0, 25.0])
+    pooled = Misfit(MODELS[law], windows(), [20.0, 30.0, 15.0, 25.0])
     return LevelledProblem(pooled, LevelPrior((0, 0, 1, 2), spread))
 
 
@@ -161,7 +162,7 @@ def test_the_gradient_is_that_of_differences(law: str) -> None:
 
 def by_brute_force(misfit: LevelledProblem, values: Array, spread: float) -> float:
     """The least misfit over levels, by an augmented least-squares problem."""
-    pooled = MODELS["hyperbolic_tangent"].pooled_problem(windows(), [20.0, 30.0, 15.0, 25.0])
+    pooled = Misfit(MODELS["hyperbolic_tangent"], windows(), [20.0, 30.0, 15.0, 25.0])
     plain, weights = pooled.residual(values), pooled.sample_weights
     measured = np.concatenate([window.force for window in misfit.windows])
     total = 0.0
@@ -229,7 +230,7 @@ def test_levels_of_a_damper_of_another_law_are_within_their_errors(damper: str) 
 
 def test_every_sample_counts_where_the_law_holds_and_few_where_it_does_not() -> None:
     prior = LevelPrior((0, 1, 2, 3))
-    pooled = LAW.pooled_problem(windows(), [5.0] * 4)
+    pooled = Misfit(LAW, windows(), [5.0] * 4)
     holds, does_not = (
         counted_samples(pooled, prior, factor * TRUTH) / pooled.sample_count
         for factor in (1.0, 2.0)
@@ -247,7 +248,7 @@ def test_the_misfit_is_that_at_the_most_probable_levels() -> None:
 def test_a_set_far_from_any_damper_tells_nothing_of_levels(alpha: float) -> None:
     beyond = TRUTH.copy()
     beyond[LAW.parameter_names.index("alpha")] = alpha
-    pooled = LAW.pooled_problem(windows(), [5.0] * 4)
+    pooled = Misfit(LAW, windows(), [5.0] * 4)
     with np.errstate(over="ignore", invalid="ignore"):
         assert problem(LAW.name).mean_square(beyond) == np.inf
         assert 0.0 < counted_samples(pooled, LevelPrior((0, 0, 1, 2)), beyond) < 1e-3

@@ -13,9 +13,9 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 from mr_damper_ros.tracking.jobs import Outcome
 from mr_damper_ros.tracking.jobs import run as work
 from mr_damper_ros.tracking.recursive_tracker import (
@@ -84,7 +84,7 @@ def fitted(window: Window, stamp: int = 0) -> FilterState:
 def filtered(
     state: FilterState, window: Window, stamp: int = 1, rate: float = STILL, **changes: bool
 ) -> WindowFit:
-    problem = SIGMOID.window_problem(window, known.PLAUSIBLE)
+    problem = WindowProblem(SIGMOID, window, known.PLAUSIBLE)
     follower = RecursiveFilter(state, problem, second(stamp), drift_rate=rate, **changes)
     follower.take_in(np.ones(window.sample_count, dtype=bool))
     return follower.as_fit(problem)
@@ -175,7 +175,7 @@ def test_a_motion_that_is_no_sine_is_followed() -> None:
     mixed = Window.from_samples(slow.displacement + 0.5 * fast.displacement, fast.force, 1.0, 1e-3)
     m = mixed.motion
     silent = Window(m, np.zeros(3000), mixed.current)
-    misfit = ScaleMisfit(silent, known.PLAUSIBLE)
+    misfit = WindowProblem(SIGMOID, silent, known.PLAUSIBLE)
     truth = misfit.residual(misfit.start)
     noise = np.random.default_rng(5).normal(0.0, known.NOISE, 3000)
     window = Window(m, truth + noise, mixed.current)

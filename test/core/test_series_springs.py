@@ -15,6 +15,7 @@ from test_current_dependence import truth
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.misfit import Misfit, WindowProblem
 from mr_damper_ros.signals.arrays import Array
 
 LAW = MODELS["series_springs"]
@@ -148,9 +149,9 @@ def test_the_derivatives_are_those_of_differences(name: str, current: str, coil:
     window = Window.from_samples(displacement, np.ones(1500), amperes, 1e-3)
     values = truth(name)
     values[-1] = coil
-    pooled = law.pooled_problem([window], [1.0])
+    pooled = Misfit(law, [window], [1.0])
     every = pooled.jacobian(values)
-    problem = law.window_problem(window, values)
+    problem = WindowProblem(law, window, values)
     settled = problem.settled
     own = problem.jacobian(problem.start)[settled]
     np.testing.assert_allclose(own, every[settled][:, law.free_indices])

@@ -17,6 +17,7 @@ from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit, fit_o
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import published as thesis
+from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.published import (
     LITERATURE,
     THESIS_28_CELSIUS,
@@ -31,7 +32,6 @@ from mr_damper_ros.models.sigmoid.law import (
     force_from_coefficients,
     operating_point_coefficients,
 )
-from mr_damper_ros.models.sigmoid.scale_misfit import ScaleMisfit
 from mr_damper_ros.signals.arrays import Array
 from studies.thesis.published_runs import synthesise
 
@@ -306,7 +306,7 @@ def test_the_shape_parameters_keep_the_values_of_the_start() -> None:
 def test_the_parameters_have_the_coefficients_of_the_fit() -> None:
     run = known.run(current=1.0)
     fit = fit_window(SIGMOID, run.window, THESIS_28_CELSIUS)
-    again = ScaleMisfit(run.window, fit.parameters)
+    again = WindowProblem(SIGMOID, run.window, fit.parameters)
     assert known.sum_of_squares(again) == pytest.approx(
         fit.rmse**2 * fit.sample_count, rel=ROUNDING
     )
@@ -337,7 +337,7 @@ def test_nelder_mead_finds_the_minimum_without_a_polish(start: Array) -> None:
     near = fit_window(SIGMOID, run.window, start, method="least_squares")
     away = near.parameters.copy()
     away[SCALE_INDICES] *= np.array([1.1, 0.9, 1.2, 0.8, 1.1, 0.9, 1.2])
-    misfit = ScaleMisfit(run.window, away)
+    misfit = WindowProblem(SIGMOID, run.window, away)
     search = LocalSearch(misfit, misfit.start)
     search.nelder_mead()
     # The polish that follows in a fit takes the rest.
@@ -481,7 +481,7 @@ def test_no_variance_is_less_than_nothing() -> None:
     """Rounding leaves less where unknowns are known to very different parts of their sizes."""
     run = known.run(current=1.0, samples=1000, seed=0)
     window = Window.from_samples(run.displacement, run.force, 1.0, run.period)
-    problem = SIGMOID.window_problem(window, known.PLAUSIBLE)
+    problem = WindowProblem(SIGMOID, window, known.PLAUSIBLE)
     rounded = np.diag([1.0, -1e-25, *np.ones(5)])
     fit = fit_of(problem, problem.start, rounded, discrepancy=rounded, method="", evaluations=0)
     assert fit.coefficient_discrepancy is not None

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mr_damper_ros.models.formulas import gradient, staged
-from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
+from mr_damper_ros.models.quantities import CoefficientTable, LawSearch
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     COEFFICIENTS,

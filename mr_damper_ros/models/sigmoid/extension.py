@@ -18,14 +18,12 @@ last the time constant of the coil.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.kinematics.motion_history import MotionHistory
-from mr_damper_ros.models.first_order_lag import COIL, FirstOrderLag, next_lagged, one_sample_later
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, ForceAndDamping
+from mr_damper_ros.models.first_order_lag import COIL, next_lagged, one_sample_later
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.signals.arrays import Array
 
 EXTENDED_MODEL = "sigmoid_lag"
@@ -115,53 +113,3 @@ def alternatives_after(
         return force
     state = np.array(before.plain), np.array(before.force), np.array(before.constant)
     return next_lagged(force, extension.time_constant(damping), period, state)
-
-
-class LateForce:
-    """What the compliance makes of the sigmoid force along a history, for one set of parameters.
-
-    ``plain``, where it is an argument, gives what belongs to the sigmoid law at the samples of the
-    window; it is asked only where these lie between those of the history.
-    ``longest_time_constant`` [s]: that of the lag along the history.
-    """
-
-    def __init__(self, history: MotionHistory, past: ForceAndDamping, extension: Extension) -> None:
-        """``past``, each of shape (m,), belongs to the sigmoid law along the history."""
-        self._history, self._past, self._extension = history, past, extension
-        constant = extension.time_constant(past.damping)
-        self.longest_time_constant = float(np.max(constant))
-        self._lag = FirstOrderLag(constant, history.period, periodic=history.periodic)
-        self._late = self._lag(past.force)
-
-    def force(self, displacement: Array, plain: Callable[[], Array]) -> Array:
-        """Force [N] of the extended law at samples with this displacement (n,) [m]."""
-        late = self._at_samples(self._past.force, self._late, plain)
-        return np.asarray(late + self._extension.gas(displacement))
-
-    def jacobian(self, by_sigmoid: ForceAndDamping, plain: Callable[[], Array]) -> Array:
-        """Derivatives (n, p) of the force by p parameters of the sigmoid law.
-
-        ``by_sigmoid``, each of shape (m, p), are those along the history.
-        """
-        by_constant = by_sigmoid.damping * self._by_damping[:, np.newaxis]
-        late = self._lag.derivative(self._past.force, self._late, by_sigmoid.force, by_constant)
-        return self._at_samples(by_sigmoid.force, late, plain)
-
-    def by_compliance(self) -> Array:
-        """Derivative (n,) of the force."""
-        nothing = np.zeros((self._late.size, 1))
-        damping = np.maximum(self._past.damping, 0.0)[:, np.newaxis]
-        late = self._lag.derivative(self._past.force, self._late, nothing, damping)
-        return self._history.at_samples(late)[:, 0]
-
-    @property
-    def _by_damping(self) -> Array:
-        """Derivative (m,) of the time constant by the damping: one below zero makes no lag."""
-        return np.where(self._past.damping > 0.0, self._extension.compliance, 0.0)
-
-    def _at_samples(self, along: Array, late: Array, plain: Callable[[], Array]) -> Array:
-        """At the samples of the window what is late (m, ...) along the history."""
-        if self._history.holds_samples:
-            return self._history.at_samples(late)
-        # Only what the lag changes is interpolated: it is smoother than the force.
-        return np.asarray(plain() - self._history.at_samples(along - late))

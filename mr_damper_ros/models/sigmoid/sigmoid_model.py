@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cached_property
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -19,13 +20,19 @@ from mr_damper_ros.models.first_order_lag import (
     SETTLING,
     coil_parameter,
     coil_unsettled,
-    in_coil,
 )
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.formulas import WrittenLaw
-from mr_damper_ros.models.operating_points import CoefficientTable, LawSearch
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.quantities import LoopReading, Parameter, Quantity, State
+from mr_damper_ros.models.quantities import (
+    CoefficientTable,
+    LawSearch,
+    LoopReading,
+    Parameter,
+    Quantity,
+    SearchEffort,
+    State,
+)
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws, searched_laws, shape_bounds
 from mr_damper_ros.models.sigmoid.extension import (
     COMPLIANCE,
@@ -33,7 +40,6 @@ from mr_damper_ros.models.sigmoid.extension import (
     EXTENDED_NAMES,
     EXTENSION_NAMES,
     SIGMOID_COUNT,
-    LateForce,
     extension_of,
     without_extension,
 )
@@ -47,19 +53,12 @@ from mr_damper_ros.models.sigmoid.law import (
     SCALE_PARAMETER_NAMES,
     coefficient_parameter_jacobian,
     current_gains,
-    force_and_damping,
-    force_from_coefficients,
     operating_point_coefficients,
+    secant_damping,
     sign_of_pair,
 )
 from mr_damper_ros.models.sigmoid.over_current import SigmoidResponse, SigmoidSampleResponses
-from mr_damper_ros.models.sigmoid.pooled_misfit import PooledMisfit
-from mr_damper_ros.models.sigmoid.scale_misfit import (
-    ScaleMisfit,
-    coefficients_along,
-    longest_lag,
-    scale_parameter_errors,
-)
+from mr_damper_ros.models.sigmoid.window_forces import SigmoidForces
 from mr_damper_ros.signals.arrays import Array
 
 _UNITS = {
@@ -97,6 +96,13 @@ _GAIN_RANGE = 100.0
 _SOFT = 2.0
 """A step over current that is this part of the largest current wide, inverted."""
 
+_STEEPNESS = (2.0, 6.0, 20.0, 60.0)
+_HYSTERESIS = (0.0, -0.2, -0.4)
+"""Steepness and hysteresis velocity, times and over the largest velocity, to start a search."""
+
+_K5 = PARAMETER_NAMES.index("k5")
+_LAST = SCALE_PARAMETER_NAMES.index("k5")
+
 _USUAL_LAG = 0.02
 """Time constant [s] that a lag of coil and fluid hardly exceeds. Until it is known, what it may
 hide at the begin of a window is left out."""
@@ -132,6 +138,15 @@ class SigmoidModel(Model):
     )
     linear = (*SCALE_PARAMETER_NAMES, "k2", "k3")
     shape_groups = (("a1", "k2", "a2", "I0"), ("k0",), ("a4",), ("k3", "a3", "I1"))
+
+    effort = SearchEffort(
+        tolerance=1.5e-8,
+        most_steps=300,
+        polished_starts=1,
+        rough_tolerance=0.01,
+        rough_steps=20,
+    )
+    """Seven scales are well posed: the cheapest of the starts leads where the others do."""
 
     def __init__(self, *, jumps: bool = True) -> None:
         self._jumps = jumps
@@ -171,37 +186,85 @@ class SigmoidModel(Model):
     def starts(self, reading: LoopReading) -> Array:
         """Some steepness, some hysteresis, no dependence on velocity or current."""
         starts = []
-        for steepness in (3.0, 10.0, 30.0):
-            for hysteresis in (-0.3, -0.1):
-                # f0 counts twice where a1 is zero.
-                values = {
-                    "f0": 0.4 * reading.force,
-                    "a0": steepness / reading.speed,
-                    "k1c": 0.2 / reading.speed,
-                    "k1e": 0.2 / reading.speed,
-                    "k4": hysteresis,
-                    "k5": -reading.middle / reading.force,
-                }
-                starts.append([values.get(name, 0.0) for name in PARAMETER_NAMES])
+        for steepness, hysteresis in product(_STEEPNESS, _HYSTERESIS):
+            # f0 counts twice where a1 is zero.
+            values = {
+                "f0": 0.4 * reading.force,
+                "a0": steepness / reading.speed,
+                "k1c": 0.2 / reading.speed,
+                "k1e": 0.2 / reading.speed,
+                "k4": hysteresis,
+                "k5": -reading.middle / (0.8 * reading.force),
+            }
+            starts.append([values.get(name, 0.0) for name in self.parameter_names])
         return np.array(starts)
+
+    def cold_starts(self, window: Window, parameters: Array) -> list[Array]:
+        """Scales with the coefficients of :meth:`starts`, for the shape of these parameters."""
+        speed = float(np.max(np.abs(window.motion.velocity)))
+        reading = LoopReading.of(window)._replace(speed=speed)
+        unit = parameters[:SIGMOID_COUNT].copy()
+        unit[SCALE_INDICES] = 1.0
+        base = np.concatenate(operating_point_coefficients(unit, *window.operating_point))
+        base = np.where(base == 0.0, 1.0, base)
+        return [
+            self.with_unknowns(parameters, self.coefficients_at(read, speed, 0.0)[:, 0] / base)
+            for read in SigmoidModel.starts(self, reading)
+        ]
 
     def initial_values(self) -> tuple[Array, str, float]:
         """The set from the literature."""
         return LITERATURE.copy(), "literature", _LITERATURE_PEAK_VELOCITY
 
-    def window_force(self, window: Window, parameters: Array) -> Array:
-        """Force [N] at the samples of a window, shape (..., n), for parameters (..., 16)."""
-        return force_from_coefficients(
-            *coefficients_along(parameters, window.motion, window.current)
-        )
+    def window_forces(self, windows: Sequence[Window]) -> SigmoidForces:
+        """All windows by one evaluation of the laws."""
+        return SigmoidForces(self, windows)
 
-    def window_problem(self, window: Window, parameters: Array) -> ScaleMisfit:
-        """The seven scales of a window."""
-        return ScaleMisfit(window, parameters)
+    def window_force(self, window: Window, parameters: Array) -> Array:
+        """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
+        (force,) = self.window_forces([window]).forces(parameters)
+        return force
+
+    # Unknowns of a window are the scales, but f0 k5 for k5: the force offset stays linear, and may
+    # be zero.
+
+    @property
+    def strong_unknowns(self) -> np.ndarray:
+        """Mask (7,)."""
+        return np.isin(SCALE_PARAMETER_NAMES, ("f0", "k5"))
+
+    def unknowns(self, parameters: Array) -> Array:
+        """Those (7,) of parameters (p,)."""
+        scales = parameters[SCALE_INDICES]
+        scales[_LAST] *= scales[0]
+        return scales
+
+    def with_unknowns(self, parameters: Array, unknowns: Array) -> Array:
+        """Parameters (..., p) with these unknowns (..., 7), all else as in ``parameters`` (p,)."""
+        values = np.empty((*unknowns.shape[:-1], parameters.size))
+        values[...] = parameters
+        values[..., SCALE_INDICES] = unknowns
+        values[..., _K5] = _over(unknowns[..., _LAST], unknowns[..., 0])
+        return values
+
+    def by_unknowns(self, unknowns: Array, derivatives: Array) -> Array:
+        """Derivatives (n, 7) by the unknowns (7,), from those (n, 7) by the scales."""
+        found = derivatives.copy(order="K")
+        found[:, _LAST] *= _over(np.ones(()), unknowns[0])
+        found[:, 0] -= found[:, _LAST] * _over(unknowns[_LAST], unknowns[0])
+        return found
 
     def fitted_errors(self, unknowns: Array, covariance: Array) -> tuple[np.ndarray, Array]:
-        """Places and standard errors (7,) of the scale parameters."""
-        return SCALE_INDICES, scale_parameter_errors(unknowns, covariance)
+        """Places and standard errors (7,) of the scale parameters; of k5 to first order."""
+        errors = np.sqrt(np.diag(covariance))
+        f0, offset = unknowns[0], unknowns[_LAST]
+        if f0 == 0.0:
+            errors[_LAST] = np.nan
+        else:
+            gradient = np.array([-offset / f0**2, 1.0 / f0])
+            variance = gradient @ covariance[np.ix_([0, _LAST], [0, _LAST])] @ gradient
+            errors[_LAST] = np.sqrt(np.maximum(variance, 0.0))  # rounding may leave less
+        return SCALE_INDICES, errors
 
     def coefficients_at(
         self, parameters: Array, peak_velocity: ArrayLike, current: ArrayLike
@@ -215,9 +278,11 @@ class SigmoidModel(Model):
     def coefficient_gradient(
         self, parameters: Array, peak_velocity: float, current: float
     ) -> Array:
-        """Derivatives (7, p), but for the sign of the first two."""
+        """Derivatives (7, p), with positive f_t."""
         sixteen = parameters[:SIGMOID_COUNT]
         gradient = coefficient_parameter_jacobian(sixteen, peak_velocity, current)[0]
+        f_t = operating_point_coefficients(sixteen, peak_velocity, current).f_t
+        gradient[:2] *= sign_of_pair(f_t)
         return np.pad(gradient, ((0, 0), (0, parameters.size - SIGMOID_COUNT)))
 
     def without_dependence(self, parameters: Array, top_current: float) -> Array:
@@ -280,15 +345,6 @@ class SigmoidModel(Model):
             drawn[shift] = rng.uniform(-0.5, 0.5) * top_current
         return drawn
 
-    def pooled_problem(
-        self, windows: Sequence[Window], noise: Sequence[float], known: Array | None = None
-    ) -> PooledMisfit:
-        """All windows by one evaluation of the laws."""
-        return PooledMisfit(windows, noise, self._slowest_lag(windows, known))
-
-    def _slowest_lag(self, windows: Sequence[Window], known: Array | None) -> float:
-        return 0.0
-
 
 class ExtendedSigmoidModel(SigmoidModel):
     """The sixteen parameters with a compliance in series, stiffness, offset and a lagging coil."""
@@ -332,33 +388,26 @@ class ExtendedSigmoidModel(SigmoidModel):
 
     def starts(self, reading: LoopReading) -> Array:
         """Those of the sigmoid law with a small compliance."""
-        plain = super().starts(reading)
-        compliance = 0.02 * reading.amplitude / reading.force
-        return np.hstack([plain, np.tile([compliance, 0.0, 0.0, 0.0], (len(plain), 1))])
+        starts = super().starts(reading)
+        starts[:, self.places([COMPLIANCE])] = 0.02 * reading.amplitude / reading.force
+        return starts
 
     def initial_values(self) -> tuple[Array, str, float]:
         """The set from the literature, without lag, stiffness and offset."""
         values, name, speed = super().initial_values()
         return without_extension(values), name, speed
 
-    def window_force(self, window: Window, parameters: Array) -> Array:
-        """Force [N] at the samples of a window, shape (..., n), for parameters (..., 20)."""
-        if parameters.ndim > 1:
-            sets = parameters.reshape(-1, parameters.shape[-1])
-            forces = np.array([self.window_force(window, one) for one in sets])
-            return forces.reshape(*parameters.shape[:-1], window.sample_count)
-        window = in_coil(window, float(parameters[-1]))
-        sixteen = parameters[:SIGMOID_COUNT]
-        history = window.history
-        past = force_and_damping(*coefficients_along(sixteen, history.motion, history.current))
-        late = LateForce(history, past, extension_of(parameters))
-        plain = partial(super().window_force, window, sixteen)
-        return late.force(window.motion.displacement, plain)
-
-    def settled(self, window: Window, parameters: Array) -> np.ndarray:
+    def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
         """Mask (n,) of samples at which lag and coil have forgotten the past before the window."""
-        unsettled = window.history.unsettled(SETTLING * longest_lag([window], parameters))
-        return ~(unsettled | coil_unsettled(window, float(parameters[-1])))
+        lag = coil = _USUAL_LAG
+        history = window.history
+        if parameters is not None:
+            sixteen, motion = parameters[:SIGMOID_COUNT], history.motion
+            along = operating_point_coefficients(sixteen, motion.peak_velocity, history.current)
+            damping = secant_damping(along, motion.velocity, motion.acceleration)
+            lag = float(np.max(extension_of(parameters).time_constant(damping)))
+            coil = float(parameters[-1])
+        return ~(history.unsettled(SETTLING * lag) | coil_unsettled(window, coil))
 
     def plausible_ranges(
         self, windows: Sequence[Window], top_velocity: float, top_current: float
@@ -380,5 +429,7 @@ class ExtendedSigmoidModel(SigmoidModel):
             COIL: (0.0, PLAUSIBLE_COIL),
         }
 
-    def _slowest_lag(self, windows: Sequence[Window], known: Array | None) -> float:
-        return _USUAL_LAG if known is None else max(longest_lag(windows, known), known[-1])
+
+def _over(part: Array, whole: Array) -> Array:
+    """The quotient, 0 where the divisor is."""
+    return np.asarray(part / np.where(whole != 0.0, whole, np.inf))

@@ -1,0 +1,217 @@
+"""The misfit of a law to windows, for its parameters or for the unknowns of one window."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.models.force_model import Model, WindowForces
+from mr_damper_ros.models.quantities import LoopReading
+from mr_damper_ros.signals.arrays import Array
+
+
+class PriorRows(NamedTuple):
+    """Rows of a residual that are no samples: the mask (n,) of them, and the variance of each [1].
+
+    What they scatter by is known, and not told by those few that there are.
+    """
+
+    rows: np.ndarray
+    variance: float
+
+
+class Misfit:
+    """Weighted residual (n,) of windows, and its Jacobian (n, p), for parameters (p,).
+
+    Every window counts the same, whatever its length: its samples are weighted by what the
+    window's own best fit leaves of the force. Where only sensor noise is left this is the
+    maximum-likelihood weight; where the law itself is not exact it keeps one strong run from
+    drowning all others. Samples whose force still depends on the unknown past count for nothing.
+
+    ``given``: what it was made of; ``settled`` (n,): samples that count, ``sample_weights`` (n,)
+    [1/N]: their weights, else 0; ``sample_windows`` (n,): the places of their windows.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        windows: Sequence[Window],
+        noise: Sequence[float],
+        known: Array | None = None,
+        *,
+        forces: WindowForces | None = None,
+    ) -> None:
+        """``noise`` [N]: what each window's own best fit leaves (RMSE). ``known`` (p,), where there
+        is a set already, tells which samples do not yet depend on the motion alone. ``forces``:
+        those of the windows, where they exist.
+
+        Raises ValueError where there are no windows.
+        """  # noqa: D205
+        if not windows:
+            raise ValueError("there are no windows to identify from")
+        self.windows = tuple(windows)
+        self.given = model, self.windows, noise, known
+        self.forces = model.window_forces(windows) if forces is None else forces
+        self.settled = np.concatenate([model.settled(window, known) for window in windows])
+        sizes = np.array([window.sample_count for window in windows])
+        self.sample_count = int(np.sum(sizes))
+        weights = np.sqrt(self.sample_count / len(windows) / sizes) / np.maximum(noise, 1e-12)
+        self.sample_windows = np.repeat(np.arange(len(windows)), sizes)
+        self.sample_weights = np.where(self.settled, weights[self.sample_windows], 0.0)
+        self._unsettled = np.flatnonzero(~self.settled)
+        self._measured = np.concatenate([window.force for window in windows])
+        self._latest: tuple[Array, Array] | None = None
+
+    @property
+    def row_windows(self) -> np.ndarray:
+        """The place of the window that each row (n,) of the residual belongs to."""
+        return self.sample_windows
+
+    @property
+    def prior(self) -> PriorRows | None:
+        """Rows that are no samples; None where there are none."""
+        return None
+
+    def residual(self, parameters: Array) -> Array:
+        """Weighted model minus measurement [1], shape (..., n), for parameters (..., p)."""
+        # A search asks for its start and its end more than once.
+        if self._latest is None or not np.array_equal(self._latest[0], parameters):
+            forces = self.forces.forces(parameters)
+            left = forces[0].copy() if len(forces) == 1 else np.concatenate(forces, axis=-1)
+            left -= self._measured
+            left *= self.sample_weights
+            if self._unsettled.size:
+                left[..., self._unsettled] = 0.0
+            self._latest = np.array(parameters), left
+        return self._latest[1]
+
+    def jacobian(self, parameters: Array, columns: Sequence[int] | None = None) -> Array:
+        """Derivatives of the residual, shape (n, p), or only the given columns of it."""
+        places = range(parameters.size) if columns is None else columns
+        # By columns, which lie together in memory.
+        result = np.empty((len(places), self.sample_count))
+        first = 0
+        for derivatives in self.forces.derivatives(parameters, list(places)):
+            last = first + len(derivatives)
+            weights = self.sample_weights[first:last]
+            np.multiply(weights, derivatives.T, out=result[:, first:last])
+            first = last
+        if self._unsettled.size:
+            result[:, self._unsettled] = 0.0
+        return result.T
+
+    def mean_square(self, parameters: Array) -> float:
+        """Mean of the squared weighted residual: 1 where nothing but the noise is left."""
+        return float(np.mean(np.square(self.residual(parameters))))
+
+    def population_cost(self, parameters: Array) -> Array:
+        """:meth:`mean_square` of many sets, shape (s, p) to (s,)."""
+        return np.asarray(np.mean(np.square(self.residual(parameters)), axis=-1))
+
+
+class WindowProblem:
+    """Residual (n,) [N] of a window and its Jacobian (n, f), for the unknowns (f,) of its law.
+
+    ``settled`` (n,): samples that have a residual; ``differences``: evaluations of the force that
+    went into derivatives.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        window: Window,
+        parameters: Array,
+        *,
+        forces: WindowForces | None = None,
+    ) -> None:
+        """The unknowns are those of ``parameters`` (p,) that a window determines; all else stays.
+
+        ``forces``: those of the window, where they exist.
+        """
+        self.model = model
+        self.window = window
+        self.differences = 0
+        self._given = np.array(parameters, dtype=float)
+        self._misfit = Misfit(model, [window], [1.0], self._given, forces=forces)
+        self._columns = model.unknown_indices.tolist()
+
+    @property
+    def settled(self) -> np.ndarray:
+        """Mask (n,)."""
+        return self._misfit.settled
+
+    @property
+    def start(self) -> Array:
+        """Unknowns (f,) of the parameters given."""
+        return self.model.unknowns(self._given)
+
+    @property
+    def strength(self) -> np.ndarray:
+        """Mask (f,) of the unknowns that rise and fall with the strength of the damper."""
+        return self.model.strong_unknowns
+
+    @property
+    def bounds(self) -> tuple[Array, Array] | None:
+        """Lower and upper bounds (f,) of the unknowns, None where all are infinite."""
+        low, high = (bound[self._columns] for bound in self.model.bounds)
+        return None if np.all(np.isinf(low)) and np.all(np.isinf(high)) else (low, high)
+
+    def parameters(self, unknowns: Array) -> Array:
+        """All parameters (..., p)."""
+        return self.model.with_unknowns(self._given, unknowns)
+
+    def residual(self, unknowns: Array) -> Array:
+        """Model minus measurement [N], (..., n) for unknowns (..., f); 0 where not settled."""
+        return self._misfit.residual(self.parameters(unknowns))
+
+    def jacobian(self, unknowns: Array) -> Array:
+        """Derivatives of the residual by the unknowns, shape (n, f)."""
+        before = self._misfit.forces.differences
+        derivatives = self._misfit.jacobian(self.parameters(unknowns), self._columns)
+        self.differences += self._misfit.forces.differences - before
+        return self.model.by_unknowns(unknowns, derivatives)
+
+    def restarted(self, parameters: Array) -> WindowProblem:
+        """The problem for parameters (p,) of which only the unknowns are others."""
+        return WindowProblem(self.model, self.window, parameters, forces=self._misfit.forces)
+
+    def cold_starts(self) -> list[Array]:
+        """Parameters (p,) to start from, read off the window; the rest stays as it is given."""
+        return self.model.cold_starts(self.window, self._given)
+
+    def coefficients(self, unknowns: Array, covariance: Array) -> tuple[Array, Array]:
+        """Operating-point coefficients (c,) and their covariance (c, c); empty where none are."""
+        model, parameters = self.model, self.parameters(unknowns)
+        values = model.coefficients_at(parameters, *self.window.operating_point)[:, 0]
+        gradient = model.coefficient_gradient(parameters, *self.window.operating_point)
+        gradient = model.by_unknowns(unknowns, gradient[:, self._columns])
+        return values, gradient @ covariance @ gradient.T
+
+    def usual_change(self, part: float, fastest: float) -> Array:
+        """Change (f,) of each unknown that changes the force by this part of it.
+
+        Seen in the window, and in a sine of peak velocity ``fastest`` [m/s] where that is finite;
+        infinite where there is no force to compare with.
+        """
+        change = self._relative_change(part)
+        if not math.isfinite(fastest):
+            return change
+        frequency = LoopReading.of(self.window).frequency
+        sine = Window.of_sine(fastest, frequency, self.window.operating_point[1])
+        sine = replace(sine, force=self.model.window_force(sine, self._given))
+        seen = WindowProblem(self.model, sine, self._given)
+        return np.minimum(change, seen._relative_change(part))
+
+    def _relative_change(self, part: float) -> Array:
+        jacobian = self.jacobian(self.start)
+        effect = np.sqrt(np.mean(jacobian**2, axis=0))
+        force = self.residual(self.start) + self.window.force
+        strength = float(np.sqrt(np.mean(force**2)))
+        if strength == 0.0:
+            return np.full(effect.size, np.inf)
+        return np.asarray(part * strength / np.maximum(effect, 1e-12 * strength))
