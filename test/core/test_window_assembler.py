@@ -352,7 +352,7 @@ def test_two_values_with_one_stamp_count_as_the_later() -> None:
 
 
 def test_a_value_that_jumps_back_replaces_what_came_after() -> None:
-    made = held((0.0, 0.5), (1.0, 1.0), (2.0, 1.5), (1.4, 0.7))
+    made = held((0.0, 0.5), (1.0, 1.0), (3.0, 1.5), (1.4, 0.7))
     assert made.at(at(0.0), 0.5, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 0.7, 0.7]
     assert made.last_stamp_ns == at(1.4)
 
