@@ -102,6 +102,8 @@ class Engine:
         return self.identifier.tracker
 
     def _seconds_until_outcome(self, job: Job) -> float:
+        if job.kind is Kind.LOOK:
+            return 0.0  # milliseconds in the node: it is done before the next block
         settings = self.settings
         return settings.search_delay if job.kind is Kind.SEARCH else settings.fit_delay
 
