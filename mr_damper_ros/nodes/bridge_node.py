@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
 
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 
 from mr_damper_ros.nodes.bridge_stream import BridgeStream, SubscriberWait
 from mr_damper_ros.nodes.command_topic import CurrentCommands, MotionCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
+from mr_damper_ros.nodes.managed_node import ManagedNode
+from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.pacing import Pacer, SendingThread
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.nodes.topic_source import TopicOptions, TopicSource
@@ -167,7 +168,7 @@ class BridgeParameters(ParameterTable):
         return self.sources[self.source].objection()
 
 
-class BridgeNode(LifecycleNode):
+class BridgeNode(ManagedNode):
     """Publishes the samples of a source, stamped on their own clock, at their time.
 
     The first sample is stamped with the node's time when it is ready to be sent, whatever stamps a
@@ -188,8 +189,6 @@ class BridgeNode(LifecycleNode):
         self._motion_commands: MotionCommands | None = None
         self._pacer = Pacer(self.parameters.values.rate)
         self._sending: SendingThread | None = None
-        self._problem = ""
-        self._starting = self.parameters.values.autostart
         self._diagnostics = Diagnostics(
             self,
             {
@@ -198,11 +197,8 @@ class BridgeNode(LifecycleNode):
                 "motion": self._find_motion,
             },
         )
-        if self._starting:
-            for transition in (self.trigger_configure, self.trigger_activate):
-                if transition() != TransitionCallbackReturn.SUCCESS:
-                    raise ConfigurationError(self._problem)
-            self._starting = False
+        if self.parameters.values.autostart:
+            self._start_by_itself()
 
     def destroy_node(self) -> None:
         """End the sending before its publishers go."""
@@ -245,11 +241,8 @@ class BridgeNode(LifecycleNode):
                 suspended=self._source.suspended,
             )
         except (ValueError, OSError) as error:
-            self._problem = _in_words(error)
-            if not self._starting:
-                self.get_logger().error(f"the source cannot be opened: {self._problem}")
             self._close()
-            return TransitionCallbackReturn.FAILURE
+            return self._fail("the source cannot be opened", _in_words(error))
         self._problem = ""
         for sentence in (*found, f"the source is open: {values.source}"):
             self.get_logger().info(sentence)
@@ -313,7 +306,7 @@ class BridgeNode(LifecycleNode):
             "samples sent": self._stream.sent if self._stream else 0,
         }
         if self._problem:
-            return Finding(ERROR, f"the source cannot be opened: {self._problem}", figures)
+            return Finding(ERROR, self._problem, figures)
         if self._source is None or self._stream is None:
             return Finding(WARN, "not configured: no source is open", figures)
         if self._sending is None:

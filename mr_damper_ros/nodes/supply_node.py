@@ -12,11 +12,12 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from mr_damper_msgs.msg import SupplyCurrent
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import CurrentCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.managed_node import ManagedNode
 from mr_damper_ros.nodes.messages import current_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
@@ -129,7 +130,7 @@ class SupplyParameters(ParameterTable):
         return ""
 
 
-class SupplyNode(LifecycleNode):
+class SupplyNode(ManagedNode):
     """Commands and readings run in a thread of their own: an instrument may take its time.
 
     A supply that is lost makes the node inactive at once, as a lifecycle manager must know that
@@ -150,17 +151,15 @@ class SupplyNode(LifecycleNode):
         self._by_hand = self.parameters.values.current
         self._commands: CurrentCommands | None = None
         self._identity = ""
-        self._problem = ""
-        self._starting = self.parameters.values.autostart
         self._diagnostics = Diagnostics(
             self, {"supply": self._find_supply, "current": self._find_current}
         )
-        if self._starting:
-            for transition in (self.trigger_configure, self.trigger_activate):
-                if transition() != TransitionCallbackReturn.SUCCESS:
-                    self._let_go()
-                    raise ConfigurationError(self._problem)
-            self._starting = False
+        if self.parameters.values.autostart:
+            try:
+                self._start_by_itself()
+            except ConfigurationError:
+                self._let_go()
+                raise
 
     def destroy_node(self) -> None:
         """See that the supply is off before its node goes."""
@@ -255,12 +254,6 @@ class SupplyNode(LifecycleNode):
         self._stop()
         self._let_go()
         return TransitionCallbackReturn.SUCCESS
-
-    def _fail(self, what: str, error: Exception) -> TransitionCallbackReturn:
-        self._problem = f"{what}: {error}"
-        if not self._starting:
-            self.get_logger().error(self._problem)
-        return TransitionCallbackReturn.FAILURE
 
     def _stop(self) -> None:
         if self._commands is not None:

@@ -279,10 +279,23 @@ def test_an_output_that_cannot_be_reached_is_not_said_to_be_off(
     start_supply(start, server, profile="scpi", current=0.7, link_timeout=0.2)
     listener.until(gives(server, 0.7), "the current")
     server.deaf = True
-    assert change(listener, Transition.TRANSITION_DEACTIVATE)
+    # Refused where the node has found the loss first, and is inactive.
+    change(listener, Transition.TRANSITION_DEACTIVATE)
     found = listener.wait_for_finding("supply: supply", "the output may still be on")
     assert found.level == DiagnosticStatus.ERROR
     assert not server.instrument.is_off
+
+
+def test_a_transition_that_its_state_does_not_allow_is_refused(
+    start: Any, server: InstrumentServer, listener: Listener
+) -> None:
+    node = start_supply(start, server, current=0.7)
+    listener.until(gives(server, 0.7), "the current")
+    assert not change(listener, Transition.TRANSITION_CONFIGURE)
+    assert not change(listener, 77)
+    assert state_of(listener) == State.PRIMARY_STATE_ACTIVE
+    assert gives(server, 0.7)()
+    assert "no transition number 77 from the state active" in node.log
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
