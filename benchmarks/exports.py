@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figure import Figure
-from mr_damper_ros.control.export.c_header import header
-from mr_damper_ros.control.export.compiler import compile_library, compiler
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSettings, Vectors
-from mr_damper_ros.control.export.fmu import write_fmu
+from mr_damper_ros.control.export.fmu import compile_library, compiler, write_fmu
+from mr_damper_ros.control.export.source_code import header
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, PUBLISHED_METHODS, parameters
 from mr_damper_ros.signals.arrays import Array

@@ -32,7 +32,7 @@ from benchmarks.foreign_laws import LAWS, ForeignDamper
 from benchmarks.healthy import at_rest
 from benchmarks.other_dampers import chirp, random_motion, stairs
 from benchmarks.stream_trial import WRONG, StreamTrial, TrialResult, TrialSettings
-from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
+from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.emulation.emulator import CurrentSchedule, ThermalModel
 from mr_damper_ros.emulation.faults import faults_of
 from mr_damper_ros.emulation.motions import Excitation, SampledMotion, SineMotion

@@ -6,7 +6,7 @@ import socketserver
 import threading
 import time
 
-from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument
+from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
 
 class InstrumentServer:

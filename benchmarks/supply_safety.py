@@ -24,7 +24,7 @@ from ament_index_python.packages import get_package_prefix
 from benchmarks.figure import Figure
 from benchmarks.instrument_server import InstrumentServer
 from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain, node_arguments
-from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument
+from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
 _CURRENT, _NONE = 1.0, 0.02
 _WATCHDOG, _TIMEOUT, _LINK = 0.5, 0.3, 0.3

@@ -27,8 +27,8 @@ from benchmarks.foreign_laws import LAWS, ForeignDamper
 from benchmarks.other_dampers import DAMPERS as OTHER_DAMPERS
 from benchmarks.other_dampers import random_motion
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
-from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
-from mr_damper_ros.control.suspension_control import SuspensionSettings, controller_of
+from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
+from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, turned
 from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,

@@ -34,7 +34,7 @@ for current, force, attainable in zip(found.current, found.force, found.attainab
 
 # %%
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
-from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
+from mr_damper_ros.control.linear_plant import IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import skyhook
 from mr_damper_ros.emulation.commanded_rig import ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob

@@ -11,20 +11,164 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
+import numpy as np
+
 from mr_damper_ros.control.fallback import Fallback, FallbackSettings
-from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
 from mr_damper_ros.control.inverse_model import InverseModel, coil_time_constant
-from mr_damper_ros.control.probe import Probe
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
-from mr_damper_ros.settings.option_table import group, option
+from mr_damper_ros.settings.option_table import CheckedSettings, group, option
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
+
+
+@dataclass(frozen=True)
+class SupplyLimits(CheckedSettings):
+    """What may be asked of the supply."""
+
+    lowest_current: float = option(
+        0.0,
+        "The lowest current that is commanded [A], within those that the parameters were "
+        "identified at.",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    highest_current: float = option(
+        2.0,
+        "Highest current [A] that is commanded; the damper's data sheet says what it bears.",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    slew_rate: float = option(
+        0.0,
+        "Fastest change of the command [A/s]; 0 for no limit.",
+        minimum=0.0,
+        maximum=1e6,
+    )
+
+    def limited(self, command: float, before: float, duration: float) -> float:
+        """The command [A] within the limits; it may move from ``before`` for ``duration`` [s]."""
+        command = min(max(command, self.lowest_current), self.highest_current)
+        if self.slew_rate > 0.0:
+            reach = self.slew_rate * duration
+            command = min(max(command, before - reach), before + reach)
+        return command
+
+
+class CoilDrive:
+    """Commands for a supply within limits, to a coil of this time constant [s], 0 for no lag.
+
+    Raises ValueError where the highest current is not above the lowest.
+    """
+
+    def __init__(self, limits: SupplyLimits, time_constant: float) -> None:
+        if not limits.lowest_current < limits.highest_current:
+            raise ValueError(
+                f"highest_current is {limits.highest_current:g} A: it must be above the lowest, "
+                f"{limits.lowest_current:g} A"
+            )
+        self._limits = limits
+        self._time_constant = time_constant
+
+    def towards(self, wanted: float, coil: float, horizon: float) -> float:
+        """Current [A] that brings the coil from ``coil`` to ``wanted`` [A] in a horizon [s]."""
+        if self._time_constant == 0.0:
+            return wanted
+        return coil + (wanted - coil) / -math.expm1(-horizon / self._time_constant)
+
+
+_LEAST = 0.05
+"""Of the largest force wanted so far: what is smaller tells nothing of the factor."""
+
+
+@dataclass(frozen=True)
+class FeedbackSettings(CheckedSettings):
+    """How much the measured force counts."""
+
+    feedback_gain: float = option(
+        0.0,
+        "Gain [1/s] of the feedback of the measured force: 1 takes about a second to make good a "
+        "damper that has got weaker. 0: feedforward alone, for a rig without a load cell.",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    feedback_limit: float = option(
+        0.2,
+        "The feedback changes the wanted force by no more than this part.",
+        minimum=0.0,
+        maximum=0.9,
+    )
+
+
+class ForceFeedback:
+    """Follows wanted and measured forces; ``factor`` is by what the wanted force is multiplied."""
+
+    def __init__(self, settings: FeedbackSettings) -> None:
+        self._settings = settings
+        self._expected = math.nan
+        self._largest = 0.0
+        self.factor = 1.0
+
+    def expect(self, wanted: float) -> None:
+        """The force [N] that the next block should have; NaN where it cannot be had."""
+        self._expected = wanted
+        if not math.isnan(wanted):
+            self._largest = max(self._largest, abs(wanted))
+
+    def pause(self) -> None:
+        """The next block is not controlled."""
+        self._expected = math.nan
+
+    def follow(self, measured: Array, duration: float) -> None:
+        """Correct the factor by the force (n,) [N] of a block of this duration [s]."""
+        wanted, gain = self._expected, self._settings.feedback_gain
+        if gain == 0.0 or not abs(wanted) > _LEAST * self._largest:
+            return
+        step = min(gain * duration, 1.0) * (wanted - float(np.mean(measured))) / wanted
+        limit = self._settings.feedback_limit
+        self.factor = min(max(self.factor + step, 1.0 - limit), 1.0 + limit)
+
+
+_CONFIRMED = 1.0
+"""Seconds in which the highest current was needed and the force was valid, until the next step."""
+
+_REFUTED = 30.0
+"""Seconds until it is tried again after the force was wrong."""
+
+_REFUTES = (DoubtKind.WRONG, DoubtKind.DRIVING, DoubtKind.TOO_LARGE, DoubtKind.SENSOR)
+
+
+class Probe:
+    """Follows whether currents ``beyond`` [A] the identified ones are right, in steps of ``step``.
+
+    A step of 0 [A] never goes beyond.
+    """
+
+    def __init__(self, step: float) -> None:
+        self._step = step
+        self._needed = self._refuted = 0.0
+        self.beyond = 0.0
+
+    def follow(self, duration: float, doubt: Doubt, needed: bool) -> None:
+        """Follow so many seconds in which more current was ``needed``, or not."""
+        if self._step == 0.0:
+            return
+        self._refuted = max(self._refuted - duration, 0.0)
+        if doubt.kind in _REFUTES and self.beyond > 0.0:
+            self.beyond, self._refuted = 0.0, _REFUTED
+        if doubt or self._refuted > 0.0:
+            self._needed = 0.0
+        elif needed:
+            self._needed += duration
+        if self._needed >= _CONFIRMED:
+            self._needed = 0.0
+            self.beyond += self._step
+
 
 _MOMENTS = (0.5, 1.0, 1.5)
 """Parts of the time ahead at which the force of a current is looked at ..."""

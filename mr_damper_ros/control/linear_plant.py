@@ -1,7 +1,18 @@
-"""What a damper is built into: a linear plant, moved by the damper's force and from outside."""
+"""Linear plants that a damper is built into: a quarter of a car on a road, and a shear building.
+
+The quarter car has the parameters of a usual car in Savaresi, Poussot-Vassal, Spelta, Sename and
+Dugard, Semi-Active Suspension Control Design for Vehicles, 2010.
+
+The buildings are those of the hybrid simulations of the Universidad Técnica Federico Santa María:
+masses, stiffness, damping, controller and criteria are those that D. Maurel published with his
+scripts (github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, folders Cap8_DisenoControlMR and
+Cap10_vRTHS); the stiffness is that of the benchmark of Silva, Gomez, Maghareh, Dyke and Spencer,
+Mechanical Systems and Signal Processing 135, 2020.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -74,3 +85,159 @@ class MovingPlant:
             float(plant.velocity @ state),
             float(plant.velocity @ self.rates),
         )
+
+
+ROUGHNESS = {"A": 16e-6, "B": 64e-6, "C": 256e-6, "D": 1024e-6, "E": 4096e-6}
+"""Density [m³] of the road's height at 0.1 cycles/m, by the class of ISO 8608: geometric means."""
+
+_REFERENCE = 0.1
+_LONGEST, _SHORTEST = 0.01, 4.0
+"""Waves [cycles/m] that a road has here."""
+
+
+@dataclass(frozen=True)
+class QuarterCar:
+    """Masses of ``body`` and ``wheel`` [kg], stiffnesses of ``spring`` and ``tyre`` [N/m]."""
+
+    body: float = 400.0
+    wheel: float = 50.0
+    spring: float = 20e3
+    tyre: float = 250e3
+
+    @property
+    def dynamics(self) -> Array:
+        """Matrix (4, 4) of the states' derivatives."""
+        return np.array(
+            [
+                [0.0, 1.0, 0.0, -1.0],
+                [-self.spring / self.body, 0.0, 0.0, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+                [self.spring / self.wheel, 0.0, -self.tyre / self.wheel, 0.0],
+            ]
+        )
+
+    @property
+    def by_force(self) -> Array:
+        """What the damper's force, tension positive, adds to them (4,)."""
+        return np.array([0.0, -1.0 / self.body, 0.0, 1.0 / self.wheel])
+
+    @property
+    def plant(self) -> LinearPlant:
+        """The car, moved by the velocity of the road [m/s]."""
+        return LinearPlant(
+            self.dynamics,
+            self.by_force,
+            by_input=np.array([0.0, 0.0, -1.0, 0.0]),
+            displacement=np.array([1.0, 0.0, 0.0, 0.0]),
+            velocity=np.array([0.0, 1.0, 0.0, -1.0]),
+        )
+
+
+@dataclass(frozen=True)
+class IsoRoad:
+    """A road of an ISO 8608 class under a wheel at a ``speed`` [m/s], for ever.
+
+    A sum of sines of random phases, whose height has the density G(n) = G(n0) (n / n0)^-2; no wave
+    is faster than ``highest`` [Hz]. Raises ValueError for a class that there is not.
+    """
+
+    roughness: str
+    speed: float
+    seed: int = 0
+    highest: float = 100.0
+
+    def __post_init__(self) -> None:
+        if self.roughness not in ROUGHNESS:
+            raise ValueError(
+                f"there is no road {self.roughness}: the classes are {', '.join(ROUGHNESS)}"
+            )
+
+    def at(self, time: Array) -> Array:
+        """Velocity (n,) [m/s] with which it lifts the wheel at these times (n,) [s]."""
+        rng = np.random.default_rng(self.seed)
+        edges = np.geomspace(_LONGEST, min(_SHORTEST, self.highest / self.speed), 401)
+        waves, widths = np.sqrt(edges[1:] * edges[:-1]), np.diff(edges)
+        density = ROUGHNESS[self.roughness] * (waves / _REFERENCE) ** -2
+        amplitudes = np.sqrt(2.0 * density * widths)
+        rates = 2.0 * math.pi * waves * self.speed
+        phases = rng.uniform(0.0, 2.0 * math.pi, waves.size)
+        velocity = np.zeros(time.size)
+        for amplitude, rate, phase in zip(amplitudes, rates, phases, strict=True):
+            velocity += amplitude * rate * np.cos(rate * time + phase)
+        return velocity
+
+
+@dataclass(frozen=True)
+class Bump:
+    """A bump of a cosine's shape, ``height`` [m] by ``length`` [m], at a ``speed`` [m/s].
+
+    It begins ``start`` seconds after the start, on an even road or on this ``road``.
+    """
+
+    height: float
+    length: float
+    speed: float
+    start: float = 0.0
+    road: IsoRoad | None = None
+
+    def at(self, time: Array) -> Array:
+        """Velocity (n,) [m/s] with which it lifts the wheel at these times (n,) [s]."""
+        since = time - self.start
+        rate = 2.0 * math.pi * self.speed / self.length
+        within = (since >= 0.0) & (since < self.length / self.speed)
+        velocity = np.where(within, 0.5 * self.height * rate * np.sin(rate * since), 0.0)
+        return velocity if self.road is None else velocity + self.road.at(time)
+
+
+STOREYS = 3
+
+_STIFFNESS = 1e7 * np.array(
+    [[2.6055, -2.3134, 0.5937], [-2.3134, 3.2561, -1.4420], [0.5937, -1.4420, 0.9267]]
+)
+"""[N/m]."""
+
+
+@dataclass(frozen=True)
+class ShearBuilding:
+    """A ``mass`` [kg] on each floor, and the same ``damping`` ratio [1] of every mode.
+
+    States: displacements [m] and velocities [m/s] of the three floors against the ground.
+    """
+
+    mass: float
+    damping: float
+
+    @property
+    def dynamics(self) -> Array:
+        """Matrix (6, 6) of the states' derivatives."""
+        squares, modes = np.linalg.eigh(_STIFFNESS / self.mass)
+        by_velocity = modes @ np.diag(2.0 * self.damping * np.sqrt(squares)) @ modes.T
+        return np.block(
+            [
+                [np.zeros((STOREYS, STOREYS)), np.eye(STOREYS)],
+                [-_STIFFNESS / self.mass, -by_velocity],
+            ]
+        )
+
+    @property
+    def by_force(self) -> Array:
+        """What a force that pulls the first floor back adds to them (6,)."""
+        return np.array([0.0, 0.0, 0.0, -1.0 / self.mass, 0.0, 0.0])
+
+    @property
+    def plant(self) -> LinearPlant:
+        """The building, moved by the acceleration of the ground [m/s²]."""
+        return LinearPlant(
+            self.dynamics,
+            self.by_force,
+            by_input=np.array([0.0, 0.0, 0.0, -1.0, -1.0, -1.0]),
+            displacement=np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            velocity=np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]),
+        )
+
+
+BUILDINGS = {
+    "I": ShearBuilding(1000.0, 0.05),
+    "II": ShearBuilding(1100.0, 0.04),
+    "III": ShearBuilding(1300.0, 0.03),
+}

@@ -1,24 +1,83 @@
-"""What force to want: semi-active controllers of a suspension, each a plain function.
+"""Semi-active control of a suspension: controllers by name, and the gains of the optimal ones.
 
 A controller is a function from the moment of a suspension to the force [N] that the damper should
-have, tension positive; one's own is one more. What no damper can give is left to the inverse, which
-takes the nearest that it can: so they are clipped.
+have, tension positive; a user may give one of their own. The inverse model clips the force to what
+the damper can give. A positive force pulls the body down and the wheel up; the damper resists where
+the body moves away from the wheel.
 
-The damper pulls the body down and the wheel up with a positive force, and resists where the body
-moves away from the wheel.
+The linear-quadratic regulator and the estimator of its states are those of Anderson and Moore,
+Optimal Control: Linear Quadratic Methods, 1990. Clipped to what a damper can give, this is the
+clipped-optimal control of Dyke, Spencer, Sain and Carlson, Smart Materials and Structures 5, 1996.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.control.linear_quadratic import regulator_gain
-from mr_damper_ros.control.quarter_car import QuarterCar
+from mr_damper_ros.control.linear_plant import LinearPlant, QuarterCar
+from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import Moment
+
+
+def regulator_gain(
+    plant: LinearPlant, outputs: Array, direct: Array, weights: Array, effort: float
+) -> Array:
+    """Gain (n,) with which F = -gain x costs least.
+
+    The cost is the integral of the ``weights`` (k,) times the squares of the outputs, which are
+    ``outputs`` (k, n) x + ``direct`` (k,) F, and ``effort`` F².
+    """
+    from scipy.linalg import solve_continuous_are  # here: see mr_damper_ros.entry_points
+
+    states = outputs.T @ (weights[:, np.newaxis] * outputs)
+    crossed = (outputs.T @ (weights * direct))[:, np.newaxis]
+    squares = np.array([[float(weights @ direct**2) + effort]])
+    column = plant.by_force[:, np.newaxis]
+    cost = solve_continuous_are(plant.dynamics, column, states, squares, s=crossed)
+    return np.asarray(np.linalg.solve(squares, column.T @ cost + crossed.T)[0])
+
+
+class StateEstimator:
+    """The Kalman filter, settled, of a plant whose outputs are read every ``period`` [s].
+
+    The outputs are ``outputs`` (k, n) x + ``direct`` (k,) F; ``disturbance`` is the density of the
+    plant's input, ``noise`` that of each output. The damper's force is known.
+    """
+
+    def __init__(
+        self,
+        plant: LinearPlant,
+        outputs: Array,
+        direct: Array,
+        *,
+        disturbance: float,
+        noise: float,
+        period: float,
+    ) -> None:
+        from scipy.linalg import expm, solve_continuous_are  # here: see above
+
+        count, read = plant.by_force.size, direct.size
+        density = disturbance * np.outer(plant.by_input, plant.by_input)
+        error = solve_continuous_are(plant.dynamics.T, outputs.T, density, noise * np.eye(read))
+        gain = error @ outputs.T / noise
+        whole = np.zeros((count + 1 + read, count + 1 + read))
+        whole[:count, :count] = plant.dynamics - gain @ outputs
+        whole[:count, count] = plant.by_force - gain @ direct
+        whole[:count, count + 1 :] = gain
+        self._step = expm(period * whole)[:count]
+        self.states = np.zeros(count)
+
+    def follow(self, force: float, outputs: Array) -> Array:
+        """The states (n,) a period later, for a force [N] and outputs (k,) that hold."""
+        self.states = self._step @ np.concatenate([self.states, (force,), outputs])
+        return self.states
+
 
 Controller = Callable[[Moment], float]
 
@@ -98,7 +157,7 @@ class Weights(NamedTuple):
 def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
     """Gain (4,) of the linear-quadratic regulator of a car, for :func:`linear_feedback`.
 
-    See :mod:`mr_damper_ros.control.linear_quadratic`. An estimator, where the states are not
+    See :mod:`mr_damper_ros.control.semi_active`. An estimator, where the states are not
     measured, changes nothing of it (the separation principle).
     """
     # The acceleration of the body is the second state's derivative, which the force enters.
@@ -106,3 +165,122 @@ def optimal_gain(car: QuarterCar, weights: Weights) -> Array:
     direct = np.array([car.by_force[1], 0.0, 0.0])
     squares = np.array([weights.acceleration, weights.apart, weights.tyre])
     return regulator_gain(car.plant, outputs, direct, squares, weights.force)
+
+
+@dataclass(frozen=True)
+class OptimalSettings(CheckedSettings):
+    """The car that ``controller: optimal`` is for, and what it weighs."""
+
+    body: float = option(400.0, "Mass [kg] above the spring.", minimum=1e-3, maximum=1e6)
+    wheel: float = option(50.0, "Mass [kg] of the wheel.", minimum=1e-3, maximum=1e6)
+    spring: float = option(20e3, "Stiffness [N/m] of the spring.", minimum=1.0, maximum=1e9)
+    tyre: float = option(250e3, "Stiffness [N/m] of the tyre.", minimum=1.0, maximum=1e9)
+    weight_acceleration: float = option(
+        1.0, "Weight of the body's acceleration squared.", minimum=0.0, maximum=1e12
+    )
+    weight_travel: float = option(
+        1e3, "Weight of the suspension's travel squared.", minimum=0.0, maximum=1e12
+    )
+    weight_tyre: float = option(
+        1e4, "Weight of the tyre's travel squared.", minimum=0.0, maximum=1e12
+    )
+    weight_force: float = option(1e-9, "Weight of the force squared.", minimum=1e-15, maximum=1e6)
+
+
+@dataclass(frozen=True)
+class SuspensionSettings(CheckedSettings):
+    """What force a suspension wants of its damper."""
+
+    controller: str = option(
+        "skyhook",
+        "passive, skyhook, groundhook, hybrid (of those two), add (acceleration-driven), sh_add "
+        "(skyhook for slow motion, acceleration-driven for fast), or optimal (linear-quadratic).",
+        choices=("passive", "skyhook", "groundhook", "hybrid", "add", "sh_add", "optimal"),
+        read_only=True,
+    )
+    function: str = option(
+        "",
+        "One's own controller in the place of it, as module:function. The function takes a "
+        "mr_damper_ros.control.semi_active.Moment and returns the force [N] to want.",
+        read_only=True,
+    )
+    damping: float = option(
+        2500.0,
+        "Damping [N s/m] of passive, skyhook, groundhook and hybrid.",
+        minimum=0.0,
+        maximum=1e6,
+        read_only=True,
+    )
+    share: float = option(
+        0.6,
+        "Share of the skyhook in hybrid; the rest is groundhook.",
+        minimum=0.0,
+        maximum=1.0,
+        read_only=True,
+    )
+    low: float = option(
+        700.0, "Low damping [N s/m] of add and sh_add.", minimum=0.0, maximum=1e6, read_only=True
+    )
+    high: float = option(
+        4000.0, "High damping [N s/m] of these.", minimum=0.0, maximum=1e6, read_only=True
+    )
+    crossover: float = option(
+        12.0,
+        "Frequency [rad/s] where the skyhook of sh_add meets the acceleration-driven part.",
+        minimum=0.0,
+        maximum=1e4,
+        read_only=True,
+    )
+    optimal: OptimalSettings = group(OptimalSettings, read_only=True)
+
+
+def controller_of(settings: SuspensionSettings) -> Controller:
+    """The controller that is meant.
+
+    Raises ValueError where one's own cannot be found, in a sentence.
+    """
+    if settings.function:
+        return _own(settings.function)
+    return _CONTROLLERS[settings.controller](settings)
+
+
+def _optimal(settings: SuspensionSettings) -> Controller:
+    given = settings.optimal
+    car = QuarterCar(given.body, given.wheel, given.spring, given.tyre)
+    weights = Weights(
+        given.weight_acceleration, given.weight_travel, given.weight_tyre, given.weight_force
+    )
+    return linear_feedback(optimal_gain(car, weights))
+
+
+_CONTROLLERS: dict[str, Callable[[SuspensionSettings], Controller]] = {
+    "passive": lambda given: passive(given.damping),
+    "skyhook": lambda given: skyhook(given.damping),
+    "groundhook": lambda given: groundhook(given.damping),
+    "hybrid": lambda given: hybrid(given.damping, given.share),
+    "add": lambda given: acceleration_driven(given.low, given.high),
+    "sh_add": lambda given: mixed_skyhook_add(given.low, given.high, given.crossover),
+    "optimal": _optimal,
+}
+
+
+def _own(place: str) -> Controller:
+    """A function by its module and its name."""
+    module, _, name = place.partition(":")
+    if not module or not name:
+        raise ValueError(
+            f"function is {place!r}: write it as module:function, such as mine:comfort"
+        )
+    try:
+        found = getattr(import_module(module), name)
+    except ImportError as error:
+        raise ValueError(
+            f"function is {place}, and the module cannot be imported ({error}): is its folder on "
+            "PYTHONPATH?"
+        ) from error
+    except AttributeError as error:
+        raise ValueError(f"function is {place}, but {module} has no {name}") from error
+    if not callable(found):
+        raise ValueError(f"function is {place}, which is no function")
+    controller: Controller = found
+    return controller

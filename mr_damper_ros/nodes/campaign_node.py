@@ -37,9 +37,8 @@ from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, EXCITATION_TOPIC, c
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.goal_server import GoalServer
 from mr_damper_ros.nodes.inputs import Inputs
-from mr_damper_ros.nodes.messages import header, to_nanoseconds
+from mr_damper_ros.nodes.messages import header, parameters_message, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.results import parameters_message
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.worker import Worker
 from mr_damper_ros.settings.option_table import ParameterTable, group, option

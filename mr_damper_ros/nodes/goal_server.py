@@ -17,7 +17,7 @@ from rclpy.node import Node
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.results import parameters_message
+from mr_damper_ros.nodes.messages import parameters_message
 from mr_damper_ros.tracking.identifier import Identifier, Search, SearchEnded, SearchProgress
 
 

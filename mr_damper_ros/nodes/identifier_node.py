@@ -23,14 +23,14 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.goal_server import SearchGoals
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
-from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.results import (
+from mr_damper_ros.nodes.messages import (
     coefficients_message,
     fluid_temperature_message,
     parameter_numbers_message,
     parameters_message,
     report_message,
 )
+from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.processes.worker import PooledWorker, WorkerPool

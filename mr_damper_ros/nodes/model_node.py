@@ -14,10 +14,9 @@ from rclpy.node import Node
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
-from mr_damper_ros.nodes.messages import header
+from mr_damper_ros.nodes.messages import PredictionMessage, header
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput
-from mr_damper_ros.nodes.results import PredictionMessage
 from mr_damper_ros.nodes.signal_mirror import SignalMirror
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.deferred import PostponedWork

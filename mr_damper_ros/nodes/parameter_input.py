@@ -12,9 +12,8 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.plausibility import check_plausible
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Finding
-from mr_damper_ros.nodes.messages import to_nanoseconds
+from mr_damper_ros.nodes.messages import parameter_set, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
-from mr_damper_ros.nodes.results import parameter_set
 from mr_damper_ros.tracking.predictor import ForcePredictor
 from mr_damper_ros.tracking.reports import WindowVerdict
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file

@@ -17,15 +17,19 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import CurrentCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.managed_node import ManagedNode
 from mr_damper_ros.nodes.messages import current_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.spinning import run
+from mr_damper_ros.nodes.spinning import ManagedNode, run
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
-from mr_damper_ros.rig.supplies.driver import SupplyDriver, SupplyThread
-from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument, EmulatedLink
-from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, ScpiLink, connect
-from mr_damper_ros.rig.supplies.supply import ScpiSupply, read_profile
+from mr_damper_ros.rig.supplies.scpi_link import (
+    EmulatedInstrument,
+    EmulatedLink,
+    LinkLostError,
+    Patience,
+    ScpiLink,
+    connect,
+)
+from mr_damper_ros.rig.supplies.supply import ScpiSupply, SupplyDriver, SupplyThread, read_profile
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 
 _EMULATED = "emulated"

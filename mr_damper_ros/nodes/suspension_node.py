@@ -9,7 +9,7 @@ from mr_damper_msgs.msg import DesiredForce
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from mr_damper_ros.control.suspension_control import SuspensionSettings, controller_of
+from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.controller_node import DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding

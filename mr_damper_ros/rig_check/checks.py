@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import SavitzkyGolay
-from mr_damper_ros.rig_check.lag import ChannelLag, channel_lag
-from mr_damper_ros.rig_check.record import RigFinding, RigRecord, Trouble
+from mr_damper_ros.rig_check.record import ChannelLag, RigFinding, RigRecord, Trouble, channel_lag
 from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
 

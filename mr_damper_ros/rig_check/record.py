@@ -1,4 +1,12 @@
-"""What was received of a rig for a while, and what can be wrong with it."""
+"""What was received of a rig for a while, how late its force is, and what can be wrong with it.
+
+When the rod turns, the force of a damper crosses zero a little later: by its own hysteresis, which
+is a part of the cycle (v_h is proportional to the peak velocity), and by the skew of the channels,
+which is the same time in every cycle. Motion at one frequency cannot tell the two apart. Over
+several, the lag is a line over the length of the cycle, and the skew is where that line begins.
+
+What lags by the same time in the damper itself, a compliant mount or fluid, counts as skew.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +16,7 @@ from enum import Enum
 
 import numpy as np
 
+from mr_damper_ros.kinematics.motion import SavitzkyGolay
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
@@ -124,3 +133,138 @@ class RigFinding:
     trouble: Trouble
     sentence: str
     channel: str = ""
+
+
+_FEWEST = 8
+"""Pairs of turns from which on a line is drawn."""
+
+_SMOOTHED = 40.0
+"""Part of a usual cycle that the smoothing reaches to either side."""
+
+_SMALL = 0.25
+"""Part of the usual peak velocity that the rod must reach between two turns."""
+
+_FURTHEST = 0.25
+"""Part of a cycle in which the force must cross zero after the turn, or before."""
+
+_SPREAD = 1.3
+"""The longest cycles over the shortest, at least: below, there is no line."""
+
+_OUTLIER = 4.0
+
+_OF_THE_LAW = 4e-4
+"""Standard error [s] besides that of the line: the hysteresis of a damper is no exact part of the
+cycle. So far off was the skew of emulated dampers whose channels have none."""
+
+_REMEMBERED, _EVEN = 4, 0.05
+"""Cycles that the hysteresis remembers, and by how much they may differ in length."""
+
+
+@dataclass(frozen=True)
+class ChannelLag:
+    """``skew`` [s] and its standard error; ``lag`` [s] of the force at a usual turn in all."""
+
+    skew: float
+    standard_error: float
+    lag: float
+
+    @property
+    def determined(self) -> bool:
+        """Whether the motion has told skew and hysteresis apart, to half a millisecond."""
+        return self.standard_error <= 5e-4
+
+
+def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
+    """The lag of the force, from samples (n,) ``period`` [s] apart; NaN where none can be seen."""
+    nothing = ChannelLag(math.nan, math.inf, math.nan)
+    half = _half_window(displacement, period)
+    if displacement.size < 8 * half + 4:
+        return nothing
+    smooth = SavitzkyGolay(2 * half + 1, 3)
+    velocity = smooth.derivative(displacement, 1, period)
+    turns = _turns(velocity)
+    if turns.size < 2 * _FEWEST:
+        return nothing
+    pulled = smooth.derivative(force - 0.5 * (np.quantile(force, 0.99) + np.quantile(force, 0.01)))
+    zeros = _crossings(pulled)
+    rows: list[tuple[float, float]] = []
+    for before, turn, after in zip(turns, turns[1:], turns[2:], strict=False):
+        cycle = float(after - before)
+        place = round(float(turn)) + half
+        direction = np.sign(velocity[min(place, velocity.size - 1)])
+        near = zeros[np.abs(zeros - turn) < _FURTHEST * cycle]
+        if near.size:
+            # The force goes through zero in the direction of the motion.
+            steps = pulled[near.astype(int) + 1] - pulled[near.astype(int)]
+            near = near[np.sign(steps) == direction]
+        lag = float(np.median(near)) - float(turn) if near.size else math.nan
+        rows.append((lag * period, cycle * period))
+    # A force that goes about another value than zero shifts every other turn to the other side.
+    pairs = np.array(rows[: len(rows) // 2 * 2]).reshape(-1, 2, 2).mean(axis=1)
+    lags, cycles = pairs[np.isfinite(pairs[:, 0]) & _steady(pairs[:, 1])].T
+    return _line(lags, cycles) if lags.size >= _FEWEST else nothing
+
+
+def _steady(cycles: Array) -> np.ndarray:
+    """Mask (n,) of the cycles before which the motion has been the same for as long as it matters.
+
+    The hysteresis follows the peak velocity of the latest cycles, not that of the present one.
+    """
+    steady = np.ones(cycles.size, dtype=bool)
+    for back in range(1, _REMEMBERED + 1):
+        steady[:back] = False
+        steady[back:] &= np.abs(cycles[back:] / cycles[:-back] - 1.0) < _EVEN
+    return steady
+
+
+def _line(lags: Array, cycles: Array) -> ChannelLag:
+    """The line through lags (n,) over cycles (n,) [s], whose errors grow with the cycles."""
+    usual = float(np.median(lags))
+    if np.quantile(cycles, 0.9) < _SPREAD * np.quantile(cycles, 0.1):
+        return ChannelLag(math.nan, math.inf, usual)
+    columns = np.stack([1.0 / cycles, np.ones(cycles.size)], axis=1)
+    parts = lags / cycles
+    kept = np.ones(parts.size, dtype=bool)
+    weights: Array = np.zeros(2)
+    for _ in range(3):
+        weights = np.asarray(np.linalg.lstsq(columns[kept], parts[kept], rcond=None)[0])
+        rest = parts - columns @ weights
+        kept = np.abs(rest) <= _OUTLIER * max(1.4826 * float(np.median(np.abs(rest))), 1e-6)
+        if np.count_nonzero(kept) < _FEWEST:
+            return ChannelLag(math.nan, math.inf, usual)
+    left = parts[kept] - columns[kept] @ weights
+    variance = float(left @ left) / (left.size - 2)
+    covariance = variance * np.linalg.inv(columns[kept].T @ columns[kept])
+    return ChannelLag(float(weights[0]), math.sqrt(float(covariance[0, 0]) + _OF_THE_LAW**2), usual)
+
+
+def _half_window(displacement: Array, period: float) -> int:
+    """Samples that the smoothing reaches to either side."""
+    coarse = max(round(5e-3 / period), 1)
+    means = displacement[: displacement.size // coarse * coarse].reshape(-1, coarse).mean(axis=1)
+    if means.size < 3 or np.std(means) == 0.0:
+        return 3
+    rate = float(np.std(np.diff(means))) / (coarse * period)
+    cycle = 2.0 * math.pi * float(np.std(means)) / rate
+    return max(round(cycle / _SMOOTHED / period), 3)
+
+
+def _turns(velocity: Array) -> Array:
+    """Where the rod turns [samples]: crossings of zero with a real motion on both sides."""
+    fast = _SMALL * float(np.quantile(np.abs(velocity), 0.9))
+    sides = np.sign(velocity) * (np.abs(velocity) > fast)
+    moving = np.flatnonzero(sides)
+    changes = np.flatnonzero(np.diff(sides[moving]) != 0.0)
+    crossings = _crossings(velocity)
+    found = [
+        float(np.median(between))
+        for a, b in zip(moving[changes], moving[changes + 1], strict=True)
+        if (between := crossings[(crossings >= a) & (crossings <= b)]).size
+    ]
+    return np.array(found)
+
+
+def _crossings(values: Array) -> Array:
+    """Where the line between neighbours crosses zero [samples]."""
+    before = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0)
+    return np.asarray(before - values[before] / (values[before + 1] - values[before]))

@@ -7,10 +7,9 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from mr_damper_ros.control.export.c_header import header
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSettings, Vectors
 from mr_damper_ros.control.export.fmu import write_fmu
-from mr_damper_ros.control.export.matlab import functions
+from mr_damper_ros.control.export.source_code import functions, header
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.settings.option_table import Option, options

@@ -18,12 +18,12 @@ from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.tools.console import (
     FAILED,
     INTERRUPTED,
+    ProgressLine,
     add_plot_options,
     add_run_options,
     run_tool,
     write_plots,
 )
-from mr_damper_ros.tools.progress import ProgressLine
 
 EXPLAINS_TOO_LITTLE = 3
 """Exit code where the set found leaves more of the force than a reader would accept."""

@@ -1,16 +1,132 @@
-"""``watch``: how the running system stands, printed in place."""
+"""``watch``: how the running system stands, in lines for a terminal, printed in place."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Sequence
 
-from mr_damper_ros.live.live_record import LiveRecord
-from mr_damper_ros.live.summary import summary
+import numpy as np
+
+from mr_damper_ros.live.live_record import SILENT_AFTER, LiveRecord
 from mr_damper_ros.tools.console import run_tool
+
+_SIGNS = ("+", "!", "x", "?")
+"""Of the levels good, warning, error and stale."""
+
+_INDENT = 25
+"""Columns before the text of a line."""
+
+_ENTRY = 28
+"""Columns of a parameter, three more between two of them."""
+
+_ERROR_OVER = 500
+"""Samples that the present error is taken over."""
+
+
+def summary(record: LiveRecord, width: int = 80) -> str:
+    """The newest signals, window, set and diagnostics; no line is longer than ``width``."""
+    parts = (_signals(record), _window(record), _parameters(record, width), _concerns(record))
+    wrapper = textwrap.TextWrapper(max(width, 2 * _INDENT), subsequent_indent=" " * _INDENT)
+    return "\n".join(wrapper.fill(line) for lines in parts for line in (*lines, "")).rstrip("\n")
+
+
+def _signals(record: LiveRecord) -> list[str]:
+    rows = record.rows("signals", -1, -1)
+    if rows is None or len(rows.values) == 0:
+        if any(concern.name.startswith("model:") for concern, _ in record.concerns):
+            return ["no signals yet: the node model runs, and no samples come"]
+        return ["no signals yet: is the node model running, in this namespace?"]
+    named = dict(zip(rows.columns, rows.values[-_ERROR_OVER:].T, strict=True))
+    now = {name: float(column[-1]) for name, column in named.items()}
+    silence = _since(record.silence)
+    valid = "valid" if now["valid"] else "not to be relied on"
+    return [
+        *([f"{'no signals':24} {silence}; the last ones:"] if silence else []),
+        f"{'' if silence else 'live':24} displacement {1e3 * now['displacement']:9.3f} mm   "
+        f"velocity {now['velocity']:8.4f} m/s   current {now['current']:6.3f} A",
+        f"{'force':24} measured {now['measured_force']:13.1f} N    "
+        f"predicted {now['predicted_force']:9.1f} N ({valid})",
+        f"{'error':24} NRMSE {_nrmse(named):.1%} over the last valid samples",
+    ]
+
+
+def _nrmse(named: dict[str, np.ndarray]) -> float:
+    valid = named["valid"] == 1.0
+    spread = float(np.std(named["measured_force"][valid])) if valid.any() else 0.0
+    if spread == 0.0:
+        return math.nan
+    return float(np.sqrt(np.mean(named["force_error"][valid] ** 2))) / spread
+
+
+def _window(record: LiveRecord) -> list[str]:
+    last = record.last_window
+    if last is None:
+        return ["no window yet"]
+    figures = last.figures
+    silence = _since(_silence_of(record, "identifier"))
+    drift = "force scale {:.3f} ± {:.3f}".format(
+        *(figures.get(name, math.nan) for name in ("force_scale", "force_scale_error"))
+    )
+    return [
+        *([f"{'identifier':24} {silence}; its last window:"] if silence else []),
+        f"{'window':24} {last.verdict.lower().replace('_', ' ')}: {last.reason}",
+        f"{'':24} NRMSE {figures.get('nrmse_before', math.nan):.2%} -> "
+        f"{figures.get('nrmse_after', math.nan):.2%}   {drift}   "
+        f"{figures.get('temperature', math.nan):.1f} °C",
+        *(
+            f"{name:>24} {value:12.5g} ± {error:.2g}"
+            for name, (value, error) in last.coefficients.items()
+        ),
+    ]
+
+
+def _parameters(record: LiveRecord, width: int) -> list[str]:
+    seen = record.parameters
+    if seen is None:
+        return ["no parameters yet: is the node identifier running, in this namespace?"]
+    entries = [
+        f"{name} {value:.4g}" + (f" ± {error:.2g}" if known else " (not determined)")
+        for name, value, error, known in zip(
+            seen.names, seen.values, seen.standard_errors, seen.observable, strict=True
+        )
+    ]
+    columns = max((width + 3) // (_ENTRY + 3), 1)
+    lines = [
+        "   ".join(f"{entry:{_ENTRY}}" for entry in entries[k : k + columns]).rstrip()
+        for k in range(0, len(entries), columns)
+    ]
+    silence = _since(_silence_of(record, "identifier", "model"))
+    head = "last set" if silence else "set in use"
+    return [f"{head:24} {seen.set_id} ({seen.model}, {seen.source})", *lines]
+
+
+def _concerns(record: LiveRecord) -> list[str]:
+    lines = []
+    for concern, silence in record.concerns:
+        since = _since(silence)
+        sign = "?" if since else _SIGNS[min(concern.level, 3)]
+        lines.append(f"{sign} {concern.name:22} {since}{'; last: ' * bool(since)}{concern.message}")
+    return lines
+
+
+def _silence_of(record: LiveRecord, *nodes: str) -> float:
+    """Seconds since one of these nodes was last heard; 0 where none has ever been."""
+    silences = [s for concern, s in record.concerns if concern.name.partition(": ")[0] in nodes]
+    return min(silences, default=0.0)
+
+
+def _since(silence: float) -> str:
+    """Since when something has not been heard; empty for what is heard."""
+    if silence < SILENT_AFTER:
+        return ""
+    clock = time.strftime("%H:%M:%S", time.localtime(time.time() - silence))
+    return f"not heard since {clock} ({silence:.0f} s)"
+
 
 _HOME_AND_CLEAR = "\x1b[H\x1b[J"
 _WITHOUT_CURSOR, _WITH_CURSOR = "\x1b[?25l", "\x1b[?25h"

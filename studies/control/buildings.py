@@ -15,8 +15,8 @@ import numpy as np
 
 from mr_damper_ros.control.fallback import FallbackSettings
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
-from mr_damper_ros.control.linear_quadratic import StateEstimator, regulator_gain
-from mr_damper_ros.control.shear_building import BUILDINGS, STOREYS, ShearBuilding
+from mr_damper_ros.control.linear_plant import BUILDINGS, STOREYS, ShearBuilding
+from mr_damper_ros.control.semi_active import StateEstimator, regulator_gain
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
 from mr_damper_ros.emulation.plant_rig import BuiltInDamper, PlantRig

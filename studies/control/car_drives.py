@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
-from mr_damper_ros.control.quarter_car import Bump, IsoRoad, QuarterCar
+from mr_damper_ros.control.linear_plant import Bump, IsoRoad, QuarterCar
 from mr_damper_ros.control.semi_active import (
     Controller,
     Weights,

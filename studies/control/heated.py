@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mr_damper_ros.control.quarter_car import IsoRoad
+from mr_damper_ros.control.linear_plant import IsoRoad
 from mr_damper_ros.control.semi_active import passive
 from mr_damper_ros.emulation.commanded_rig import commanded
 from mr_damper_ros.emulation.emulator import SupplyKnob, ThermalModel

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.control.linear_plant import DamperMotion, MovingPlant
-from mr_damper_ros.control.shear_building import BUILDINGS
+from mr_damper_ros.control.linear_plant import BUILDINGS, DamperMotion, MovingPlant
 from mr_damper_ros.emulation.plant_rig import BuiltInDamper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity

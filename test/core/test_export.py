@@ -14,16 +14,14 @@ import pytest
 from known import EXAMPLES, PLAUSIBLE
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.control.export.c_header import header
-from mr_damper_ros.control.export.compiler import compile_library, compiler
 from mr_damper_ros.control.export.exported_law import (
     ExportedLaw,
     ExportError,
     ExportSettings,
     Vectors,
 )
-from mr_damper_ros.control.export.matlab import functions
-from mr_damper_ros.control.export.translation import C, M, expression
+from mr_damper_ros.control.export.fmu import compile_library, compiler
+from mr_damper_ros.control.export.source_code import C, M, expression, functions, header
 from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity

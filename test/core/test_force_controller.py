@@ -13,8 +13,13 @@ from known import EXAMPLES, PLAUSIBLE, T0
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.control.fallback import Fallback, FallbackSettings
-from mr_damper_ros.control.force_controller import Command, ForceController, ForceControlSettings
-from mr_damper_ros.control.force_feedback import FeedbackSettings, ForceFeedback
+from mr_damper_ros.control.force_controller import (
+    Command,
+    FeedbackSettings,
+    ForceController,
+    ForceControlSettings,
+    ForceFeedback,
+)
 from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
     Damper,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import EXAMPLES, PLAUSIBLE, controllable, fixed
 
-from mr_damper_ros.control.coil_drive import CoilDrive, SupplyLimits
+from mr_damper_ros.control.force_controller import CoilDrive, SupplyLimits
 from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel, coil_time_constant
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS

@@ -12,7 +12,7 @@ import pytest
 
 from mr_damper_ros.live import live_record
 from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowSeen
-from mr_damper_ros.live.summary import summary
+from mr_damper_ros.tools.watch import summary
 
 T0 = 1_700_000_000.0
 

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mr_damper_ros.control.linear_plant import MovingPlant
-from mr_damper_ros.control.linear_quadratic import StateEstimator, regulator_gain
-from mr_damper_ros.control.quarter_car import IsoRoad, QuarterCar
-from mr_damper_ros.control.semi_active import skyhook
-from mr_damper_ros.control.shear_building import BUILDINGS, STOREYS
-from mr_damper_ros.control.suspension_control import SuspensionSettings, controller_of
+from mr_damper_ros.control.linear_plant import BUILDINGS, STOREYS, IsoRoad, MovingPlant, QuarterCar
+from mr_damper_ros.control.semi_active import (
+    StateEstimator,
+    SuspensionSettings,
+    controller_of,
+    regulator_gain,
+    skyhook,
+)
 from mr_damper_ros.emulation.commanded_rig import commanded
 from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig, invented_damper

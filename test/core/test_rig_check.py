@@ -9,8 +9,7 @@ import pytest
 
 from benchmarks.rig_troubles import FAULTS, MOTIONS, RATE, record
 from mr_damper_ros.rig_check.checks import check_rig
-from mr_damper_ros.rig_check.lag import channel_lag
-from mr_damper_ros.rig_check.record import RigRecord, Trouble
+from mr_damper_ros.rig_check.record import RigRecord, Trouble, channel_lag
 
 SKEW = 1.2e-3
 """[s]: three standard errors of the method."""

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.live.rolling_table import RollingTable
+from mr_damper_ros.live.live_record import RollingTable
 
 
 def filled(rows: int, capacity: int = 8, *, thins: bool = False) -> RollingTable:

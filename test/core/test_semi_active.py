@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mr_damper_ros.control.linear_plant import MovingPlant
-from mr_damper_ros.control.quarter_car import ROUGHNESS, Bump, IsoRoad, QuarterCar
+from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, MovingPlant, QuarterCar
 from mr_damper_ros.control.semi_active import (
     Controller,
     Moment,

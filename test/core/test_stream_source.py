@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources import SOURCES
-from mr_damper_ros.rig.sources.byte_links import parse_address
 from mr_damper_ros.rig.sources.device_source import DeviceReader, HostClock
 from mr_damper_ros.rig.sources.row_times import StampedRows
 from mr_damper_ros.rig.sources.rows import (
@@ -33,6 +32,7 @@ from mr_damper_ros.rig.sources.rows import (
     parse_row_format,
 )
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.rig.sources.stream_source import parse_address
 from mr_damper_ros.settings.option_table import build
 from mr_damper_ros.signals.blocks import RigBlock
 

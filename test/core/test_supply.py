@@ -21,14 +21,20 @@ from mr_damper_ros.rig.commander import (
     CurrentCommander,
     Origin,
 )
-from mr_damper_ros.rig.supplies.driver import SupplyDriver, SupplyThread
-from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument, EmulatedLink
-from mr_damper_ros.rig.supplies.scpi_link import LinkLostError, Patience, connect
+from mr_damper_ros.rig.supplies.scpi_link import (
+    EmulatedInstrument,
+    EmulatedLink,
+    LinkLostError,
+    Patience,
+    connect,
+)
 from mr_damper_ros.rig.supplies.supply import (
     ProfileError,
     ScpiSupply,
+    SupplyDriver,
     SupplyError,
     SupplyProfile,
+    SupplyThread,
     read_profile,
     shipped_profiles,
 )

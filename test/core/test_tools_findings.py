@@ -38,7 +38,7 @@ PROGRAM = (
 
 STOPPING = PROGRAM.replace(
     "if __name__",
-    "from mr_damper_ros.tools.progress import ProgressLine\n"
+    "from mr_damper_ros.tools.console import ProgressLine\n"
     "ProgressLine.__call__ = lambda self, progress: False\n"
     "if __name__",
 )

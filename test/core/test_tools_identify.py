@@ -31,7 +31,7 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
 )
 from mr_damper_ros.tools import identify, validate
-from mr_damper_ros.tools.progress import ProgressLine
+from mr_damper_ros.tools.console import ProgressLine
 from studies.thesis.published_runs import synthesise
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -285,7 +285,7 @@ def shown_progress(monkeypatch: pytest.MonkeyPatch, *told: GlobalProgress) -> li
     clock = iter(float(second) for second in range(len(told)))
     # Its own alone: others read the clock meanwhile.
     stand_in = SimpleNamespace(monotonic=lambda: next(clock))
-    monkeypatch.setattr("mr_damper_ros.tools.progress.time", stand_in)
+    monkeypatch.setattr("mr_damper_ros.tools.console.time", stand_in)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     written: list[str] = []
     monkeypatch.setattr("sys.stderr.write", written.append, raising=False)

@@ -30,7 +30,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.results import parameter_set, parameters_message, report_message
+from mr_damper_ros.nodes.messages import parameter_set, parameters_message, report_message
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.state_directory import StateDirectory
 

@@ -27,9 +27,15 @@ from mr_damper_ros.models import Model as ForceModel
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import from_field, sample_block, to_nanoseconds, to_stamp
+from mr_damper_ros.nodes.messages import (
+    from_field,
+    parameter_set,
+    parameters_message,
+    sample_block,
+    to_nanoseconds,
+    to_stamp,
+)
 from mr_damper_ros.nodes.observer import Observer
-from mr_damper_ros.nodes.results import parameter_set, parameters_message
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 

@@ -16,7 +16,7 @@ from support import Listener, assert_one_sentence
 from benchmarks.instrument_server import InstrumentServer
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import header
-from mr_damper_ros.rig.supplies.emulated_instrument import EmulatedInstrument
+from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
 
 NEARLY = 0.02
 """[A]: a coil that has had four of its time constants, and the digits of a reading."""

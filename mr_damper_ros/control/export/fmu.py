@@ -4,17 +4,49 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import platform
+import shutil
+import subprocess
 import sys
 import tempfile
 import zipfile
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from mr_damper_ros.control.export.c_header import filled, header, template
-from mr_damper_ros.control.export.compiler import compile_library
-from mr_damper_ros.control.export.exported_law import ExportedLaw, number
+from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportError, number
+from mr_damper_ros.control.export.source_code import filled, header, template
 from mr_damper_ros.processes.files import write_bytes
+
+WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic")
+"""The code gives no warning with these."""
+
+
+def compiler() -> str | None:
+    """Path of the compiler, that of the variable CC first; None where there is none."""
+    chosen = os.environ.get("CC")
+    found = (shutil.which(name) for name in ((chosen,) if chosen else ("cc", "gcc", "clang")))
+    return next((path for path in found if path), None)
+
+
+def compile_library(source: Path, library: Path, *options: str) -> str:
+    """Make a shared library; returns what the compiler said. Raises ExportError where it fails."""
+    found = compiler()
+    if found is None:
+        raise ExportError(
+            "there is no C compiler on this machine: install gcc or clang, or choose another format"
+        )
+    command = [found, *WARNINGS, "-O2", "-fPIC", "-shared", "-s", *options]
+    done = subprocess.run(
+        [*command, "-o", str(library), str(source), "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0:
+        raise ExportError(f"the C compiler has failed: {done.stderr.strip()[:500]}")
+    return done.stderr
+
 
 _VARIABLES = (
     ("displacement", "input", "m", "Displacement of the rod, extension positive"),

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mr_damper_ros.control.quarter_car import ROUGHNESS, Bump, IsoRoad, QuarterCar
+from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, QuarterCar
 from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
 from mr_damper_ros.emulation.plant_rig import (
     HOT_FORCE,
