@@ -45,10 +45,7 @@ class SupplyLimits(CheckedSettings):
         maximum=10.0,
     )
     slew_rate: float = option(
-        0.0,
-        "Fastest change of the command [A/s]; 0 for no limit.",
-        minimum=0.0,
-        maximum=1e6,
+        0.0, "Fastest change of the command [A/s]; 0 for no limit.", minimum=0.0, maximum=1e6
     )
 
     def limited(self, command: float, before: float, duration: float) -> float:

@@ -196,42 +196,30 @@ class SuspensionSettings(CheckedSettings):
         "passive, skyhook, groundhook, hybrid (of those two), add (acceleration-driven), sh_add "
         "(skyhook for slow motion, acceleration-driven for fast), or optimal (linear-quadratic).",
         choices=("passive", "skyhook", "groundhook", "hybrid", "add", "sh_add", "optimal"),
-        read_only=True,
     )
     function: str = option(
         "",
         "One's own controller in the place of it, as module:function. The function takes a "
         "mr_damper_ros.control.semi_active.Moment and returns the force [N] to want.",
-        read_only=True,
     )
     damping: float = option(
         2500.0,
         "Damping [N s/m] of passive, skyhook, groundhook and hybrid.",
         minimum=0.0,
         maximum=1e6,
-        read_only=True,
     )
     share: float = option(
-        0.6,
-        "Share of the skyhook in hybrid; the rest is groundhook.",
-        minimum=0.0,
-        maximum=1.0,
-        read_only=True,
+        0.6, "Share of the skyhook in hybrid; the rest is groundhook.", minimum=0.0, maximum=1.0
     )
-    low: float = option(
-        700.0, "Low damping [N s/m] of add and sh_add.", minimum=0.0, maximum=1e6, read_only=True
-    )
-    high: float = option(
-        4000.0, "High damping [N s/m] of these.", minimum=0.0, maximum=1e6, read_only=True
-    )
+    low: float = option(700.0, "Low damping [N s/m] of add and sh_add.", minimum=0.0, maximum=1e6)
+    high: float = option(4000.0, "High damping [N s/m] of these.", minimum=0.0, maximum=1e6)
     crossover: float = option(
         12.0,
         "Frequency [rad/s] where the skyhook of sh_add meets the acceleration-driven part.",
         minimum=0.0,
         maximum=1e4,
-        read_only=True,
     )
-    optimal: OptimalSettings = group(OptimalSettings, read_only=True)
+    optimal: OptimalSettings = group(OptimalSettings)
 
 
 def controller_of(settings: SuspensionSettings) -> Controller:

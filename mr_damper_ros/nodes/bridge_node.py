@@ -258,7 +258,6 @@ class BridgeParameters(ParameterTable):
         "text, CSV or MAT file), stream (a serial line, TCP, UDP), daq (a data acquisition device) "
         "or topics (of other nodes).",
         choices=tuple(ALL_SOURCES),
-        read_only=True,
     )
     autostart: bool = option(
         True,
@@ -273,13 +272,11 @@ class BridgeParameters(ParameterTable):
         "some.",
         minimum=0.0,
         maximum=1000.0,
-        read_only=True,
     )
     loop: bool = option(
         False,
         "Start a recording again at its end, for ever: stamps and seq go on, with one second "
         "left out of the stamps in between. The emulated rig never ends anyway.",
-        read_only=True,
     )
     block_size: int = option(
         10,
@@ -287,7 +284,6 @@ class BridgeParameters(ParameterTable):
         "samples, so more samples cost less.",
         minimum=1,
         maximum=MOST_SAMPLES,
-        read_only=True,
     )
     current_rate: float = option(
         10.0,
@@ -295,7 +291,6 @@ class BridgeParameters(ParameterTable):
         "reading where the current moves by more than 5 mA in between.",
         minimum=0.01,
         maximum=100_000.0,
-        read_only=True,
     )
     mirror_rate: float = option(
         50.0,
@@ -303,10 +298,9 @@ class BridgeParameters(ParameterTable):
         "[m], effort: force [N], velocity: mean since the message before [m/s]); 0.0 for none.",
         minimum=0.0,
         maximum=100_000.0,
-        read_only=True,
     )
     frame_id: str = option(
-        "damper", "Frame of all messages, and name of the joint on joint_states.", read_only=True
+        "damper", "Frame of all messages, and name of the joint on joint_states."
     )
     force_lateness: float = option(
         0.0,
@@ -314,21 +308,18 @@ class BridgeParameters(ParameterTable):
         "a multiplexer; negative for earlier. It is set right. `check_rig` tells it.",
         minimum=-0.1,
         maximum=0.1,
-        read_only=True,
     )
     wait_for_subscribers: int = option(
         0,
         "Number of nodes that must have subscribed to the topics before the first sample is sent.",
         minimum=0,
         maximum=1000,
-        read_only=True,
     )
     wait_timeout: float = option(
         10.0,
         "Longest time [s] to wait for them; then it streams to those that are there.",
         minimum=0.0,
         maximum=86400.0,
-        read_only=True,
     )
     sources: dict[str, ParameterTable] = groups(
         {name: (kind.prefix, kind.options) for name, kind in ALL_SOURCES.items()}

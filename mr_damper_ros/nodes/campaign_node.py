@@ -158,32 +158,25 @@ class CampaignParameters(ParameterTable):
         "Folder of the campaign: its runs as bags, what was found after each, the last set "
         "(set.yaml) and the report (campaign.html). One that holds an unfinished campaign of the "
         'same goal goes on. "": no goal is accepted.',
-        read_only=True,
     )
     autostart: bool = option(
         False,
         "Begin, or go on, with the configured goal at the start, without waiting for a goal of "
         "the action: the machine moves.",
-        read_only=True,
     )
-    model: str = option(
-        DEFAULT_MODEL, "Force law that is identified.", choices=tuple(MODELS), read_only=True
-    )
-    most_runs: int = option(
-        20, "Runs that a campaign makes at most.", minimum=1, maximum=999, read_only=True
-    )
-    conduct: ConductSettings = group(ConductSettings, flat=True, read_only=True)
-    goal: GoalOptions = group(GoalOptions, read_only=True)
-    machine: MachineOptions = group(MachineOptions, read_only=True)
+    model: str = option(DEFAULT_MODEL, "Force law that is identified.", choices=tuple(MODELS))
+    most_runs: int = option(20, "Runs that a campaign makes at most.", minimum=1, maximum=999)
+    conduct: ConductSettings = group(ConductSettings, flat=True)
+    goal: GoalOptions = group(GoalOptions)
+    machine: MachineOptions = group(MachineOptions)
     samples_timeout: float = option(
         1.0,
         "Time [s] without samples, on the clock of this computer, after which the machine is to "
         "rest; the run is made anew when they come again.",
         minimum=0.05,
         maximum=60.0,
-        read_only=True,
     )
-    frame_id: str = option("damper", "Frame of the commands.", read_only=True)
+    frame_id: str = option("damper", "Frame of the commands.")
 
     def objection(self) -> str:
         """Say what goal or limits cannot be meant, or what a start by itself lacks."""
@@ -293,22 +286,20 @@ class CampaignNode(Node):
         self._last = ""
         self._failed = False
         self._motion_publisher, self._current_publisher = (
-            self.create_publisher(
-                kind, topic, quality.stream(), qos_overriding_options=quality.overridable()
-            )
+            quality.publisher(self, kind, topic)
             for kind, topic in (
                 (ExcitationCommand, EXCITATION_TOPIC),
                 (CurrentCommand, COMMAND_TOPIC),
             )
         )
-        self.create_subscription(
+        quality.subscription(
+            self,
             Temperature,
             "temperature",
             lambda message: self._conductor.add_temperature(
                 to_nanoseconds(message.header.stamp), message.temperature
             ),
             quality.stream(),
-            qos_overriding_options=quality.overridable(),
         )
         self._inputs = Inputs(self, quality.stream, self._take_block, self._conductor.add_current)
         self._goals = CampaignGoals(

@@ -35,12 +35,8 @@ class CommandTopic(ABC):
         self._counted = commander
         self._refusal = ""
         self._told = 0
-        self._subscription = node.create_subscription(
-            self.kind,
-            self.topic,
-            self._take,
-            quality.stream(_DEPTH),
-            qos_overriding_options=quality.overridable(),
+        self._subscription = quality.subscription(
+            node, self.kind, self.topic, self._take, quality.stream(_DEPTH)
         )
 
     def close(self) -> None:
@@ -71,13 +67,9 @@ class CommandTopic(ABC):
         refused, self._told = self._counted.refused - self._told, self._counted.refused
         values = {"refused": self._counted.refused, **state.values}
         wrong = []
-        publishers = self._node.get_publishers_info_by_topic(
-            self._node.resolve_topic_name(self.topic)
-        )
+        publishers = quality.publishing_nodes(self._node, self.topic)
         if len(publishers) > 1:
-            names = " and ".join(
-                sorted(f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in publishers)
-            )
+            names = " and ".join(publishers)
             wrong.append(f"{self.what} is commanded by {names}: end all but one")
         if refused:
             wrong.append(f"{refused} commands were refused since the last report: {self._refusal}")

@@ -63,7 +63,6 @@ class ControllerParameters(ParameterTable):
         "once it holds for all the currents that the file states, or once the force of the file is "
         "wrong; a mere start of an identifier never does. Give the identifier the same file as "
         "initial_parameters, and it starts from there. With a file no identifier is needed.",
-        read_only=True,
     )
     trusted_source: str = option(
         "",
@@ -72,7 +71,6 @@ class ControllerParameters(ParameterTable):
         "is named here. The graph of nodes tells who publishes. Where several do, the field node "
         "of the messages counts as well. Both can be forged: only SROS2 authenticates "
         "(doc/security.md).",
-        read_only=True,
     )
     samples_timeout: float = option(
         0.2,
@@ -80,18 +78,16 @@ class ControllerParameters(ParameterTable):
         "commanded, again and again.",
         minimum=0.01,
         maximum=60.0,
-        read_only=True,
     )
-    control: ForceControlSettings = group(ForceControlSettings, flat=True, read_only=True)
-    grid: GridSettings = group(GridSettings, flat=True, read_only=True)
+    control: ForceControlSettings = group(ForceControlSettings, flat=True)
+    grid: GridSettings = group(GridSettings, flat=True)
     error_memory: float = option(
         10.0,
         "Time [s] over which the diagnostics take what was wanted and what came.",
         minimum=0.1,
         maximum=3600.0,
-        read_only=True,
     )
-    frame_id: str = option("damper", "Frame of the commands.", read_only=True)
+    frame_id: str = option("damper", "Frame of the commands.")
 
     def objection(self) -> str:
         """Say that the limits leave nothing to command."""
@@ -127,12 +123,7 @@ class ControllerNode(Node):
         # One for all: what is published has been copied.
         self._message = CurrentCommand(header=Header(frame_id=self._options.frame_id))
         self._refused_demand = ""
-        self._command = self.create_publisher(
-            CurrentCommand,
-            COMMAND_TOPIC,
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
-        )
+        self._command = quality.publisher(self, CurrentCommand, COMMAND_TOPIC)
         self._parameter_input = ParameterInput(
             self,
             self._controller.set_parameters,
@@ -140,12 +131,8 @@ class ControllerNode(Node):
             parameter_file=self._options.parameter_file,
             trusted_source=self._options.trusted_source,
         )
-        self.create_subscription(
-            DesiredForce,
-            DEMAND_TOPIC,
-            self._take_demand,
-            quality.stream(_DEMANDS),
-            qos_overriding_options=quality.overridable(),
+        quality.subscription(
+            self, DesiredForce, DEMAND_TOPIC, self._take_demand, quality.stream(_DEMANDS)
         )
         predictor = self._controller.predictor
         self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)

@@ -62,10 +62,10 @@ class IdentifierParameters(ParameterTable):
     of replay.
     """
 
-    windows: WindowSettings = group(WindowSettings, flat=True, read_only=True)
-    grid: GridSettings = group(GridSettings, flat=True, read_only=True)
-    tracking: TrackerSettings = group(TrackerSettings, flat=True, read_only=True)
-    work: PipelineSettings = group(PipelineSettings, flat=True, read_only=True)
+    windows: WindowSettings = group(WindowSettings, flat=True)
+    grid: GridSettings = group(GridSettings, flat=True)
+    tracking: TrackerSettings = group(TrackerSettings, flat=True)
+    work: PipelineSettings = group(PipelineSettings, flat=True)
     initial_parameters: str = option(
         "literature",
         "Parameter file (YAML) to start from, for example one written by `identify` or by the "
@@ -74,7 +74,6 @@ class IdentifierParameters(ParameterTable):
         "service ~/reset goes back to it. The ranges that a file states stay until samples refute "
         "them: a window at one current says how strong the damper is, not that it is unknown at "
         "all others.",
-        read_only=True,
     )
     state_dir: str = option(
         "",
@@ -85,11 +84,8 @@ class IdentifierParameters(ParameterTable):
         "model or a newer version, or that cannot be a damper's, is never used: it is renamed and "
         "named in the diagnostics until the service ~/acknowledge is called. A folder and a name "
         "of a node belong to one node at a time.",
-        read_only=True,
     )
-    frame_id: str = option(
-        "damper", "Frame of the published messages, x along the damper's rod.", read_only=True
-    )
+    frame_id: str = option("damper", "Frame of the published messages, x along the damper's rod.")
 
 
 class IdentifierDiagnostics:
@@ -223,35 +219,21 @@ class IdentifierNode(Node):
         self._parameters_publisher = self.create_publisher(
             DamperParameters, "damper/parameters", quality.latched()
         )
-        self._report_publisher = self.create_publisher(
-            FitReport,
-            "damper/fit_report",
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
+        self._report_publisher = quality.publisher(self, FitReport, "damper/fit_report")
+        self._temperature_publisher = quality.publisher(
+            self, Temperature, "damper/fluid_temperature"
         )
-        self._temperature_publisher = self.create_publisher(
-            Temperature,
-            "damper/fluid_temperature",
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
-        )
-        self._numbers_publisher = self.create_publisher(
-            DiagnosticArray,
-            "damper/identified",
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
-        )
+        self._numbers_publisher = quality.publisher(self, DiagnosticArray, "damper/identified")
         self._publish_parameters(self._identifier.tracker.parameters)
         self._next_look = 0.0
         self._inputs = Inputs(
             self, quality.lossless, self._take_block, self._identifier.add_current
         )
-        self.create_subscription(
+        quality.subscription(
+            self,
             Temperature,
             "temperature",
             lambda message: self._identifier.add_temperature(message.temperature),
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
         )
         self.create_service(SaveParameters, "~/save_parameters", self._save)
         self.create_service(LoadParameters, "~/load_parameters", self._load)

@@ -12,9 +12,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
-from mr_damper_ros.nodes.quality import STREAM_DEPTH, overridable
 from mr_damper_ros.signals.blocks import BlockError, SampleBlock, joined
 from mr_damper_ros.signals.uniform_grid import UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError
@@ -100,26 +100,23 @@ class Inputs:
     def __init__(
         self,
         node: Node,
-        quality: Callable[[], QoSProfile],
+        profile: Callable[[], QoSProfile],
         on_block: Callable[[SampleBlock], None],
         on_current: Callable[[int, float], None],
     ) -> None:
         # Overrides by the user change these in place.
-        samples_quality, current_quality = quality(), quality()
-        self._samples = Stream(node, SAMPLES_TOPIC, samples_quality)
-        self._current = Stream(node, CURRENT_TOPIC, current_quality)
+        samples_profile, current_profile = profile(), profile()
+        self._samples = Stream(node, SAMPLES_TOPIC, samples_profile)
+        self._current = Stream(node, CURRENT_TOPIC, current_profile)
         self._on_block = on_block
         self._on_current = on_current
         self._value = math.nan
         self._interruptions = 0
-        self._samples_in, self._current_in = (
-            node.create_subscription(
-                message_type, topic, callback, profile, qos_overriding_options=overridable()
-            )
-            for message_type, topic, callback, profile in (
-                (MtsSamples, SAMPLES_TOPIC, self._take_samples, samples_quality),
-                (SupplyCurrent, CURRENT_TOPIC, self._take_current, current_quality),
-            )
+        self._samples_in = quality.subscription(
+            node, MtsSamples, SAMPLES_TOPIC, self._take_samples, samples_profile
+        )
+        self._current_in = quality.subscription(
+            node, SupplyCurrent, CURRENT_TOPIC, self._take_current, current_profile
         )
 
     def skip_to_newest(
@@ -207,7 +204,7 @@ def _taken(subscription: Subscription) -> list[Any]:
     """The messages that wait in a subscription's queue, as many as it can hold at most."""
     messages: list[Any] = []
     with subscription.handle:
-        while len(messages) < STREAM_DEPTH:
+        while len(messages) < quality.STREAM_DEPTH:
             # The executor finds nothing later on, which is usual for it.
             taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
             if taken is None:

@@ -178,20 +178,17 @@ class LiveParameters(ParameterTable):
         "Address to serve the page at. 127.0.0.1: for this computer alone; others come through a "
         "tunnel (ssh -L 8770:127.0.0.1:8770 RIG). 0.0.0.0: for everybody who reaches this "
         "computer, unencrypted and without a password.",
-        read_only=True,
     )
     port: int = option(
         8770,
         "Port of the page; 0 takes any that is free. The node says at its start where the page is.",
         minimum=0,
         maximum=65535,
-        read_only=True,
     )
     allow_commands: bool = option(
         False,
         "Whether the page has buttons that save or reset the parameters of the identifier and "
         "acknowledge what it has set aside; false: the page only shows.",
-        read_only=True,
     )
     allowed_hosts: str = option(
         "",
@@ -200,12 +197,9 @@ class LiveParameters(ParameterTable):
         "address that a request comes to are always allowed; any other name is refused, since a "
         "web site can make a name of its own point to this computer. Needed behind a proxy or "
         "address translation.",
-        read_only=True,
     )
     identifier: str = option(
-        "identifier",
-        "Name of the node that these commands go to, in the namespace of this one.",
-        read_only=True,
+        "identifier", "Name of the node that these commands go to, in the namespace of this one."
     )
 
 

@@ -50,16 +50,14 @@ class ModelParameters(ParameterTable):
         "once it holds for all the currents that the file states, or once the force of the file is "
         "wrong; a mere start of an identifier never does. Give the identifier the same file as "
         "initial_parameters, and it starts from there. With a file no identifier is needed.",
-        read_only=True,
     )
-    predictor: PredictorSettings = group(PredictorSettings, flat=True, read_only=True)
+    predictor: PredictorSettings = group(PredictorSettings, flat=True)
     newest_first: bool = option(
         True,
         "Where the samples of a running machine come so late that their forces would soon be too "
         "old (max_age), go straight to the newest: the blocks before them are only followed, no "
         "force is published for them, and the diagnostics count them (`latency`). A recording that "
         "is played is predicted block by block in any case.",
-        read_only=True,
     )
     trusted_source: str = option(
         "",
@@ -68,15 +66,13 @@ class ModelParameters(ParameterTable):
         "is named here. The graph of nodes tells who publishes. Where several do, the field node "
         "of the messages counts as well. Both can be forged: only SROS2 authenticates "
         "(doc/security.md).",
-        read_only=True,
     )
-    grid: GridSettings = group(GridSettings, flat=True, read_only=True)
+    grid: GridSettings = group(GridSettings, flat=True)
     error_memory: float = option(
         10.0,
         "Time [s] over which the error against the measured force is taken for the diagnostics.",
         minimum=0.1,
         maximum=3600.0,
-        read_only=True,
     )
     wrench_rate: float = option(
         50.0,
@@ -85,7 +81,6 @@ class ModelParameters(ParameterTable):
         "block; 0 for none.",
         minimum=0.0,
         maximum=10_000.0,
-        read_only=True,
     )
     signals_rate: float = option(
         100.0,
@@ -95,11 +90,8 @@ class ModelParameters(ParameterTable):
         "hertz.",
         minimum=0.0,
         maximum=10_000.0,
-        read_only=True,
     )
-    frame_id: str = option(
-        "damper", "Frame of the published forces, x along the damper's rod.", read_only=True
-    )
+    frame_id: str = option("damper", "Frame of the published forces, x along the damper's rod.")
 
 
 class ModelNode(Node):
@@ -117,18 +109,8 @@ class ModelNode(Node):
         self._oldest = math.nan
         self._skipped = 0
         self._rest = PostponedWork()
-        self._force = self.create_publisher(
-            PredictedForce,
-            "damper/predicted_force",
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
-        )
-        self._wrench = self.create_publisher(
-            WrenchStamped,
-            "damper/predicted_wrench",
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
-        )
+        self._force = quality.publisher(self, PredictedForce, "damper/predicted_force")
+        self._wrench = quality.publisher(self, WrenchStamped, "damper/predicted_wrench")
         self._signals = SignalMirror(
             self,
             self._options.signals_rate,

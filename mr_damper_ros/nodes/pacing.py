@@ -160,11 +160,8 @@ class Outlet:
         self._waits = unpaced and not latched
         self._unacknowledged = 0
         profile = quality.stream(_QUEUE) if self._waits else quality.stream()
-        self.publisher: Publisher = node.create_publisher(
-            message_type,
-            topic,
-            quality.latched() if latched else profile,
-            qos_overriding_options=quality.overridable(),
+        self.publisher: Publisher = quality.publisher(
+            node, message_type, topic, quality.latched() if latched else profile
         )
 
     def publish(self, message: object) -> None:

@@ -70,12 +70,8 @@ class ParameterInput:
             self._given = given.set_id
             use(given)
         node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())
-        node.create_subscription(
-            FitReport,
-            REPORT_TOPIC,
-            self._take_report,
-            quality.stream(_REPORTS),
-            qos_overriding_options=quality.overridable(),
+        quality.subscription(
+            node, FitReport, REPORT_TOPIC, self._take_report, quality.stream(_REPORTS)
         )
 
     def _take(self, message: DamperParameters) -> None:
@@ -123,7 +119,7 @@ class ParameterInput:
         if self._unattributed is not None:
             self._take(self._unattributed)
         parameters = self._predictor.parameters
-        publishers = _publishing_nodes(self._node, PARAMETERS_TOPIC)
+        publishers = quality.publishing_nodes(self._node, PARAMETERS_TOPIC)
         several = f"{PARAMETERS_TOPIC} is published by {' and '.join(publishers)}"
         if len(publishers) > 1 and not self._trust.source:
             return Finding(
@@ -174,7 +170,7 @@ class _Trust:
         """Why a message is not to be used that claims to come from a node; empty where it is."""
         if not self.source:
             return ""
-        names = set(_publishing_nodes(self._node, topic))
+        names = set(quality.publishing_nodes(self._node, topic))
         if len(names) > 1 and self.source in names:
             names = {claimed[:_SHOWN] or "a node that does not say its name"}
         if names == {self.source}:
@@ -184,16 +180,8 @@ class _Trust:
 
     def undiscovered(self, topic: str) -> bool:
         """Whether the graph does not know yet who publishes: messages may be sooner."""
-        names = _publishing_nodes(self._node, topic)
+        names = quality.publishing_nodes(self._node, topic)
         return not names or any(_UNKNOWN in name for name in names)
-
-
-def _publishing_nodes(node: Node, topic: str) -> list[str]:
-    """Fully qualified name of the node of each publisher of a topic."""
-    return sorted(
-        f"{found.node_namespace.rstrip('/')}/{found.node_name}"
-        for found in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    )
 
 
 def _read(path: str) -> ParameterSet:

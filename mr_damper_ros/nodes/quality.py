@@ -5,9 +5,14 @@ Each function makes a new profile: rclpy changes a profile in place when it appl
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 
 STREAM_DEPTH = 1000
 """Messages that a stream may be behind: ten seconds at 1 kHz in blocks of ten."""
@@ -64,8 +69,38 @@ def heard(publisher: Publisher) -> bool:
     return publisher.get_subscription_count() > 0
 
 
-def overridable() -> QoSOverridingOptions:
-    """Lets users set ``qos_overrides.<topic>.<publisher|subscription>.<policy>`` at the start."""
+def publisher(node: Node, kind: type, topic: str, profile: QoSProfile | None = None) -> Publisher:
+    """A publisher, of a stream unless a profile is given, whose quality users may override.
+
+    They set ``qos_overrides.<topic>.publisher.<policy>`` at the start.
+    """
+    return node.create_publisher(
+        kind, topic, profile or stream(), qos_overriding_options=_overridable()
+    )
+
+
+def subscription(
+    node: Node,
+    kind: type,
+    topic: str,
+    take: Callable[[Any], None],
+    profile: QoSProfile | None = None,
+) -> Subscription:
+    """A subscription, as :func:`publisher`."""
+    return node.create_subscription(
+        kind, topic, take, profile or stream(), qos_overriding_options=_overridable()
+    )
+
+
+def publishing_nodes(node: Node, topic: str) -> list[str]:
+    """Fully qualified name of the node of each publisher of a topic."""
+    return sorted(
+        f"{found.node_namespace.rstrip('/')}/{found.node_name}"
+        for found in node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    )
+
+
+def _overridable() -> QoSOverridingOptions:
     return QoSOverridingOptions(list(_OVERRIDABLE))
 
 

@@ -17,6 +17,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from mr_damper_ros.io.bag_files import BagError, check_bag_files
+from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
@@ -155,12 +156,11 @@ class ReplayParameters(ParameterTable):
     ~/step steer it.
     """
 
-    bag: str = option("", "Path of the bag to play: a folder, or a single file.", read_only=True)
+    bag: str = option("", "Path of the bag to play: a folder, or a single file.")
     topics: str = option(
         "",
         f"Topics to play, as recorded, separated by blanks; {INPUTS}: those of the test machine "
         "alone, in whatever namespace; empty: all of them but /clock.",
-        read_only=True,
     )
     rate: float = option(
         1.0,
@@ -169,19 +169,15 @@ class ReplayParameters(ParameterTable):
         "some.",
         minimum=0.0,
         maximum=1000.0,
-        read_only=True,
     )
     loop: bool = option(
         False,
         "Start again at the end, for ever. Stamps and /clock then jump back to the beginning, "
         "which identifier and model notice: they start their windows again and keep the "
         "parameters.",
-        read_only=True,
     )
     start_paused: bool = option(
-        False,
-        "Wait at the first message for ~/resume, or for ~/step, which lets one message pass.",
-        read_only=True,
+        False, "Wait at the first message for ~/resume, or for ~/step, which lets one message pass."
     )
     wait_for_subscribers: int = option(
         1,
@@ -189,14 +185,12 @@ class ReplayParameters(ParameterTable):
         "so that they miss nothing of the beginning.",
         minimum=0,
         maximum=1000,
-        read_only=True,
     )
     wait_timeout: float = option(
         10.0,
         "Longest time [s] to wait for them; the bag is played to those that are there then.",
         minimum=0.0,
         maximum=86400.0,
-        read_only=True,
     )
 
 
@@ -278,11 +272,7 @@ class ReplayNode(Node):  # type: ignore[misc]
         """Say which topics another node publishes too: who listens gets a mixture."""
         own = self.get_fully_qualified_name()
         for topic in (outlet.publisher.topic_name for outlet in self._outlets.values()):
-            names = {
-                f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-                for info in self.get_publishers_info_by_topic(topic)
-            }
-            for name in sorted(names - {own}):
+            for name in sorted({*quality.publishing_nodes(self, topic)} - {own}):
                 self._others.append(f"{topic} is published by {name} too: choose others to play")
         for sentence in self._others:
             self.get_logger().warning(sentence)

@@ -31,12 +31,7 @@ class SignalMirror:
         self._current_at = current_at
         self._due_ns: int | None = None
         self._message = DamperSignals(header=Header(frame_id=frame_id))
-        self._publisher = node.create_publisher(
-            DamperSignals,
-            SIGNALS_TOPIC,
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
-        )
+        self._publisher = quality.publisher(node, DamperSignals, SIGNALS_TOPIC)
 
     def restart(self) -> None:
         """Take note that the stamps may have fallen back."""

@@ -52,14 +52,12 @@ class SupplyParameters(ParameterTable):
         "Where the instrument is: host:port (5025 for most), a VISA resource name such as "
         "USB0::0x2A8D::0x1202::MY1::INSTR (needs PyVISA), or emulated, an instrument in this "
         "process.",
-        read_only=True,
     )
     profile: str = option(
         "",
         "What the instrument understands: scpi (most bench supplies), keysight_n7900, or the path "
         "of a YAML file of your own (doc/supply.md). Empty for scpi, or that of the emulated "
         "instrument.",
-        read_only=True,
     )
     autostart: bool = option(
         True,
@@ -75,21 +73,17 @@ class SupplyParameters(ParameterTable):
         "again, do not bring it back: set it again, also where it is to be the same.",
         minimum=-1000.0,
         maximum=1000.0,
+        read_only=False,
     )
-    commands: CommandSettings = group(CommandSettings, flat=True, read_only=True)
+    commands: CommandSettings = group(CommandSettings, flat=True)
     largest_voltage: float = option(
         12.0,
         "Largest voltage [V] that the supply may put on the coil.",
         minimum=0.0,
         maximum=1000.0,
-        read_only=True,
     )
     rate: float = option(
-        20.0,
-        "Readings of the measured current per second [Hz].",
-        minimum=0.1,
-        maximum=1000.0,
-        read_only=True,
+        20.0, "Readings of the measured current per second [Hz].", minimum=0.1, maximum=1000.0
     )
     tolerance: float = option(
         0.05,
@@ -97,7 +91,6 @@ class SupplyParameters(ParameterTable):
         "second.",
         minimum=0.0,
         maximum=1000.0,
-        read_only=True,
     )
     link_timeout: float = option(
         0.5,
@@ -106,7 +99,6 @@ class SupplyParameters(ParameterTable):
         "link.",
         minimum=0.01,
         maximum=60.0,
-        read_only=True,
     )
     watchdog: float = option(
         1.0,
@@ -114,9 +106,8 @@ class SupplyParameters(ParameterTable):
         "where its profile has a watchdog; rounded up to what it can count.",
         minimum=0.05,
         maximum=3600.0,
-        read_only=True,
     )
-    frame_id: str = option("damper", "Frame of the measured current.", read_only=True)
+    frame_id: str = option("damper", "Frame of the measured current.")
 
     def objection(self) -> str:
         """Say which current is beyond the limits, or why the watchdog may bite."""
@@ -188,12 +179,7 @@ class SupplyNode(ManagedNode):
         try:
             self._supply = _supply(values)
             self._identity = self._supply.open()
-            self._publisher = self.create_publisher(
-                SupplyCurrent,
-                "supply/current",
-                quality.stream(),
-                qos_overriding_options=quality.overridable(),
-            )
+            self._publisher = quality.publisher(self, SupplyCurrent, "supply/current")
         except (ValueError, OSError) as error:
             self._supply = None
             return self._fail("the supply cannot be set up", error)

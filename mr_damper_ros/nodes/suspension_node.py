@@ -39,15 +39,11 @@ class SuspensionParameters(ParameterTable):
     damper/desired_force. The node ``controller`` commands the current for it.
     """
 
-    control: SuspensionSettings = group(SuspensionSettings, flat=True, read_only=True)
+    control: SuspensionSettings = group(SuspensionSettings, flat=True)
     largest_force: float = option(
-        10_000.0,
-        "Largest force [N] that is wanted, of either sign.",
-        minimum=0.0,
-        maximum=1e9,
-        read_only=True,
+        10_000.0, "Largest force [N] that is wanted, of either sign.", minimum=0.0, maximum=1e9
     )
-    frame_id: str = option("damper", "Frame of the desired forces.", read_only=True)
+    frame_id: str = option("damper", "Frame of the desired forces.")
 
 
 class SuspensionNode(Node):
@@ -65,18 +61,9 @@ class SuspensionNode(Node):
         self._problem = ""
         # The body's velocity [m/s] and its stamp.
         self._body = math.nan, 0
-        self._demand = self.create_publisher(
-            DesiredForce,
-            DEMAND_TOPIC,
-            quality.stream(),
-            qos_overriding_options=quality.overridable(),
-        )
-        self.create_subscription(
-            JointState,
-            SUSPENSION_TOPIC,
-            self._take,
-            quality.stream(_MOTIONS),
-            qos_overriding_options=quality.overridable(),
+        self._demand = quality.publisher(self, DesiredForce, DEMAND_TOPIC)
+        quality.subscription(
+            self, JointState, SUSPENSION_TOPIC, self._take, quality.stream(_MOTIONS)
         )
         self._diagnostics = Diagnostics(self, {"force": self._finding})
         name = self._options.control.function or self._options.control.controller

@@ -41,42 +41,36 @@ _FIELD = re.compile(r"(?P<path>\w+(?:\.\w+)*)(?:\[(?P<element>[^\]]+)\])?")
 class TopicOptions(ParameterTable):
     """The topics of ``source: topics``."""
 
-    displacement_topic: str = option("", "Topic with the displacement.", read_only=True)
+    displacement_topic: str = option("", "Topic with the displacement.")
     displacement_type: str = option(
         "sensor_msgs/JointState",
         "Type of its messages; they must have a header, whose stamp is the time of the value.",
-        read_only=True,
     )
     displacement_field: str = option(
         "position[0]",
         "Where in a message it is: names with dots in between, such as wrench.force.x, and in "
         "brackets the number of an element, or in a joint state the name of a joint, such as "
         "position[rod].",
-        read_only=True,
     )
     displacement_scale: float = option(
-        1.0, "Metres per unit of it; negative where compression counts positive.", read_only=True
+        1.0, "Metres per unit of it; negative where compression counts positive."
     )
-    force_topic: str = option(
-        "", "Topic with the force; empty where it is the same.", read_only=True
-    )
-    force_type: str = option("sensor_msgs/JointState", "Type of its messages.", read_only=True)
-    force_field: str = option("effort[0]", "Where in a message it is.", read_only=True)
+    force_topic: str = option("", "Topic with the force; empty where it is the same.")
+    force_type: str = option("sensor_msgs/JointState", "Type of its messages.")
+    force_field: str = option("effort[0]", "Where in a message it is.")
     force_scale: float = option(
-        1.0, "Newtons per unit of it; negative where compression counts positive.", read_only=True
+        1.0, "Newtons per unit of it; negative where compression counts positive."
     )
     stamps: str = option(
         "clock",
         "What stamps that jitter mean: clock, the samples were taken evenly and their time was "
         "read unevenly; sampling, each was taken when its stamp says.",
         choices=("clock", "sampling"),
-        read_only=True,
     )
     own_clocks: bool = option(
         False,
         "Each topic is stamped by a clock of its own: both are brought to that of this computer by "
         "when messages arrive.",
-        read_only=True,
     )
     hold_back: float = option(
         0.0,
@@ -84,7 +78,6 @@ class TopicOptions(ParameterTable):
         "ROS they do not overtake each other.",
         minimum=0.0,
         maximum=1.0,
-        read_only=True,
     )
 
     def objection(self) -> str:
@@ -243,13 +236,13 @@ class _Input:
         self._unreadable = ""
         self._last = time.monotonic()
         self.arrived: deque[tuple[int, int, float]] = deque()
-        self._subscription = node.create_subscription(
+        self._subscription = quality.subscription(
+            node,
             _message_type(kind, name),
             topic,
             self._take,
             # A busy computer may be behind by more than a queue of fixed length.
             quality.lossless(),
-            qos_overriding_options=quality.overridable(),
         )
         self.topic = self._subscription.topic_name
 

@@ -10,7 +10,7 @@ prefixed by the group's and a dot unless it is flat::
 
     @dataclass(frozen=True)
     class ModelParameters(ParameterTable):
-        predictor: PredictorSettings = group(PredictorSettings, flat=True, read_only=True)
+        predictor: PredictorSettings = group(PredictorSettings, flat=True)
         frame_id: str = option("damper", "Frame of the published forces.")
 
 What works in the core has :class:`CheckedSettings`: they cannot be made with values that are not
@@ -45,7 +45,7 @@ class Option:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
-    read_only: bool = False
+    read_only: bool = True
     start_only: bool = False
 
     @property
@@ -130,15 +130,14 @@ def option(
     minimum: float | None = None,
     maximum: float | None = None,
     choices: tuple[str, ...] = (),
-    read_only: bool = False,
+    read_only: bool = True,
     start_only: bool = False,
 ) -> Any:
     """A field of a parameter table: one parameter.
 
-    ``read_only``: fixed while the node works. ``start_only``: fixed even where a managed node does
-    not work yet.
+    ``read_only``: fixed while the node works, as most are. ``start_only``: fixed even where a
+    managed node does not work yet.
     """
-    read_only = read_only or start_only
     details = Option("", default, description, minimum, maximum, choices, read_only, start_only)
     return dataclasses.field(default=default, metadata={"option": details})
 
@@ -149,20 +148,15 @@ class _Group:
 
     table: type
     flat: bool
-    read_only: bool
 
     def prefix(self, name: str) -> str:
         """What goes before the options' names where the field has this name."""
         return "" if self.flat else f"{name}."
 
 
-def group(table: type, *, flat: bool = False, read_only: bool = False) -> Any:
-    """A field of a parameter table: further options, prefixed by its name unless ``flat``.
-
-    ``read_only`` fixes all of them while the node runs.
-    """
-    details = _Group(table, flat, read_only)
-    return dataclasses.field(default_factory=table, metadata={"group": details})
+def group(table: type, *, flat: bool = False) -> Any:
+    """A field of a parameter table: further options, prefixed by its name unless ``flat``."""
+    return dataclasses.field(default_factory=table, metadata={"group": _Group(table, flat)})
 
 
 def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
@@ -174,24 +168,18 @@ def groups(tables: Mapping[str, tuple[str, type]]) -> Any:
     return dataclasses.field(default_factory=defaults, metadata={"groups": tables})
 
 
-def options(table: type, prefix: str = "", *, read_only: bool = False) -> Iterator[Option]:
-    """All parameters of a table, groups included, by their full names.
-
-    ``read_only`` fixes them all, whatever they say.
-    """
+def options(table: type, prefix: str = "") -> Iterator[Option]:
+    """All parameters of a table, groups included, by their full names."""
     for field in dataclasses.fields(table):
         if "group" in field.metadata:
             inner: _Group = field.metadata["group"]
-            name = prefix + inner.prefix(field.name)
-            yield from options(inner.table, name, read_only=read_only or inner.read_only)
+            yield from options(inner.table, prefix + inner.prefix(field.name))
         elif "groups" in field.metadata:
             for own_prefix, part in field.metadata["groups"].values():
-                yield from options(part, prefix + own_prefix, read_only=read_only)
+                yield from options(part, prefix + own_prefix)
         else:
             item: Option = field.metadata["option"]
-            yield dataclasses.replace(
-                item, name=prefix + field.name, read_only=read_only or item.read_only
-            )
+            yield dataclasses.replace(item, name=prefix + field.name)
 
 
 def build(table: type[T], values: Mapping[str, Value], prefix: str = "") -> T:

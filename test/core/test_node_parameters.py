@@ -30,7 +30,7 @@ class Inner(ParameterTable):
 class Example(ParameterTable):
     mode: str = option("slow", "Mode.", choices=("slow", "fast"))
     count: int = option(3, "Count.", minimum=1)
-    active: bool = option(True, "Active.", read_only=True)
+    active: bool = option(True, "Active.")
     maybe: float = option(math.nan, "Not given.")
     inner: Inner = group(Inner)
 
@@ -48,8 +48,8 @@ class Checked(CheckedSettings):
 
 @dataclass(frozen=True)
 class Derived(ParameterTable):
-    checked: Checked = group(Checked, flat=True, read_only=True)
-    name: str = option("x", "Name.")
+    checked: Checked = group(Checked, flat=True)
+    name: str = option("x", "Name.", read_only=False)
 
 
 OPTIONS = {item.name: item for item in options(Example)}

@@ -41,12 +41,12 @@ _FULL = 0.999
 
 def _scale(name: str, unit: str) -> float:
     return option(  # type: ignore[no-any-return]
-        1.0, f"{unit} per volt of the {name}; negative turns the sign.", read_only=True
+        1.0, f"{unit} per volt of the {name}; negative turns the sign."
     )
 
 
 def _offset(name: str, unit: str) -> float:
-    return option(0.0, f"What is added to the {name} then [{unit}].", read_only=True)  # type: ignore[no-any-return]
+    return option(0.0, f"What is added to the {name} then [{unit}].")  # type: ignore[no-any-return]
 
 
 def _range(name: str) -> float:
@@ -56,7 +56,6 @@ def _range(name: str) -> float:
         "left out.",
         minimum=1e-6,
         maximum=1e12,
-        read_only=True,
     )
 
 
@@ -69,42 +68,34 @@ class DaqOptions(ParameterTable):
         "What it is: nidaqmx (National Instruments), labjack (T4, T7, T8), mcc (Measurement "
         "Computing), lsl (a stream of the lab streaming layer), or simulated.",
         choices=tuple(DRIVERS),
-        read_only=True,
     )
     device: str = option(
         "",
         "Which one: Dev1 of NI, a serial number, name or address of LabJack, name or number of MCC "
         "(empty: the only one), the name of an LSL stream.",
-        read_only=True,
     )
     rate: float = option(
         1000.0,
         "Samples per second [Hz] that the device is told to take; an LSL stream has its own.",
         minimum=1.0,
         maximum=100_000.0,
-        read_only=True,
     )
     differential: bool = option(
-        True,
-        "Channels of NI, LabJack and MCC are wired differentially, not to ground.",
-        read_only=True,
+        True, "Channels of NI, LabJack and MCC are wired differentially, not to ground."
     )
     displacement_channel: str = option(
         "",
         "Channel of the displacement: ai0 of NI, AIN0 of LabJack, 0 of MCC, label or number of "
         "LSL.",
-        read_only=True,
     )
     displacement_scale: float = _scale("displacement", "Metres")
     displacement_offset: float = _offset("displacement", "m")
     displacement_range: float = _range("displacement")
-    force_channel: str = option("", "Channel of the force.", read_only=True)
+    force_channel: str = option("", "Channel of the force.")
     force_scale: float = _scale("force", "Newtons")
     force_offset: float = _offset("force", "N")
     force_range: float = _range("force")
-    current_channel: str = option(
-        "", "Channel of the current in the coil; empty: there is none.", read_only=True
-    )
+    current_channel: str = option("", "Channel of the current in the coil; empty: there is none.")
     current_scale: float = _scale("current", "Amperes")
     current_offset: float = _offset("current", "A")
     current_range: float = _range("current")

@@ -51,7 +51,6 @@ class EmulatedOptions(ParameterTable):
         f"The damper in the machine: {_THESIS_TEMPERATURES} (the thesis' at 28 °C and 71 °C, its "
         "force in between by the emulated temperature), a condition of the thesis such as "
         "5.0mm_1Hz_1.5A, or the path of a parameter file (YAML) of any model.",
-        read_only=True,
     )
     hot_force: float = option(
         1.0,
@@ -60,7 +59,6 @@ class EmulatedOptions(ParameterTable):
         "which is already in thesis_temperatures.",
         minimum=0.0,
         maximum=10.0,
-        read_only=True,
     )
     excitation: str = option(
         "sine",
@@ -69,43 +67,31 @@ class EmulatedOptions(ParameterTable):
         "random (from the frequency to the highest one); recorded (the displacement of "
         "motion_file, once, after which it stands still).",
         choices=("sine", "chirp", "steps", "random", "recorded"),
-        read_only=True,
     )
     amplitude: float = option(
         0.005,
         "Amplitude of the motion [m]; three standard deviations of a random one.",
         minimum=1e-6,
         maximum=0.5,
-        read_only=True,
     )
     frequency: float = option(
-        1.0,
-        "Frequency of the sine, or the lowest one [Hz].",
-        minimum=1e-3,
-        maximum=100.0,
-        read_only=True,
+        1.0, "Frequency of the sine, or the lowest one [Hz].", minimum=1e-3, maximum=100.0
     )
     highest_frequency: float = option(
         3.0,
         "Highest frequency [Hz] of chirp, steps and random motion.",
         minimum=1e-3,
         maximum=100.0,
-        read_only=True,
     )
     sweep_time: float = option(
         30.0,
         "Time [s] of a chirp or of four steps, which then begin again.",
         minimum=1.0,
         maximum=86400.0,
-        read_only=True,
     )
-    motion_file: str = option(
-        "", "Path of the text, CSV or MAT file of a recorded motion.", read_only=True
-    )
+    motion_file: str = option("", "Path of the text, CSV or MAT file of a recorded motion.")
     motion_columns: str = option(
-        "",
-        "What its columns hold, as for source: record, such as time:s,displacement:mm,...",
-        read_only=True,
+        "", "What its columns hold, as for source: record, such as time:s,displacement:mm,..."
     )
     current: float = option(
         1.5,
@@ -114,20 +100,19 @@ class EmulatedOptions(ParameterTable):
         "supply/current_command.",
         minimum=-MOST_CURRENT,
         maximum=MOST_CURRENT,
+        read_only=False,
     )
     largest_amplitude: float = option(
         0.05,
         "Largest amplitude [m] of a commanded motion; commands beyond are refused.",
         minimum=1e-6,
         maximum=0.5,
-        read_only=True,
     )
     largest_velocity: float = option(
         1.0,
         "Largest peak velocity [m/s] of a commanded motion; commands beyond are refused.",
         minimum=1e-6,
         maximum=10.0,
-        read_only=True,
     )
     command_timeout: float = option(
         0.5,
@@ -135,7 +120,6 @@ class EmulatedOptions(ParameterTable):
         "zero until another one comes or the knob is turned, and the machine comes to rest.",
         minimum=0.01,
         maximum=3600.0,
-        read_only=True,
     )
     coil_time_constant: float = option(
         0.0,
@@ -143,37 +127,26 @@ class EmulatedOptions(ParameterTable):
         "supply's.",
         minimum=0.0,
         maximum=1.0,
-        read_only=True,
     )
     force_noise: float = option(
         5.53,
         "Standard deviation of the noise of the force [N]; 5.53 is the thesis' remaining error.",
         minimum=0.0,
         maximum=1e6,
-        read_only=True,
     )
     displacement_noise: float = option(
-        0.0,
-        "Standard deviation [m] of the noise of the displacement.",
-        minimum=0.0,
-        maximum=0.1,
-        read_only=True,
+        0.0, "Standard deviation [m] of the noise of the displacement.", minimum=0.0, maximum=0.1
     )
-    sample_rate: float = option(
-        1000.0, "Samples per second [Hz].", minimum=1.0, maximum=100_000.0, read_only=True
-    )
+    sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=1.0, maximum=100_000.0)
     initial_temperature: float = option(
-        28.0,
-        "Temperature of the damper at the start [°C].",
-        minimum=-50.0,
-        maximum=200.0,
-        read_only=True,
+        28.0, "Temperature of the damper at the start [°C].", minimum=-50.0, maximum=200.0
     )
     ambient_temperature: float = option(
         22.0,
         "Temperature of the air around it [°C]. It may be changed while the rig runs.",
         minimum=-50.0,
         maximum=200.0,
+        read_only=False,
     )
     heat_capacity: float = option(
         430.0,
@@ -181,28 +154,21 @@ class EmulatedOptions(ParameterTable):
         "a smaller one it drifts faster.",
         minimum=0.1,
         maximum=1e6,
-        read_only=True,
     )
     conductance: float = option(
         0.5,
         "Heat that it loses to the air per kelvin above it [W/K]; 0.0 for none.",
         minimum=0.0,
         maximum=1e4,
-        read_only=True,
     )
     seed: int = option(
-        0,
-        "Seed of the noise; the same seed gives the same samples.",
-        minimum=0,
-        maximum=2**31 - 1,
-        read_only=True,
+        0, "Seed of the noise; the same seed gives the same samples.", minimum=0, maximum=2**31 - 1
     )
     faults: str = option(
         "",
         "What goes wrong, as name[:value][@begin[-end]] with times in seconds since the start, "
         "separated by blanks: force_gain:10@20-30 displacement_stuck@60. The names are in "
         "doc/faults.md.",
-        read_only=True,
     )
 
     def objection(self) -> str:

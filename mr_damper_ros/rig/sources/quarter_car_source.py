@@ -34,38 +34,33 @@ class QuarterCarOptions(ParameterTable):
         _INVENTED,
         f"The damper in the car: {_INVENTED} (see config/invented_damper.yaml), or the path of a "
         "parameter file (YAML) of any model.",
-        read_only=True,
     )
     hot_force: float = option(
         HOT_FORCE,
         "Factor on its force at 71 °C, relative to 28 °C; in between the force changes linearly.",
         minimum=0.0,
         maximum=10.0,
-        read_only=True,
     )
     road: str = option(
         "C",
         f"Road of an ISO 8608 class, or {_BUMP}: one of 60 mm by 3 m, three seconds after the "
         "start.",
         choices=(*ROUGHNESS, _BUMP),
-        read_only=True,
     )
-    speed: float = option(
-        20.0, "Speed of the car [m/s].", minimum=0.1, maximum=100.0, read_only=True
-    )
+    speed: float = option(20.0, "Speed of the car [m/s].", minimum=0.1, maximum=100.0)
     current: float = option(
         0.0,
         "Supply current [A]. It may be changed while the car drives: this is the knob of the "
         "supply, which holds until a command comes.",
         minimum=-MOST_CURRENT,
         maximum=MOST_CURRENT,
+        read_only=False,
     )
     command_timeout: float = option(
         0.5,
         "Time [s] that a command of the current holds; after that the current is zero.",
         minimum=0.01,
         maximum=3600.0,
-        read_only=True,
     )
     coil_time_constant: float = option(
         0.01,
@@ -73,31 +68,19 @@ class QuarterCarOptions(ParameterTable):
         "supply's.",
         minimum=0.0,
         maximum=1.0,
-        read_only=True,
     )
     force_noise: float = option(
         5.53,
         "Standard deviation of the noise of the force [N]; 5.53 is the thesis' remaining error.",
         minimum=0.0,
         maximum=1e6,
-        read_only=True,
     )
     displacement_noise: float = option(
-        1e-6,
-        "Standard deviation [m] of the noise of the displacement.",
-        minimum=0.0,
-        maximum=0.1,
-        read_only=True,
+        1e-6, "Standard deviation [m] of the noise of the displacement.", minimum=0.0, maximum=0.1
     )
-    sample_rate: float = option(
-        1000.0, "Samples per second [Hz].", minimum=200.0, maximum=10_000.0, read_only=True
-    )
+    sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=200.0, maximum=10_000.0)
     initial_temperature: float = option(
-        28.0,
-        "Temperature of the damper at the start [°C].",
-        minimum=-50.0,
-        maximum=200.0,
-        read_only=True,
+        28.0, "Temperature of the damper at the start [°C].", minimum=-50.0, maximum=200.0
     )
     heat_capacity: float = option(
         430.0,
@@ -105,9 +88,8 @@ class QuarterCarOptions(ParameterTable):
         "a smaller one it drifts faster.",
         minimum=0.1,
         maximum=1e6,
-        read_only=True,
     )
-    seed: int = option(0, "Seed of road and noise.", minimum=0, maximum=2**31 - 1, read_only=True)
+    seed: int = option(0, "Seed of road and noise.", minimum=0, maximum=2**31 - 1)
 
 
 class QuarterCarSource(Source):

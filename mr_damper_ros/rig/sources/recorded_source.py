@@ -67,9 +67,7 @@ class BagOptions(ParameterTable):
     """The bag of ``source: bag``."""
 
     bag: str = option(
-        "",
-        "Path of the bag of `source: bag`: its folder, or its .mcap or .db3 file.",
-        read_only=True,
+        "", "Path of the bag of `source: bag`: its folder, or its .mcap or .db3 file."
     )
 
     def objection(self) -> str:
@@ -118,26 +116,21 @@ class BagSource(RecordedSource):
 class RecordOptions(ParameterTable):
     """The record file of ``source: record``."""
 
-    file: str = option("", "Path of a text, CSV or MAT file.", read_only=True)
+    file: str = option("", "Path of a text, CSV or MAT file.")
     columns: str = option(
         "",
         "What its columns hold, and the units, such as time:s,displacement:mm,force:N,current:A; "
         "a column to skip is a minus sign, all that follow the last one are three dots.",
-        read_only=True,
     )
     current: float = option(
         math.nan,
         "Supply current [A] of the whole record, where no column holds it; .nan where one does.",
-        read_only=True,
     )
     period: float = option(
         math.nan,
         "Time between two samples [s], where no column holds the time; .nan where one does.",
-        read_only=True,
     )
-    variable: str = option(
-        "", "Name of the matrix in a MAT file that holds more than one.", read_only=True
-    )
+    variable: str = option("", "Name of the matrix in a MAT file that holds more than one.")
 
     def objection(self) -> str:
         """Say what is missing."""
