@@ -15,13 +15,11 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from contextlib import closing
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from types import FrameType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from mr_damper_ros.processes.worker import Worker, WorkerPool
 
 _WORK = {
     "identifier": "mr_damper_ros.tracking.worker_preload",
@@ -48,61 +46,8 @@ _MISSING = {
 """What to do where a module cannot be imported."""
 
 
-def bridge() -> int:
-    """Run the node bridge."""
-    return _run("bridge")
-
-
-def campaign() -> int:
-    """Run the node campaign."""
-    _hear_signals()
-    from mr_damper_ros.processes.worker import Worker
-
-    return _run_with("campaign", Worker(_WORK["campaign"]))
-
-
-def identifier() -> int:
-    """Run the node identifier, or one in each of several namespaces, which share workers."""
-    _hear_signals()
-    from mr_damper_ros.processes.programs import worker_count
-    from mr_damper_ros.processes.worker import WorkerPool
-
-    workers = worker_count(sys.argv[1:])
-    return _run_with("identifier", WorkerPool(_WORK["identifier"], workers))
-
-
-def live() -> int:
-    """Run the node live."""
-    return _run("live")
-
-
-def model() -> int:
-    """Run the node model."""
-    return _run("model")
-
-
-def controller() -> int:
-    """Run the node controller."""
-    return _run("controller")
-
-
-def suspension() -> int:
-    """Run the node suspension."""
-    return _run("suspension")
-
-
-def replay() -> int:
-    """Run the node replay."""
-    return _run("replay")
-
-
-def supply() -> int:
-    """Run the node supply."""
-    return _run("supply")
-
-
 def tool(name: str) -> int:
-    """Run the tool of this name, a module of the room tools."""
+    """Run the tool of this name, a module of the room tools; returns its exit code."""
 
     def leave(number: int, frame: FrameType | None) -> None:
         os.write(2, f"\n{name}: stopped by Ctrl-C\n".encode())
@@ -122,15 +67,19 @@ def tool(name: str) -> int:
     return code
 
 
-def _run_with(name: str, processes: Worker | WorkerPool) -> int:
-    try:
-        return _run(name, processes)
-    finally:
-        processes.close()
-
-
-def _run(name: str, *arguments: object) -> int:
+def _run(name: str) -> int:
+    """Run a node, or one in each of several namespaces, which share workers."""
     _hear_signals()
+    if name not in _WORK:
+        return _run_node(name)
+    from mr_damper_ros.processes.programs import worker_count
+    from mr_damper_ros.processes.worker import WorkerPool
+
+    with closing(WorkerPool(_WORK[name], worker_count(sys.argv[1:]))) as workers:
+        return _run_node(name, workers)
+
+
+def _run_node(name: str, *arguments: object) -> int:
     try:
         node = import_module(f"mr_damper_ros.nodes.{name}_node")
     except ModuleNotFoundError as error:
@@ -161,3 +110,13 @@ def _hear_signals() -> None:
 def _leave(number: int, frame: FrameType | None) -> None:
     # Nothing has been started that would have to be ended; modules half loaded are best left so.
     os._exit(0)
+
+
+bridge, campaign, controller, identifier, live, model, replay, supply, suspension = (
+    partial(_run, name)
+    for name in (
+        *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
+        "suspension",
+    )
+)
+"""Each runs the node of its name, and returns its exit code."""

@@ -411,8 +411,9 @@ class BridgeNode(ManagedNode):
                 suspended=self._source.suspended,
             )
         except (ValueError, OSError) as error:
+            failed = self._fail("the source cannot be opened", _in_words(error))
             self._close()
-            return self._fail("the source cannot be opened", _in_words(error))
+            return failed
         self._problem = ""
         for sentence in (*found, f"the source is open: {values.source}"):
             self.get_logger().info(sentence)

@@ -40,7 +40,7 @@ from mr_damper_ros.nodes.inputs import Inputs
 from mr_damper_ros.nodes.messages import header, parameters_message, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.worker import Worker
+from mr_damper_ros.processes.worker import Worker, WorkerPool
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import SampleBlock
 
@@ -479,6 +479,6 @@ class CampaignNode(Node):
         return Finding(WARN if waits else OK, said, figures)
 
 
-def main(worker: Worker) -> int:
-    """Run the node, with a worker that the caller closes."""
-    return run(partial(CampaignNode, worker), CampaignParameters)
+def main(workers: WorkerPool) -> int:
+    """Run the node, with workers that the caller closes."""
+    return run(partial(CampaignNode, workers.worker()), CampaignParameters)

@@ -33,7 +33,7 @@ from mr_damper_ros.nodes.messages import (
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.programs import HELP
-from mr_damper_ros.processes.worker import PooledWorker, WorkerPool
+from mr_damper_ros.processes.worker import Worker, WorkerPool
 from mr_damper_ros.settings.option_table import ParameterTable, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings
@@ -98,7 +98,7 @@ class IdentifierDiagnostics:
     def __init__(
         self,
         identifier: Identifier,
-        worker: PooledWorker,
+        worker: Worker,
         maximum_nrmse: float,
         now_ns: Callable[[], int],
     ) -> None:
@@ -208,7 +208,7 @@ to wait behind all samples that a busy node is behind, and no window would be fi
 class IdentifierNode(Node):
     """Feeds what arrives to the identification, and publishes what comes of it."""
 
-    def __init__(self, worker: PooledWorker, cli_args: list[str] | None = None) -> None:
+    def __init__(self, worker: Worker, cli_args: list[str] | None = None) -> None:
         super().__init__("identifier", cli_args=cli_args)
         options = NodeParameters(self, IdentifierParameters).values
         self._frame_id = options.frame_id
@@ -273,7 +273,7 @@ class IdentifierNode(Node):
         if state.set_aside:
             self.get_logger().error(state.set_aside)
 
-    def _diagnose(self, worker: PooledWorker, maximum_nrmse: float) -> None:
+    def _diagnose(self, worker: Worker, maximum_nrmse: float) -> None:
         findings = IdentifierDiagnostics(
             self._identifier,
             worker,
@@ -390,7 +390,7 @@ class IdentifierNode(Node):
         return response
 
 
-def _identifier(options: IdentifierParameters, own_name: str, worker: PooledWorker) -> Identifier:
+def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) -> Identifier:
     windows, tracking = options.windows, options.tracking
     initial = options.initial_parameters
     try:

@@ -14,6 +14,7 @@ child and load rclpy there. Tasks and answers are pickles over a private socket 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import os
 import pickle
@@ -25,8 +26,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
@@ -179,29 +179,152 @@ class _Process:
             self._child.wait(timeout=_GRACE)
 
 
-class Worker:
-    """Runs one function call at a time in another process.
-
-    ``module`` is the one that the tasks come from: a process loads it before it takes a task, so
-    that loading it, which takes seconds on a busy computer, does not count as the task's time.
-    Call :meth:`poll` often: it brings the results, enforces time budgets and replaces a process
-    that has died.
-    """
+class _Slot:
+    """A place for one process: what dies, hangs or does not come up is replaced."""
 
     def __init__(self, module: str) -> None:
         self.replaced = 0
         self._module = module
+        self._next_start = 0.0
+        self._looked = time.monotonic()
+        self._silence = 0.0
+        self.process: _Process | None = _Process(module)
+
+    def look(self) -> list[Any]:
+        """What the process has sent since the last call. Never blocks.
+
+        ("lost", why) follows where it was replaced, ("started",) where that had to wait.
+        """
+        now, process = time.monotonic(), self.process
+        self._silence += min(now - self._looked, _LONGEST_LOOK)
+        self._looked = now
+        if process is None:
+            if now < self._next_start:
+                return []
+            self.process = _Process(self._module)
+            return [("started",)]
+        messages = process.messages()
+        if messages:
+            self._silence = 0.0
+        process.ready = process.ready or ("ready",) in messages
+        why = ""
+        if ("gone",) in messages:
+            why = "the worker process died"
+        elif not process.ready and now - process.started > _START_LIMIT:
+            why = f"the worker did not start within {_START_LIMIT:g} s"
+        elif process.ready and self._silence > _SILENCE_LIMIT:
+            why = "the worker process hangs"
+        if why:
+            self.replace()
+            messages.append(("lost", why))
+        return messages
+
+    def replace(self) -> None:
+        """Take the process away and start another, after a pause where it has not come up."""
+        process = self.process
+        assert process is not None
+        process.kill()
+        self.replaced += 1
+        self.process = _Process(self._module) if process.ready else None
+        self._next_start = time.monotonic() + _RESTART_PAUSE
+
+    def close(self) -> None:
+        """End the process, and start none."""
+        if self.process is not None:
+            self.process.kill()
+        self.process, self._next_start = None, math.inf
+
+
+class WorkerPool:
+    """``count`` supervised processes, which load ``module`` before their first task.
+
+    That is the module that the tasks come from: loading it, which takes seconds on a busy computer,
+    does not count as a task's time. Whoever has a task gets a :meth:`worker` once and polls it;
+    that keeps all processes going.
+    """
+
+    def __init__(self, module: str, count: int = 1) -> None:
+        self._slots = [_Slot(module) for _ in range(count)]
+        self._free = deque(self._slots)
+        self._waiting: deque[Worker] = deque()
+        self._notices: list[str] = []
+        self.tickets = itertools.count(1)
+        """Numbers of the tasks of all workers, for the processes."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a process that has come up."""
+        return any(slot.process is not None and slot.process.ready for slot in self._slots)
+
+    @property
+    def replaced(self) -> int:
+        """Processes that have been replaced so far."""
+        return sum(slot.replaced for slot in self._slots)
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process that is free next; None where there is none."""
+        process = self._next().process if self._free else None
+        return None if process is None else process.pid
+
+    def worker(self) -> Worker:
+        """A share of the processes, for one who has one task at a time."""
+        return Worker(self)
+
+    def close(self) -> None:
+        """End the processes. They hold nothing that could be lost."""
+        for slot in self._slots:
+            slot.close()
+
+    def queue(self, worker: Worker) -> None:
+        """Give this one a process in its turn."""
+        self._waiting.append(worker)
+        self.look_after()
+
+    def release(self, slot: _Slot) -> None:
+        """Take back the place of a process whose task has ended."""
+        self._free.append(slot)
+        self.look_after()
+
+    def look_after(self) -> None:
+        """Replace free processes that have died, and give free ones to those that wait."""
+        for slot in self._free:
+            lost = [message[1] for message in slot.look() if message[0] == "lost"]
+            self._notices += [f"{why}: the worker is replaced" for why in lost]
+        while self._waiting and self._free:
+            slot = self._next()
+            self._free.remove(slot)
+            self._waiting.popleft().take(slot)
+
+    def take_notices(self) -> list[str]:
+        """Sentences about free processes (deaths, replacements) since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def _next(self) -> _Slot:
+        """One that is coming up still counts where there is no other."""
+        ready = (slot for slot in self._free if slot.process is not None and slot.process.ready)
+        return next(ready, self._free[0])
+
+
+class Worker:
+    """Runs one function call at a time in a process of a pool; now and then it waits for one.
+
+    Call :meth:`poll` often: it brings the results, enforces time budgets and replaces a process
+    that has died.
+    """
+
+    def __init__(self, pool: WorkerPool) -> None:
+        self._pool = pool
+        self._slot: _Slot | None = None
         self._notices: list[str] = []
         self._number = 0
+        self._ticket = b""
         self._task: bytes | None = None
         self._budget = math.inf
         self._retried = False
         self._started: float | None = None  # the task, in a process that is ready
         self._stop_asked: float | None = None
-        self._next_start = 0.0
-        self._looked = time.monotonic()
-        self._silence = 0.0
-        self._process: _Process | None = _Process(self._module)
 
     @property
     def busy(self) -> bool:
@@ -209,133 +332,133 @@ class Worker:
         return self._task is not None
 
     @property
+    def waits(self) -> bool:
+        """Whether a task waits for a process."""
+        return self.busy and self._slot is None
+
+    @property
     def ready(self) -> bool:
         """Whether there is a process that has come up."""
-        return self._process is not None and self._process.ready
+        return self._pool.ready
+
+    @property
+    def replaced(self) -> int:
+        """Processes of the pool that have been replaced so far."""
+        return self._pool.replaced
 
     @property
     def pid(self) -> int | None:
-        """Id of the present worker process; None for the moment in which there is none."""
-        return None if self._process is None else self._process.pid
+        """Id of the process that is at the task, or would be; None where there is none."""
+        if self._slot is None:
+            return self._pool.pid
+        return None if self._slot.process is None else self._slot.process.pid
 
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
-        """Start ``function(*args, control)`` in the worker and return the task's number.
+        """Start ``function(*args, control)`` in a process and return the task's number.
 
         The function must be importable there; it is given a :class:`Control`. ``budget`` is the
-        time [s] that it may take. Raises RuntimeError while another task runs.
+        time [s] that it may take once a process has it. Raises RuntimeError while another task
+        runs.
         """
         if self.busy:
             raise RuntimeError("the worker is busy: wait for its task to end")
         self._number += 1
-        self._task = _TASK + _NUMBER.pack(self._number) + pickle.dumps((function, args), -1)
+        self._ticket = _NUMBER.pack(next(self._pool.tickets))
+        self._task = _TASK + self._ticket + pickle.dumps((function, args), -1)
         self._budget = budget
         self._retried = False
         self._stop_asked = None
-        self._begin()
+        self._pool.queue(self)
         return self._number
 
+    def take(self, slot: _Slot) -> None:
+        """Have the task done by the process in this place."""
+        self._slot = slot
+        self._begin(slot)
+
     def cancel(self) -> None:
-        """Ask the running task to return soon with what it has; it still ends with an outcome."""
+        """Ask the task to return soon with what it has; it still ends with an outcome, in turn."""
         if self.busy and self._stop_asked is None:
             self._stop_asked = time.monotonic()
-            if self._process is not None:
-                self._process.send(_STOP + _NUMBER.pack(self._number))
+            if self._slot is not None and self._slot.process is not None:
+                self._slot.process.send(_STOP + self._ticket)
 
     def poll(self) -> list[Outcome]:
         """What has happened since the last call, and what is overdue. Never blocks."""
+        self._pool.look_after()
+        self._notices += self._pool.take_notices()
+        slot = self._slot
+        if slot is None:
+            return []
         outcomes: list[Outcome] = []
-        now = time.monotonic()
-        self._silence += min(now - self._looked, _LONGEST_LOOK)
-        self._looked = now
-        if self._process is not None:
-            for kind, *content in self._process.messages():
-                self._silence = 0.0
-                outcomes += self._received(kind, content)
-        outcomes += self._overdue()
-        if self._process is None and time.monotonic() >= self._next_start:
-            self._process = _Process(self._module)
-            self._begin()
+        for kind, *content in slot.look():
+            outcomes += self._received(slot, kind, content)
+        outcomes += self._overdue(slot)
+        if not self.busy:
+            self._slot = None
+            self._pool.release(slot)
         return outcomes
 
     def take_notices(self) -> list[str]:
-        """Sentences about the worker itself (deaths, replacements) since the last call."""
+        """Sentences about the processes (deaths, replacements) since the last call."""
         notices, self._notices = self._notices, []
         return notices
 
-    def close(self) -> None:
-        """End the worker process. It holds nothing that could be lost."""
-        if self._process is not None:
-            self._process.kill()
-            self._process = None
-        self._task = None
-        self._next_start = math.inf
-
-    def _begin(self) -> None:
-        """Give the task, if there is one, to the process, if there is one."""
+    def _begin(self, slot: _Slot) -> None:
+        """Give the task to the process, if there is one."""
         self._started = None
-        if self._task is None or self._process is None:
+        if self._task is None or slot.process is None:
             return
-        self._process.send(self._task)
+        slot.process.send(self._task)
         if self._stop_asked is not None:
-            self._process.send(_STOP + _NUMBER.pack(self._number))
-        if self._process.ready:
+            slot.process.send(_STOP + self._ticket)
+        if slot.process.ready:
             self._started = time.monotonic()
 
-    def _received(self, kind: str, content: list[Any]) -> list[Outcome]:
-        assert self._process is not None
-        if kind == "gone":
-            return self._replace("the worker process died")
-        if kind == "ready":
-            self._process.ready = True
+    def _received(self, slot: _Slot, kind: str, content: list[Any]) -> list[Outcome]:
+        if kind == "lost":
+            return self._lost(slot, content[0])
+        if kind == "started":
+            self._begin(slot)
+        elif kind == "ready":
             self._started = time.monotonic()
-            return []
-        if kind == "alive":
-            return []
-        number, value = content
-        if self._task is None or number != self._number:
-            return []
-        if kind == "progress":
-            return [Progress(number, value)]
-        self._task = None
-        return [Done(number, value) if kind == "done" else Failed(number, value)]
+        elif content and self.busy and content[0] == _NUMBER.unpack(self._ticket)[0]:
+            if kind == "progress":
+                return [Progress(self._number, content[1])]
+            self._task = None
+            ended = Done if kind == "done" else Failed
+            return [ended(self._number, content[1])]
+        return []
 
-    def _overdue(self) -> list[Outcome]:
-        process, now = self._process, time.monotonic()
-        if process is None:
-            return []
-        if not process.ready:
-            if now - process.started > _START_LIMIT:
-                return self._replace(f"the worker did not start within {_START_LIMIT:g} s")
-            return []
-        if self._silence > _SILENCE_LIMIT:
-            return self._replace("the worker process hangs")
+    def _overdue(self, slot: _Slot) -> list[Outcome]:
+        now = time.monotonic()
         if self._task is None or self._started is None:
             return []
         over_budget = now - self._started > self._budget
         if over_budget:
             self.cancel()
-        if self._stop_asked is not None and now > max(self._stop_asked, self._started) + _GRACE:
-            why = f"the task exceeded its {self._budget:g} s" if over_budget else "it was cancelled"
-            return self._replace(f"{why} and did not stop when asked to", retry=False)
-        return []
-
-    def _replace(self, why: str, *, retry: bool = True) -> list[Outcome]:
-        """Take the process away; :meth:`poll` starts the next one."""
-        assert self._process is not None
-        self._process.kill()
-        if not self._process.ready:
-            self._next_start = time.monotonic() + _RESTART_PAUSE
-        self._process = None
-        self.replaced += 1
-        if self._task is None:
-            self._notices.append(f"{why}: the worker is replaced")
+        if self._stop_asked is None or now <= max(self._stop_asked, self._started) + _GRACE:
             return []
-        if retry and not self._retried and self._stop_asked is None:
+        slot.replace()
+        why = f"the task exceeded its {self._budget:g} s" if over_budget else "it was cancelled"
+        return self._lost(slot, f"{why} and did not stop when asked to", retry=False)
+
+    def _lost(self, slot: _Slot, why: str, *, retry: bool = True) -> list[Outcome]:
+        """Try the task again in the next process, once."""
+        again = retry and not self._retried and self._stop_asked is None
+        what = (
+            ""
+            if self._task is None
+            else " and its task " + ("starts again" if again else "is given up")
+        )
+        self._notices.append(f"{why}: the worker is replaced{what}")
+        if self._task is None:
+            return []
+        if again:
             self._retried = True
-            self._notices.append(f"{why}: the worker is replaced and its task starts again")
+            self._begin(slot)
             return []
         self._task = None
-        self._notices.append(f"{why}: the worker is replaced and its task is given up")
         return [Failed(self._number, why)]
 
 
@@ -454,153 +577,3 @@ class InlineWorker:
     def take_notices(self) -> list[str]:
         """Nothing happens to a process that is one's own."""
         return []
-
-
-class WorkerPool:
-    """``count`` supervised processes, which load ``module`` before their first task.
-
-    Whoever has a task gets a :meth:`worker` once and polls it; that keeps all processes going.
-    """
-
-    def __init__(self, module: str, count: int = 1) -> None:
-        self._workers = [Worker(module) for _ in range(count)]
-        self._free = deque(self._workers)
-        self._waiting: deque[PooledWorker] = deque()
-
-    @property
-    def ready(self) -> bool:
-        """Whether there is a process that has come up."""
-        return any(worker.ready for worker in self._workers)
-
-    @property
-    def replaced(self) -> int:
-        """Processes that have been replaced so far."""
-        return sum(worker.replaced for worker in self._workers)
-
-    @property
-    def pid(self) -> int | None:
-        """Id of the process that is free next; None for the moment in which there is none."""
-        return self._next.pid if self._free else None
-
-    @property
-    def _next(self) -> Worker:
-        """One that is coming up still counts where there is no other."""
-        return next((one for one in self._free if one.ready), self._free[0])
-
-    def worker(self) -> PooledWorker:
-        """A share of the processes, for one who has one task at a time."""
-        return PooledWorker(self)
-
-    def close(self) -> None:
-        """End the processes. They hold nothing that could be lost."""
-        for worker in self._workers:
-            worker.close()
-
-    def queue(self, waiting: PooledWorker) -> None:
-        """Give this one a process in its turn."""
-        self._waiting.append(waiting)
-        self.hand_out()
-
-    def release(self, worker: Worker) -> None:
-        """Take back a process whose task has ended."""
-        self._free.append(worker)
-        self.hand_out()
-
-    def hand_out(self) -> None:
-        """Give free processes to those that wait; one that has died is replaced."""
-        for worker in self._free:
-            worker.poll()
-        while self._waiting and self._free:
-            worker = self._next
-            self._free.remove(worker)
-            self._waiting.popleft().take(worker)
-
-    def take_notices(self) -> list[str]:
-        """Sentences about free processes (deaths, replacements) since the last call."""
-        return [notice for worker in self._free for notice in worker.take_notices()]
-
-
-class PooledWorker:
-    """A :class:`Worker` as far as its user can tell; now and then its tasks wait for a process."""
-
-    def __init__(self, pool: WorkerPool) -> None:
-        self._pool = pool
-        self._worker: Worker | None = None
-        self._start: Callable[[Worker], int] | None = None
-        self._number = 0
-        self._stop_asked = False
-        self._notices: list[str] = []
-
-    @property
-    def busy(self) -> bool:
-        """Whether a task has been submitted and has not yet ended."""
-        return self._start is not None
-
-    @property
-    def waits(self) -> bool:
-        """Whether a task waits for a process."""
-        return self.busy and self._worker is None
-
-    @property
-    def ready(self) -> bool:
-        """Whether there is a process that has come up."""
-        return self._pool.ready
-
-    @property
-    def replaced(self) -> int:
-        """Processes of the pool that have been replaced so far."""
-        return self._pool.replaced
-
-    @property
-    def pid(self) -> int | None:
-        """Id of the process that is at the task, or would be; None where there is none."""
-        return self._pool.pid if self._worker is None else self._worker.pid
-
-    def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
-        """As :meth:`Worker.submit`; the budget begins when a process has the task."""
-        if self.busy:
-            raise RuntimeError("the worker is busy: wait for its task to end")
-        self._number += 1
-        self._stop_asked = False
-        self._start = partial(_submit, function, args, budget)
-        self._pool.queue(self)
-        return self._number
-
-    def take(self, worker: Worker) -> None:
-        """Have the task done by this process."""
-        assert self._start is not None
-        self._worker = worker
-        self._start(worker)
-        if self._stop_asked:
-            worker.cancel()
-
-    def cancel(self) -> None:
-        """As :meth:`Worker.cancel`: the task still ends with an outcome, in its turn."""
-        self._stop_asked = True
-        if self._worker is not None:
-            self._worker.cancel()
-
-    def poll(self) -> list[Outcome]:
-        """What has happened since the last call. Never blocks."""
-        self._pool.hand_out()
-        self._notices += self._pool.take_notices()
-        worker = self._worker
-        if worker is None:
-            return []
-        outcomes = [replace(outcome, task=self._number) for outcome in worker.poll()]
-        self._notices += worker.take_notices()
-        if outcomes and not isinstance(outcomes[-1], Progress):
-            self._worker = self._start = None
-            self._pool.release(worker)
-        return outcomes
-
-    def take_notices(self) -> list[str]:
-        """Sentences about the processes (deaths, replacements) since the last call."""
-        notices, self._notices = self._notices, []
-        return notices
-
-
-def _submit(
-    function: Callable[..., Any], args: tuple[Any, ...], budget: float, worker: Worker
-) -> int:
-    return worker.submit(function, *args, budget=budget)

@@ -14,7 +14,7 @@ from threadpoolctl import ThreadpoolController
 import mr_damper_ros as mr
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.process_pool import LocalProcesses, ProcessPool
-from mr_damper_ros.processes.worker import Done, Worker
+from mr_damper_ros.processes.worker import Done, WorkerPool
 
 BAGS = Path(__file__).parents[2] / "bags"
 
@@ -93,10 +93,11 @@ def test_processes_of_pools_have_one_thread_and_the_environment_is_the_callers()
 
 
 def test_a_worker_has_one_thread() -> None:
-    worker = Worker("pool_tasks")
+    pool = WorkerPool("pool_tasks")
+    worker = pool.worker()
     worker.submit(pool_tasks.threads)
     outcomes = []
     while not outcomes:
         outcomes = worker.poll()
-    worker.close()
+    pool.close()
     assert outcomes == [Done(1, 1)]

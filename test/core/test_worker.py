@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress, Worker
+from mr_damper_ros.processes.worker import Done, Failed, Outcome, Progress, Worker, WorkerPool
 
 TASKS = """
 import os, pathlib, signal, sys, time
@@ -80,15 +80,15 @@ def tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.fixture
 def make_worker(tasks: Any) -> Iterator[Callable[[], Worker]]:
-    workers = []
+    pools = []
 
     def make() -> Worker:
-        workers.append(Worker("worker_tasks"))
-        return workers[-1]
+        pools.append(WorkerPool("worker_tasks"))
+        return pools[-1].worker()
 
     yield make
-    for worker in workers:
-        worker.close()
+    for pool in pools:
+        pool.close()
 
 
 def wait_until(condition: Callable[[], Any], what: str, limit: float = 30.0) -> Any:
@@ -341,10 +341,11 @@ def test_the_worker_stays_light(make_worker: Callable[[], Worker], tasks: Any) -
 
 
 def test_a_closed_worker_leaves_no_process(tasks: Any) -> None:
-    worker = Worker("worker_tasks")
+    pool = WorkerPool("worker_tasks")
+    worker = pool.worker()
     pid = worker.pid or 0
     worker.submit(tasks.call, time.sleep, 3600.0)
-    worker.close()
+    pool.close()
     assert is_gone(pid)
     assert worker.poll() == []
     assert worker.pid is None
@@ -355,8 +356,8 @@ def test_the_worker_dies_with_a_killed_parent(tasks: Any, task: str) -> None:
     # A long sum holds the interpreter lock, so that no thread of the worker can react.
     script = (
         "import time, worker_tasks\n"
-        "from mr_damper_ros.processes.worker import Worker\n"
-        "worker = Worker('worker_tasks')\n"
+        "from mr_damper_ros.processes.worker import WorkerPool\n"
+        "worker = WorkerPool('worker_tasks').worker()\n"
         f"worker.submit(worker_tasks.call, {task})\n"
         "deadline = time.monotonic() + 1.0\n"
         "while time.monotonic() < deadline: worker.poll(); time.sleep(0.01)\n"

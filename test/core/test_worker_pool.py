@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from mr_damper_ros.processes.worker import Done, Outcome, PooledWorker, Progress, WorkerPool
+from mr_damper_ros.processes.worker import Done, Outcome, Progress, Worker, WorkerPool
 
 PATIENCE = 30.0
 """Deadline [s] of everything that is waited for; generous, for a loaded machine."""
@@ -56,7 +56,7 @@ def make_pool(tasks: Any) -> Iterator[Callable[[int], WorkerPool]]:
         pool.close()
 
 
-def endings(workers: list[PooledWorker]) -> list[Outcome]:
+def endings(workers: list[Worker]) -> list[Outcome]:
     """Poll all of them until each task has ended; the last outcome of each."""
     found: dict[int, Outcome] = {}
     deadline = time.monotonic() + PATIENCE

@@ -33,8 +33,8 @@ from mr_damper_ros.settings.option_table import ParameterTable, option
 
 @dataclass(frozen=True)
 class PipeOptions(ParameterTable):
-    path: str = option("", "Path of the pipe.", read_only=True)
-    gain: float = option(1.0, "Factor on the force.")
+    path: str = option("", "Path of the pipe.")
+    gain: float = option(1.0, "Factor on the force.", read_only=False)
 
     def objection(self) -> str:
         return "" if self.path else "source is pipe, but pipe.path is empty: name a pipe"
