@@ -143,12 +143,7 @@ def fake(
         def connect() -> Device[Any]:
             return Fake(iter(next(turns, [])))
 
-        class Driver:
-            @staticmethod
-            def connector(channels: analog_input.AnalogChannels) -> Callable[[], Device[Any]]:
-                return connect
-
-        monkeypatch.setattr(daq_source, "import_module", lambda name: Driver)
+        monkeypatch.setitem(daq_source.DRIVERS, "labjack", lambda channels: connect)
         return rig(driver="labjack", **CHANNELS)
 
     return make

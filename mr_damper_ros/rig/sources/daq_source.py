@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mr_damper_ros.rig.blocks import Measured
-from mr_damper_ros.rig.sources.analog_input import AnalogChannels, Readings
+from mr_damper_ros.rig.sources.analog_input import DRIVERS, AnalogChannels, Readings
 from mr_damper_ros.rig.sources.device_source import DeviceSource, Portion
 from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
@@ -20,15 +19,6 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
 
 if TYPE_CHECKING:
     from mr_damper_ros.rig.sources.row_times import TimedSample
-
-DRIVERS = {
-    "simulated": "mr_damper_ros.rig.sources.analog_input",
-    "nidaqmx": "mr_damper_ros.rig.sources.nidaqmx_input",
-    "labjack": "mr_damper_ros.rig.sources.labjack_input",
-    "mcc": "mr_damper_ros.rig.sources.mcc_input",
-    "lsl": "mr_damper_ros.rig.sources.lsl_input",
-}
-"""The module of each, whose ``connector`` imports the library."""
 
 _QUANTITIES = ("displacement", "force", "current")
 
@@ -147,7 +137,7 @@ class DaqSource(DeviceSource[Readings]):
             given.rate,
             given.differential,
         )
-        self._connect = import_module(DRIVERS[given.driver]).connector(channels)
+        self._connect = DRIVERS[given.driver](channels)
         places = zip(wanted, channels.names, strict=True)
         return [
             f"{given.driver} {given.device}: "
