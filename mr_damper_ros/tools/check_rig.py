@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 
 from mr_damper_ros.rig_check.checks import check_rig
 from mr_damper_ros.rig_check.record import RigRecord
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 
 _WRONG = 1
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code: 1 where something is wrong with the signals."""
-    return run_tool(_parser(), _check, arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -42,3 +36,7 @@ def _check(options: argparse.Namespace) -> int:
     check = check_rig(record)
     print(f"{record.sample_count} samples in {options.seconds:g} s.\n\n{check}".rstrip())
     return _WRONG if check.findings else 0
+
+
+main = program(_parser, _check)
+"""Returns 1 where something is wrong with the signals."""

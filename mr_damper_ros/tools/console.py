@@ -24,6 +24,13 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
 
+def program(
+    parser: Callable[[], argparse.ArgumentParser], run: Callable[[argparse.Namespace], int]
+) -> Callable[..., int]:
+    """The ``main`` of a program, which takes the arguments as :func:`run_tool`."""
+    return lambda arguments=None: run_tool(parser(), run, arguments)
+
+
 def run_tool(
     parser: argparse.ArgumentParser,
     run: Callable[[argparse.Namespace], int],

@@ -11,10 +11,10 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,10 +26,10 @@ from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
 from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 
 if TYPE_CHECKING:
-    from mr_damper_ros.nodes.observer import DemoWatcher
+    from mr_damper_ros.nodes.observer import Observer
 
 _NODES = ("identifier", "model")
 _START_LIMIT = 30.0
@@ -43,13 +43,6 @@ _LOOK = 0.2
 
 class DemoError(ValueError):
     """The demonstration cannot go on: a node is not there, or has failed; the message says why."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(
-        _parser(), lambda options: (_live if options.live else _demo)(options), arguments
-    )
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -99,37 +92,35 @@ def _demo(options: argparse.Namespace) -> int:
         running = {name: stack.enter_context(closing(start_node(name))) for name in _NODES}
         running["live"] = stack.enter_context(closing(start_node("live", port=0)))
         print(f"page of this run, while it lasts: {page_of(running['live'])}")
-        from mr_damper_ros.nodes.observer import DemoWatcher
+        from mr_damper_ros.nodes.observer import Observer
 
-        watcher = stack.enter_context(DemoWatcher())
-        _wait_for_nodes(watcher, running)
-        replay = stack.enter_context(
+        heard = _Heard(stack.enter_context(Observer("demo")))
+        heard.wait_for_nodes(running)
+        running["replay"] = stack.enter_context(
             closing(start_node("replay", bag=bag, rate=options.rate, wait_for_subscribers=3))
         )
-        _watch(watcher, {**running, "replay": replay})
-    if watcher.parameters is None or not watcher.reports:
+        heard.follow(running)
+    if not heard.sets or not heard.reports:
         raise DemoError("no window was identified: see the messages of the nodes above")
-    return _summary(watcher, recording, options.output)
+    return _summary(heard, recording, options.output)
 
 
 def _live(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         # A domain of its own: nothing of a laboratory that is running is touched.
         stack.enter_context(stack.enter_context(RosDomain()).entered())
-        running = {
-            name: stack.enter_context(closing(start_node(name, **parameters)))
-            for name, parameters in (
-                ("live", {"port": options.port}),
-                ("identifier", {}),
-                ("model", {}),
-            )
-        }
+
+        def started(name: str, **parameters: object) -> Program:
+            return stack.enter_context(closing(start_node(name, **parameters)))
+
+        running = {"live": started("live", port=options.port)}
+        running.update((name, started(name)) for name in _NODES)
         print(f"the page is at {page_of(running['live'])}; Ctrl-C ends it", flush=True)
-        source = ("replay", {"bag": options.bag, "loop": True}) if options.bag else ("bridge", {})
-        name, parameters = source
-        running[name] = stack.enter_context(
-            closing(start_node(name, wait_for_subscribers=2, **parameters))
-        )
+        if options.bag:
+            bag = {"bag": options.bag, "loop": True}
+            running["replay"] = started("replay", wait_for_subscribers=2, **bag)
+        else:
+            running["bridge"] = started("bridge", wait_for_subscribers=2)
         while True:
             check_running(running)
             time.sleep(_LOOK)
@@ -137,17 +128,17 @@ def _live(options: argparse.Namespace) -> int:
 
 def start_node(name: str, **parameters: object) -> Program:
     """Start a node of this installation; raises DemoError where it is not built."""
-    program = Path(sys.argv[0]).resolve().parent / name
-    if not program.exists():
-        raise DemoError(f"{program} is not there: build the package with `make setup`")
-    return Program([str(program), *node_arguments(parameters)])
+    path = Path(sys.argv[0]).resolve().parent / name
+    if not path.exists():
+        raise DemoError(f"{path} is not there: build the package with `make setup`")
+    return Program([str(path), *node_arguments(parameters)])
 
 
 def check_running(running: Mapping[str, Program]) -> None:
     """Raise DemoError where a node has failed, with the end of what it said."""
-    for name, program in running.items():
-        if program.exit_code:
-            raise DemoError(f"{name} ended with code {program.exit_code}: {program.last_words}")
+    for name, node in running.items():
+        if node.exit_code:
+            raise DemoError(f"{name} ended with code {node.exit_code}: {node.last_words}")
 
 
 def page_of(live: Program) -> str:
@@ -161,26 +152,55 @@ def page_of(live: Program) -> str:
     return found[1]
 
 
-def _wait_for_nodes(watcher: DemoWatcher, running: Mapping[str, Program]) -> None:
-    deadline = time.monotonic() + _START_LIMIT
-    while not set(_NODES) <= set(watcher.node.get_node_names()):
-        check_running(running)
-        if time.monotonic() > deadline:
-            raise DemoError(f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s")
-        watcher.spin_once()
+class _Heard:
+    """What the nodes publish: samples, forces, reports, each printed as it comes, and sets."""
+
+    def __init__(self, observer: Observer) -> None:
+        from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
+
+        from mr_damper_ros.nodes import quality
+
+        self._observer = observer
+        self._last = time.monotonic()
+        self.reports: list[Any] = []
+        stream = quality.stream()
+        self.samples = observer.listen(MtsSamples, "mts/samples", stream)
+        self.forces = observer.listen(PredictedForce, "damper/predicted_force", stream)
+        self.sets = observer.listen(DamperParameters, "damper/parameters", quality.latched())
+        observer.listen(FitReport, "damper/fit_report", stream, self._tell)
+
+    def _tell(self, report: Any) -> None:
+        self.reports.append(report)
+        self._last = time.monotonic()
+        now, begin = report.header.stamp, self.reports[0].window_start
+        elapsed = now.sec - begin.sec + 1e-9 * (now.nanosec - begin.nanosec)
+        verdict = "accepted" if report.accepted else f"kept: {report.reason}"
+        print(
+            f"{elapsed:6.1f} s  NRMSE {report.nrmse_before:9.2%} -> {report.nrmse_after:6.2%}  "
+            f"{report.evaluations:4d} evaluations, {1e3 * report.duration:4.0f} ms  "
+            f"force scale {report.force_scale:6.4f}  {report.parameter_set}: {verdict}",
+            flush=True,
+        )
+
+    def wait_for_nodes(self, running: Mapping[str, Program]) -> None:
+        """Wait until identifier and model are there. Raises DemoError."""
+        deadline = time.monotonic() + _START_LIMIT
+        while not set(_NODES) <= set(self._observer.node.get_node_names()):
+            check_running(running)
+            if time.monotonic() > deadline:
+                raise DemoError(f"{' and '.join(_NODES)} did not start within {_START_LIMIT:.0f} s")
+            self._observer.spin_once()
+
+    def follow(self, running: Mapping[str, Program]) -> None:
+        """Listen until the bag is at its end and the identifier has finished. Raises DemoError."""
+        print("\nwindow        held-back samples: before -> after the fit")
+        while running["replay"].running or time.monotonic() - self._last < _SETTLE:
+            check_running(running)
+            self._observer.spin_once()
 
 
-def _watch(watcher: DemoWatcher, running: Mapping[str, Program]) -> None:
-    print("\nwindow        held-back samples: before -> after the fit")
-    replay = running["replay"]
-    while replay.running or time.monotonic() - watcher.last_report < _SETTLE:
-        check_running(running)
-        watcher.spin_once()
-
-
-def _summary(watcher: DemoWatcher, recording: Recording, folder: Path) -> int:
-    found = watcher.parameters
-    assert found is not None
+def _summary(heard: _Heard, recording: Recording, folder: Path) -> int:
+    found = heard.sets[-1]
     values = dict(zip(found.names, found.values, strict=True))
     print("\nparameter        value  standard error  unit")
     for parameter, value, error, unit, observable in zip(
@@ -194,10 +214,11 @@ def _summary(watcher: DemoWatcher, recording: Recording, folder: Path) -> int:
         shown = f"{error:14.3g}" if observable else "not observable"
         print(f"{parameter:>9} {value:12.6g}  {shown}  {unit}")
 
-    displacement = np.concatenate(
-        [watcher.displacement[seq] for seq in sorted(watcher.displacement)]
+    samples = {message.seq: message for message in heard.samples}
+    displacement, measured = (
+        np.concatenate([getattr(samples[seq], name) for seq in sorted(samples)])
+        for name in ("displacement", "force")
     )
-    measured = np.concatenate([watcher.measured[seq] for seq in sorted(watcher.measured)])
     motion = window_motion(displacement, recording.period)
     kinematics = (motion.displacement, motion.velocity, motion.acceleration)
     identified = np.array([values[parameter] for parameter in PARAMETER_NAMES])
@@ -206,15 +227,15 @@ def _summary(watcher: DemoWatcher, recording: Recording, folder: Path) -> int:
     after = _nrmse(sine_force(identified, *kinematics, amperes), measured)
     print(f"\nNRMSE with the literature set, before:     {before:10.2%}")
     print(f"NRMSE with the identified set, after:      {after:10.2%}")
-    both = [seq for seq in sorted(watcher.predicted) if seq in watcher.measured]
-    if not both:
+    forces = {m.seq: m.force for m in heard.forces if m.valid and m.seq in samples}
+    if not forces:
         raise DemoError("the model node predicted nothing valid: see /diagnostics")
-    predicted = np.concatenate([watcher.predicted[seq] for seq in both])
-    seen = np.concatenate([watcher.measured[seq] for seq in both])
+    predicted = np.concatenate([forces[seq] for seq in sorted(forces)])
+    seen = np.concatenate([samples[seq].force for seq in sorted(forces)])
     print(f"NRMSE of the force predicted while it ran: {_nrmse(predicted, seen):10.2%}")
-    evaluations = sum(report.evaluations for report in watcher.reports)
+    evaluations = sum(report.evaluations for report in heard.reports)
     print(f"evaluations of the force law:              {evaluations:10d}")
-    first = both[0]
+    first = min(forces)
     chosen = slice(first, first + predicted.size)
     comparison = Comparison(
         name=recording.name,
@@ -232,3 +253,6 @@ def _summary(watcher: DemoWatcher, recording: Recording, folder: Path) -> int:
 
 def _nrmse(predicted: Array, measured: Array) -> float:
     return float(np.sqrt(np.mean((predicted - measured) ** 2)) / np.std(measured))
+
+
+main = program(_parser, _run)

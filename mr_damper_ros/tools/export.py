@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportSettings, Vectors
@@ -13,15 +13,10 @@ from mr_damper_ros.control.export.source_code import functions, header
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.settings.option_table import Option, options
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 
 _POINTS = 1000
 """Points in the table of test vectors."""
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _export, arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -95,3 +90,6 @@ _FORMATS: dict[str, Callable[[ExportedLaw, str, Path], list[Path]]] = {
     "fmu": _fmu,
     "matlab": _matlab,
 }
+
+
+main = program(_parser, _export)

@@ -21,7 +21,7 @@ from mr_damper_ros.tools.console import (
     ProgressLine,
     add_plot_options,
     add_run_options,
-    run_tool,
+    program,
     write_plots,
 )
 
@@ -37,11 +37,6 @@ _AUTO_HELP = (
 )
 
 _DEFAULTS = EvolutionSettings()
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _identify, arguments)
 
 
 def add_search_options(
@@ -204,3 +199,6 @@ def _identify(options: argparse.Namespace) -> int:
         write_text(options.json, json.dumps(document, indent=2, allow_nan=False) + "\n")
     write_plots(options, [run.comparison for run in result.runs])
     return 0 if result.explains else EXPLAINS_TOO_LITTLE
+
+
+main = program(_parser, _identify)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from mr_damper_ros.lots.report import (
     write_population_report,
 )
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.tools.console import FAILED, INTERRUPTED, run_tool
+from mr_damper_ros.tools.console import FAILED, INTERRUPTED, program
 from mr_damper_ros.tools.identify import add_search_options
 
 LEFT_OUT = 3
@@ -42,11 +42,6 @@ examples:
 Exit code: 0; {LEFT_OUT} where a file was left out or a damper not identified, with all results
 written; {FAILED} where an option cannot be used; {INTERRUPTED} after Ctrl-C.
 """
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _identify_many, arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -181,3 +176,6 @@ class _Progress:
         """Leave the line."""
         if self._shown:
             sys.stderr.write("\n")
+
+
+main = program(_parser, _identify_many)

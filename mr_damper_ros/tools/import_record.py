@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, UNITS, RecordError
 from mr_damper_ros.io.records import RunsOfFile, read_record
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 
 _EPILOG = f"""\
 columns: QUANTITY:UNIT for each column from the left, - to skip one, ... at the end for all that
@@ -36,11 +35,6 @@ examples:
 """
 
 _LEFT_OUT = "-"
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _import, argv)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -206,5 +200,4 @@ def _range(name: str, values: Array, unit: str) -> str:
     return f"  {name:<13} {shown} {unit}"
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+main = program(_parser, _import)

@@ -31,7 +31,7 @@ from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import FAILED, run_tool
+from mr_damper_ros.tools.console import FAILED, program
 
 OUT_OF_REACH = 3
 """Exit code where the goal cannot be met within the limits of the machine."""
@@ -53,11 +53,6 @@ examples:
 Exit code: 0, also where the goal is met; {OUT_OF_REACH} where it cannot be met within the limits;
 {FAILED} where a bag or an option cannot be used.
 """
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _plan, arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -285,3 +280,6 @@ def _limits_of(options: argparse.Namespace) -> MachineLimits:
         steps=not options.manual,
         motions=motions_of(["sine"] if options.manual else options.motions),
     )
+
+
+main = program(_parser, _plan)

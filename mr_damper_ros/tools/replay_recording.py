@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 from mr_damper_ros.api.comparison import FORMATS
@@ -12,14 +11,9 @@ from mr_damper_ros.api.replay import replay
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 from mr_damper_ros.tracking.engine import EngineSettings
 from mr_damper_ros.tracking.tracker import OF_THE_SET
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _replay, arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -61,3 +55,6 @@ def _replay(options: argparse.Namespace) -> int:
     if options.plot is not None:
         result.plot().savefig(options.plot)
     return 0
+
+
+main = program(_parser, _replay)

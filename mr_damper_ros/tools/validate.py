@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 from mr_damper_ros.api.comparison import validate
 from mr_damper_ros.processes.files import write_text
-from mr_damper_ros.tools.console import add_plot_options, add_run_options, run_tool, write_plots
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _validate, arguments)
+from mr_damper_ros.tools.console import add_plot_options, add_run_options, program, write_plots
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -37,3 +31,6 @@ def _validate(options: argparse.Namespace) -> int:
         write_text(options.json, json.dumps(result.document(), indent=2, allow_nan=False) + "\n")
     write_plots(options, [run.comparison for run in result.runs])
     return 0
+
+
+main = program(_parser, _validate)

@@ -8,12 +8,11 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Sequence
 
 import numpy as np
 
 from mr_damper_ros.live.live_record import SILENT_AFTER, LiveRecord
-from mr_damper_ros.tools.console import run_tool
+from mr_damper_ros.tools.console import program
 
 _SIGNS = ("+", "!", "x", "?")
 """Of the levels good, warning, error and stale."""
@@ -134,11 +133,6 @@ _AT_LEAST = 3.0
 """Seconds after which everybody who is there has been heard: diagnostics come once a second."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; returns the exit code."""
-    return run_tool(_parser(), _watch, arguments)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="watch", description="Print how the running system stands, in place, until Ctrl-C."
@@ -182,3 +176,6 @@ def _watch(options: argparse.Namespace) -> int:
 
 def _width() -> int:
     return shutil.get_terminal_size().columns
+
+
+main = program(_parser, _watch)
