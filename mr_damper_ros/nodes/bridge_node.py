@@ -29,7 +29,12 @@ from mr_damper_ros.nodes.messages import (
     suspension_message,
 )
 from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.pacing import Outlet, Pacer, SendingThread, wait_for_subscribers
+from mr_damper_ros.nodes.pacing import (
+    Outlet,
+    Pacer,
+    SendingThread,
+    wait_for_subscribers,
+)
 from mr_damper_ros.nodes.spinning import ManagedNode, run
 from mr_damper_ros.nodes.topic_source import TopicOptions, TopicSource
 from mr_damper_ros.rig.blocks import Meter, Reading, aligned
@@ -50,14 +55,6 @@ _CURRENT_STEP = 0.005
 """Change [A] of the current that is published at once; smaller ones wait for the next reading."""
 
 _TEMPERATURE_PERIOD = 1.0
-
-
-@dataclass(frozen=True)
-class SubscriberWait:
-    """Number of ``nodes`` that must have subscribed first, and how long they are waited for [s]."""
-
-    nodes: int
-    timeout: float
 
 
 class BridgeStream:
@@ -97,15 +94,20 @@ class BridgeStream:
         for outlet in self._outlets.values():
             self._node.destroy_publisher(outlet.publisher)
 
-    def send(self, blocks: Iterator[RigBlock], wait: SubscriberWait, *, live: bool = False) -> None:
+    def send(
+        self, blocks: Iterator[RigBlock], nodes: int, timeout: float, *, live: bool = False
+    ) -> None:
         """Publish all blocks, each when its last sample is due, or until the pacer is stopped.
+
+        So many ``nodes`` must have subscribed first; they are waited for until a ``timeout`` [s].
 
         Those of a ``live`` source go out as they come, with their stamps. Others are stamped anew:
         the first sample is taken when all is ready to send it, and where sending was held up for
         longer than can be made good, the stamps pause, too.
         """
         self.sent = 0
-        self._wait_for(wait)
+        self.state = "waits for subscribers"
+        wait_for_subscribers(self._node, self._outlets.values(), nodes, timeout, self._pacer)
         self.state = "streams"
         supply = Meter(self._current_period, step=_CURRENT_STEP)
         thermometer = Meter(_TEMPERATURE_PERIOD)
@@ -160,17 +162,6 @@ class BridgeStream:
                 return
             if made.sample_count and later_ns is not None:
                 yield replace(made, start_ns=made.start_ns + later_ns + self._pacer.left_out_ns)
-
-    def _wait_for(self, wait: SubscriberWait) -> None:
-        self.state = "waits for subscribers"
-        publishers = [outlet.publisher for outlet in self._outlets.values()]
-        if wait.nodes > 0 and not wait_for_subscribers(
-            self._node, publishers, wait.nodes, wait.timeout, self._pacer
-        ):
-            self._node.get_logger().warning(
-                f"fewer than {wait.nodes} nodes subscribed within {wait.timeout:g} s: streaming to "
-                "those that are there"
-            )
 
     def _publish_current(self, reading: Reading) -> None:
         self._outlets["supply/current"].publish(
@@ -427,10 +418,13 @@ class BridgeNode(ManagedNode):
         made = self._source.blocks(self.get_clock().now().nanoseconds)
         blocks = aligned(made, values.force_lateness)
         live = self._source.live
-        wait = SubscriberWait(values.wait_for_subscribers, values.wait_timeout)
         self._pacer.start()
         self._sending = SendingThread(
-            self, self._pacer, lambda: stream.send(blocks, wait, live=live)
+            self,
+            self._pacer,
+            lambda: stream.send(
+                blocks, values.wait_for_subscribers, values.wait_timeout, live=live
+            ),
         )
         return TransitionCallbackReturn.SUCCESS
 

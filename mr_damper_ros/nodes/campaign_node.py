@@ -190,81 +190,6 @@ class CampaignParameters(ParameterTable):
         return ""
 
 
-class CampaignGoals:
-    """Serves ``~/run_campaign``, one goal at a time.
-
-    ``begin`` starts the campaign of a goal and returns why not, empty where it has begun; ``stop``
-    is called where the goal is cancelled. ``refusal`` says why a goal cannot be meant, ``busy``
-    whether there is a campaign already.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        begin: Callable[[RunCampaign.Goal], str],
-        refusal: Callable[[RunCampaign.Goal], str],
-        busy: Callable[[], bool],
-        stop: Callable[[], None],
-    ) -> None:
-        self._begin_campaign = begin
-        self._cannot_be_meant = refusal
-        self._busy = busy
-        self._stop = stop
-        self._logger = node.get_logger()
-        self._goal: ServerGoalHandle | None = None
-        self._server = GoalServer(
-            node,
-            RunCampaign,
-            "~/run_campaign",
-            begin=self._begin,
-            refusal=self._refusal,
-            cancel=self._cancel,
-            succeeded=lambda result: result.outcome == RunCampaign.Result.MET,
-        )
-
-    def tell(self, status: CampaignStatus) -> None:
-        """Tell whoever asked for the campaign how it stands."""
-        if self._goal is not None:
-            left = status.runs_left
-            self._goal.publish_feedback(
-                RunCampaign.Feedback(
-                    stage=int(status.stage),
-                    run=status.run,
-                    sentence=status.sentence or status.state,
-                    worst_error=status.worst_error,
-                    runs_left=-1 if left is None else left,
-                )
-            )
-
-    def end(self, result: RunCampaign.Result) -> None:
-        """Give whoever asked for the campaign its result."""
-        if self._goal is not None:
-            goal, self._goal = self._goal, None
-            self._server.finish(goal, result)
-
-    def _refusal(self, request: RunCampaign.Goal) -> str:
-        if self._busy():
-            return "a campaign is under way; stop it first, or wait for its end"
-        return self._cannot_be_meant(request)
-
-    def _begin(self, goal: ServerGoalHandle) -> None:
-        why_not = self._begin_campaign(goal.request)
-        if not why_not:
-            self._goal = goal
-            return
-        self._logger.error(f"the campaign cannot begin: {why_not}")
-        self._server.finish(
-            goal,
-            RunCampaign.Result(
-                outcome=RunCampaign.Result.FAILED, message=why_not, worst_error=float("nan")
-            ),
-        )
-
-    def _cancel(self, goal: ServerGoalHandle) -> None:
-        if goal == self._goal:
-            self._stop()
-
-
 _ATTENTION_PERIOD = 0.05
 """Seconds between two looks at the worker, and two commands: a machine that hears none for half a
 second comes to rest."""
@@ -299,15 +224,17 @@ class CampaignNode(Node):
             lambda message: self._conductor.add_temperature(
                 to_nanoseconds(message.header.stamp), message.temperature
             ),
-            quality.stream(),
         )
         self._inputs = Inputs(self, quality.stream, self._take_block, self._conductor.add_current)
-        self._goals = CampaignGoals(
+        self._goal: ServerGoalHandle | None = None
+        self._goals = GoalServer(
             self,
-            lambda request: self._begin(self._wanted(request)),
-            self._objection,
-            lambda: self._conductor.running,
-            self._conductor.stop,
+            RunCampaign,
+            "~/run_campaign",
+            begin=self._begin_goal,
+            refusal=self._refusal,
+            cancel=self._cancel,
+            succeeded=lambda result: result.outcome == RunCampaign.Result.MET,
         )
         conductor = self._conductor
         for name, act, said in (
@@ -343,9 +270,11 @@ class CampaignNode(Node):
 
     # --- goals ----------------------------------------------------------------------------------
 
-    def _objection(self, request: RunCampaign.Goal) -> str:
-        """Why a goal cannot be meant, or is beyond the machine, in words; empty where it can."""
+    def _refusal(self, request: RunCampaign.Goal) -> str:
+        """Why a goal cannot be meant now, or is beyond the machine, in words; empty if it can."""
         options = self._options
+        if self._conductor.running:
+            return "a campaign is under way; stop it first, or wait for its end"
         try:
             limits = options.machine.limits(manual=options.conduct.manual)
             first_run(self._wanted(request).goal(), limits)
@@ -364,6 +293,20 @@ class CampaignNode(Node):
                     wanted, **{low: getattr(request, low), high: getattr(request, high)}
                 )
         return wanted
+
+    def _begin_goal(self, goal: ServerGoalHandle) -> None:
+        why_not = self._begin(self._wanted(goal.request))
+        if not why_not:
+            self._goal = goal
+            return
+        self.get_logger().error(f"the campaign cannot begin: {why_not}")
+        failed = RunCampaign.Result.FAILED
+        result = RunCampaign.Result(outcome=failed, message=why_not, worst_error=math.nan)
+        self._goals.finish(goal, result)
+
+    def _cancel(self, goal: ServerGoalHandle) -> None:
+        if goal == self._goal:
+            self._conductor.stop()
 
     def _begin(self, wanted: GoalOptions) -> str:
         """Begin a campaign, or go on with it; why not, in words, empty where it has begun."""
@@ -427,8 +370,21 @@ class CampaignNode(Node):
         self._looks += 1
         status = self._conductor.status()
         if status is not None and self._looks % _FEEDBACK == 0:
-            self._goals.tell(status)
+            self._feed_back(status)
             self._say(status)
+
+    def _feed_back(self, status: CampaignStatus) -> None:
+        """Tell whoever asked for the campaign how it stands."""
+        if self._goal is not None:
+            self._goal.publish_feedback(
+                RunCampaign.Feedback(
+                    stage=int(status.stage),
+                    run=status.run,
+                    sentence=status.sentence or status.state,
+                    worst_error=status.worst_error,
+                    runs_left=-1 if status.runs_left is None else status.runs_left,
+                )
+            )
 
     def _say(self, status: CampaignStatus) -> None:
         """Tell whoever sets the press what to set, once."""
@@ -440,6 +396,9 @@ class CampaignNode(Node):
         self._last, self._failed = end.reason, end.outcome is CampaignOutcome.FAILED
         log = self.get_logger().error if self._failed else self.get_logger().info
         log(f"the campaign has ended after {len(end.steps)} runs: {end.reason}")
+        if self._goal is None:
+            return
+        goal, self._goal = self._goal, None
         found = DamperParameters()
         worst = math.nan
         if end.steps:
@@ -448,7 +407,8 @@ class CampaignNode(Node):
             found = parameters_message(
                 step.parameter_set, self._options.frame_id, self.get_fully_qualified_name()
             )
-        self._goals.end(
+        self._goals.finish(
+            goal,
             RunCampaign.Result(
                 outcome=int(end.outcome),
                 message=end.reason,
@@ -456,7 +416,7 @@ class CampaignNode(Node):
                 folder=self._options.folder,
                 parameters=found,
                 worst_error=worst,
-            )
+            ),
         )
 
     # --- state ----------------------------------------------------------------------------------

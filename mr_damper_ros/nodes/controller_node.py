@@ -25,10 +25,10 @@ from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics,
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.messages import set_stamp, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.parameter_input import ParameterInput
+from mr_damper_ros.nodes.parameter_input import ParameterInput, SetOptions
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.deferred import PostponedWork
-from mr_damper_ros.settings.option_table import ParameterTable, group, option
+from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
@@ -47,7 +47,7 @@ _DEMANDS = 1
 
 
 @dataclass(frozen=True)
-class ControllerParameters(ParameterTable):
+class ControllerParameters(SetOptions):
     """Parameters of the controller node.
 
     For every block on mts/samples it publishes the current that brings the desired force
@@ -57,21 +57,6 @@ class ControllerParameters(ParameterTable):
     commanded at once. The diagnostics say why.
     """
 
-    parameter_file: str = option(
-        "",
-        'Parameter file (YAML) to control with; "" for none. An identifier\'s set takes its place '
-        "once it holds for all the currents that the file states, or once the force of the file is "
-        "wrong; a mere start of an identifier never does. Give the identifier the same file as "
-        "initial_parameters, and it starts from there. With a file no identifier is needed.",
-    )
-    trusted_source: str = option(
-        "",
-        'Name of the one node whose parameters and reports are used, such as /identifier; "" for '
-        "any. Two nodes that publish damper/parameters are an error in the diagnostics unless one "
-        "is named here. The graph of nodes tells who publishes. Where several do, the field node "
-        "of the messages counts as well. Both can be forged: only SROS2 authenticates "
-        "(doc/security.md).",
-    )
     samples_timeout: float = option(
         0.2,
         "Time [s] without samples, on the clock of this computer, after which the safe current is "
@@ -128,8 +113,7 @@ class ControllerNode(Node):
             self,
             self._controller.set_parameters,
             self._controller.predictor,
-            parameter_file=self._options.parameter_file,
-            trusted_source=self._options.trusted_source,
+            self._options,
         )
         quality.subscription(
             self, DesiredForce, DEMAND_TOPIC, self._take_demand, quality.stream(_DEMANDS)

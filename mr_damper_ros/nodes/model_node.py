@@ -16,12 +16,12 @@ from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics,
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
 from mr_damper_ros.nodes.messages import PredictionMessage, header
 from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput
+from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput, SetOptions
 from mr_damper_ros.nodes.signal_mirror import SignalMirror
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.deferred import PostponedWork
 from mr_damper_ros.processes.programs import HELP
-from mr_damper_ros.settings.option_table import ParameterTable, group, option
+from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
@@ -36,7 +36,7 @@ _POOR_NRMSE, _BAD_NRMSE = 0.3, 0.6
 
 
 @dataclass(frozen=True)
-class ModelParameters(ParameterTable):
+class ModelParameters(SetOptions):
     """Parameters of the model node.
 
     For every block on mts/samples it publishes the predicted force on damper/predicted_force, from
@@ -44,13 +44,6 @@ class ModelParameters(ParameterTable):
     relied on is marked ``valid: false``, with the reason in words.
     """
 
-    parameter_file: str = option(
-        "",
-        'Parameter file (YAML) to predict with; "" for none. An identifier\'s set takes its place '
-        "once it holds for all the currents that the file states, or once the force of the file is "
-        "wrong; a mere start of an identifier never does. Give the identifier the same file as "
-        "initial_parameters, and it starts from there. With a file no identifier is needed.",
-    )
     predictor: PredictorSettings = group(PredictorSettings, flat=True)
     newest_first: bool = option(
         True,
@@ -58,14 +51,6 @@ class ModelParameters(ParameterTable):
         "old (max_age), go straight to the newest: the blocks before them are only followed, no "
         "force is published for them, and the diagnostics count them (`latency`). A recording that "
         "is played is predicted block by block in any case.",
-    )
-    trusted_source: str = option(
-        "",
-        'Name of the one node whose parameters and reports are used, such as /identifier; "" for '
-        "any. Two nodes that publish damper/parameters are an error in the diagnostics unless one "
-        "is named here. The graph of nodes tells who publishes. Where several do, the field node "
-        "of the messages counts as well. Both can be forged: only SROS2 authenticates "
-        "(doc/security.md).",
     )
     grid: GridSettings = group(GridSettings, flat=True)
     error_memory: float = option(
@@ -121,8 +106,7 @@ class ModelNode(Node):
             self,
             self._predictor.set_parameters,
             self._predictor,
-            parameter_file=self._options.parameter_file,
-            trusted_source=self._options.trusted_source,
+            self._options,
             replaced=self._error.reset,
         )
         self._inputs = Inputs(self, quality.stream, self._take_block, self._predictor.add_current)

@@ -188,13 +188,15 @@ class Outlet:
 
 
 def wait_for_subscribers(
-    node: Node, publishers: Iterable[Publisher], nodes: int, timeout: float, pacer: Pacer
-) -> bool:
-    """Wait until that many nodes subscribe and are connected; False where they did not come.
+    node: Node, outlets: Iterable[Outlet], nodes: int, timeout: float, pacer: Pacer
+) -> None:
+    """Wait until that many nodes subscribe and are connected, or the sending is to end.
 
-    True, too, where the sending is to end meanwhile.
+    Where they do not come within the ``timeout`` [s], a warning says so.
     """
-    publishers = list(publishers)
+    if nodes == 0:
+        return
+    publishers = [outlet.publisher for outlet in outlets]
     give_up = time.monotonic() + timeout
     seen: object = None
     since = time.monotonic()
@@ -208,9 +210,13 @@ def wait_for_subscribers(
             for publisher, subscribers in zip(publishers, present, strict=True)
         )
         if len(names) >= nodes and connected and time.monotonic() - since >= _SETTLE:
-            return True
+            return
         time.sleep(_POLL)
-    return pacer.stopped
+    if not pacer.stopped:
+        node.get_logger().warning(
+            f"fewer than {nodes} nodes subscribed within {timeout:g} s: going on with those that "
+            "are there"
+        )
 
 
 def _subscribers(node: Node, publisher: Publisher) -> list[str]:

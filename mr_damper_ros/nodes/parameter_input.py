@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 from mr_damper_msgs.msg import DamperParameters, FitReport
@@ -14,6 +15,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Finding
 from mr_damper_ros.nodes.messages import parameter_set, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
+from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.tracking.predictor import ForcePredictor
 from mr_damper_ros.tracking.reports import WindowVerdict
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
@@ -32,6 +34,27 @@ _SHOWN = 100
 """Characters of a name that are repeated: a message may hold a megabyte of them."""
 
 
+@dataclass(frozen=True)
+class SetOptions(ParameterTable):
+    """Which parameters a node works with."""
+
+    parameter_file: str = option(
+        "",
+        'Parameter file (YAML) to work with; "" for none. An identifier\'s set takes its place '
+        "once it holds for all the currents that the file states, or once the force of the file is "
+        "wrong; a mere start of an identifier never does. Give the identifier the same file as "
+        "initial_parameters, and it starts from there. With a file no identifier is needed.",
+    )
+    trusted_source: str = option(
+        "",
+        'Name of the one node whose parameters and reports are used, such as /identifier; "" for '
+        "any. Two nodes that publish damper/parameters are an error in the diagnostics unless one "
+        "is named here. The graph of nodes tells who publishes. Where several do, the field node "
+        "of the messages counts as well. Both can be forged: only SROS2 authenticates "
+        "(doc/security.md).",
+    )
+
+
 class _Use(Protocol):
     """What takes a set, with the stamp of the last sample that it is known to fit."""
 
@@ -42,8 +65,7 @@ class ParameterInput:
     """Subscribes parameters and reports, and hands on what can be used.
 
     ``use`` takes a set; the ``predictor`` is told what the identifier says of the set in use.
-    ``trusted_source`` is the one node whose parameters are used, empty for any. Those of a file are
-    used at once; raises ConfigurationError where they cannot be.
+    Parameters of a file are used at once; raises ConfigurationError where they cannot be.
     """
 
     def __init__(
@@ -51,22 +73,20 @@ class ParameterInput:
         node: Node,
         use: _Use,
         predictor: ForcePredictor,
-        *,
-        parameter_file: str,
-        trusted_source: str,
+        options: SetOptions,
         replaced: Callable[[], None] = lambda: None,
     ) -> None:
         self._node = node
         self._use = use
         self._predictor = predictor
-        self._trust = _Trust(node, trusted_source)
+        self._trust = _Trust(node, options.trusted_source)
         self._unattributed: DamperParameters | None = None
         self._replaced = replaced
         self._refused = ""
-        self._from = self._file = parameter_file
+        self._from = self._file = options.parameter_file
         self._given = ""
-        if parameter_file:
-            given = _read(parameter_file)
+        if self._file:
+            given = _read(self._file)
             self._given = given.set_id
             use(given)
         node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())

@@ -245,14 +245,8 @@ class ReplayNode(Node):  # type: ignore[misc]
 
     def _send(self) -> None:
         values = self.parameters.values
-        publishers = [outlet.publisher for outlet in self._outlets.values()]
-        if values.wait_for_subscribers > 0 and not wait_for_subscribers(
-            self, publishers, values.wait_for_subscribers, values.wait_timeout, self._pacer
-        ):
-            self.get_logger().warning(
-                f"fewer than {values.wait_for_subscribers} nodes subscribed within "
-                f"{values.wait_timeout:g} s: playing to those that are there"
-            )
+        nodes, timeout = values.wait_for_subscribers, values.wait_timeout
+        wait_for_subscribers(self, self._outlets.values(), nodes, timeout, self._pacer)
         self._find_others()
         while True:
             self._state = "plays"
