@@ -49,7 +49,7 @@ from mr_damper_ros.emulation.plant_rig import (
 )
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.rig.sources.quarter_car_source import moment_of
+from mr_damper_ros.rig.sources.emulated_source import moment_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
 from mr_damper_ros.tracking.engine import Engine

@@ -44,7 +44,7 @@ from mr_damper_ros.emulation.plant_rig import (
     PlantRig,
     invented_damper,
 )
-from mr_damper_ros.rig.sources.quarter_car_source import moment_of
+from mr_damper_ros.rig.sources.emulated_source import moment_of
 
 COIL = 0.01  # time constant of the coil [s]
 SETTLED = 2.0

@@ -142,6 +142,15 @@ def option(
     return dataclasses.field(default=default, metadata={"option": details})
 
 
+def with_default(table: type, name: str, default: Value) -> Any:
+    """The field of this name of another table, with another default."""
+    found: Option = {field.name: field for field in dataclasses.fields(table)}[name].metadata[
+        "option"
+    ]
+    details = dataclasses.replace(found, default=default)
+    return dataclasses.field(default=default, metadata={"option": details})
+
+
 @dataclass(frozen=True)
 class _Group:
     """What a field holds that is a group of options."""

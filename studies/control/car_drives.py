@@ -36,7 +36,7 @@ from mr_damper_ros.emulation.plant_rig import (
     invented_damper,
 )
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.rig.sources.quarter_car_source import moment_of
+from mr_damper_ros.rig.sources.emulated_source import moment_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
 

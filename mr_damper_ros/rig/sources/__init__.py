@@ -1,8 +1,7 @@
 """Sources of samples: one file each, and one line here."""
 
 from mr_damper_ros.rig.sources.daq_source import DaqSource
-from mr_damper_ros.rig.sources.emulated_source import EmulatedSource
-from mr_damper_ros.rig.sources.quarter_car_source import QuarterCarSource
+from mr_damper_ros.rig.sources.emulated_source import EmulatedSource, QuarterCarSource
 from mr_damper_ros.rig.sources.recorded_source import BagSource, RecordSource
 from mr_damper_ros.rig.sources.source import Source
 from mr_damper_ros.rig.sources.stream_source import StreamSource

@@ -1,12 +1,13 @@
-"""The emulated rig as a source."""
+"""Emulated sources: a test rig, and a quarter car with a damper in it, which commands move."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, QuarterCar
 from mr_damper_ros.emulation.emulator import (
     CHUNK,
     Damper,
@@ -28,6 +29,13 @@ from mr_damper_ros.emulation.motions import (
     chirp,
     stepped,
 )
+from mr_damper_ros.emulation.plant_rig import (
+    HOT_FORCE,
+    BuiltInDamper,
+    PlantRig,
+    Surroundings,
+    invented_damper,
+)
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.commander import (
@@ -36,22 +44,16 @@ from mr_damper_ros.rig.commander import (
     Origin,
 )
 from mr_damper_ros.rig.sources.source import MOST_CURRENT, Source, StreamSettings, emulated_supply
-from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import RigBlock
+from mr_damper_ros.settings.option_table import ParameterTable, option, with_default
+from mr_damper_ros.signals.blocks import Moment, RigBlock
 
 _THESIS_TEMPERATURES = "thesis_temperatures"
 
 
 @dataclass(frozen=True)
-class EmulatedOptions(ParameterTable):
-    """The emulated rig of ``source: emulated``."""
+class _RigOptions(ParameterTable):
+    """What the emulated rig and the emulated quarter car have in common."""
 
-    damper: str = option(
-        _THESIS_TEMPERATURES,
-        f"The damper in the machine: {_THESIS_TEMPERATURES} (the thesis' at 28 °C and 71 °C, its "
-        "force in between by the emulated temperature), a condition of the thesis such as "
-        "5.0mm_1Hz_1.5A, or the path of a parameter file (YAML) of any model.",
-    )
     hot_force: float = option(
         1.0,
         "Factor on the force at 71 °C, below 1 for a damper that weakens as it heats up; from 28 "
@@ -59,6 +61,67 @@ class EmulatedOptions(ParameterTable):
         "which is already in thesis_temperatures.",
         minimum=0.0,
         maximum=10.0,
+    )
+    current: float = option(
+        1.5,
+        "Supply current [A]: the knob of the supply. It may be turned while the rig runs: `ros2 "
+        "param set /bridge emulated.current 0.5`. It holds until a command comes on "
+        "supply/current_command.",
+        minimum=-MOST_CURRENT,
+        maximum=MOST_CURRENT,
+        read_only=False,
+    )
+    command_timeout: float = option(
+        0.5,
+        "Time [s] that a command holds from its stamp on. When the commands stop, the current is "
+        "zero until another one comes or the knob is turned, and the machine comes to rest.",
+        minimum=0.01,
+        maximum=3600.0,
+    )
+    coil_time_constant: float = option(
+        0.0,
+        "Time constant [s] with which the current in the coil, and so the force, follows the "
+        "supply's.",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    force_noise: float = option(
+        5.53,
+        "Standard deviation of the noise of the force [N]; 5.53 is the thesis' remaining error.",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    displacement_noise: float = option(
+        0.0, "Standard deviation [m] of the noise of the displacement.", minimum=0.0, maximum=0.1
+    )
+    sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=1.0, maximum=100_000.0)
+    initial_temperature: float = option(
+        28.0, "Temperature of the damper at the start [°C].", minimum=-50.0, maximum=200.0
+    )
+    heat_capacity: float = option(
+        430.0,
+        "Heat capacity of the damper [J/K]. It takes up the power that the damper dissipates: with "
+        "a smaller one it drifts faster.",
+        minimum=0.1,
+        maximum=1e6,
+    )
+    seed: int = option(
+        0,
+        "Seed of noise and road; the same seed gives the same samples.",
+        minimum=0,
+        maximum=2**31 - 1,
+    )
+
+
+@dataclass(frozen=True)
+class EmulatedOptions(_RigOptions):
+    """The emulated rig of ``source: emulated``."""
+
+    damper: str = option(
+        _THESIS_TEMPERATURES,
+        f"The damper in the machine: {_THESIS_TEMPERATURES} (the thesis' at 28 °C and 71 °C, its "
+        "force in between by the emulated temperature), a condition of the thesis such as "
+        "5.0mm_1Hz_1.5A, or the path of a parameter file (YAML) of any model.",
     )
     excitation: str = option(
         "sine",
@@ -93,15 +156,6 @@ class EmulatedOptions(ParameterTable):
     motion_columns: str = option(
         "", "What its columns hold, as for source: record, such as time:s,displacement:mm,..."
     )
-    current: float = option(
-        1.5,
-        "Supply current [A]: the knob of the supply. It may be turned while the rig runs: `ros2 "
-        "param set /bridge emulated.current 0.5`. It holds until a command comes on "
-        "supply/current_command.",
-        minimum=-MOST_CURRENT,
-        maximum=MOST_CURRENT,
-        read_only=False,
-    )
     largest_amplitude: float = option(
         0.05,
         "Largest amplitude [m] of a commanded motion; commands beyond are refused.",
@@ -114,33 +168,6 @@ class EmulatedOptions(ParameterTable):
         minimum=1e-6,
         maximum=10.0,
     )
-    command_timeout: float = option(
-        0.5,
-        "Time [s] that a command holds from its stamp on. When the commands stop, the current is "
-        "zero until another one comes or the knob is turned, and the machine comes to rest.",
-        minimum=0.01,
-        maximum=3600.0,
-    )
-    coil_time_constant: float = option(
-        0.0,
-        "Time constant [s] with which the current in the coil, and so the force, follows the "
-        "supply's.",
-        minimum=0.0,
-        maximum=1.0,
-    )
-    force_noise: float = option(
-        5.53,
-        "Standard deviation of the noise of the force [N]; 5.53 is the thesis' remaining error.",
-        minimum=0.0,
-        maximum=1e6,
-    )
-    displacement_noise: float = option(
-        0.0, "Standard deviation [m] of the noise of the displacement.", minimum=0.0, maximum=0.1
-    )
-    sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=1.0, maximum=100_000.0)
-    initial_temperature: float = option(
-        28.0, "Temperature of the damper at the start [°C].", minimum=-50.0, maximum=200.0
-    )
     ambient_temperature: float = option(
         22.0,
         "Temperature of the air around it [°C]. It may be changed while the rig runs.",
@@ -148,21 +175,11 @@ class EmulatedOptions(ParameterTable):
         maximum=200.0,
         read_only=False,
     )
-    heat_capacity: float = option(
-        430.0,
-        "Heat capacity of the damper [J/K]. It takes up the power that the damper dissipates: with "
-        "a smaller one it drifts faster.",
-        minimum=0.1,
-        maximum=1e6,
-    )
     conductance: float = option(
         0.5,
         "Heat that it loses to the air per kelvin above it [W/K]; 0.0 for none.",
         minimum=0.0,
         maximum=1e4,
-    )
-    seed: int = option(
-        0, "Seed of the noise; the same seed gives the same samples.", minimum=0, maximum=2**31 - 1
     )
     faults: str = option(
         "",
@@ -301,3 +318,100 @@ def _damper(rig: EmulatedOptions) -> Damper:
 
     values = parameters(find(rig.damper))
     return TemperatureDependentDamper(values, scaled(values, rig.hot_force))
+
+
+_BUMP = "bump"
+_INVENTED = "invented"
+_CAR = QuarterCar()
+
+
+@dataclass(frozen=True)
+class QuarterCarOptions(_RigOptions):
+    """The emulated quarter car of ``source: quarter_car``."""
+
+    damper: str = option(
+        _INVENTED,
+        f"The damper in the car: {_INVENTED} (see config/invented_damper.yaml), or the path of a "
+        "parameter file (YAML) of any model.",
+    )
+    road: str = option(
+        "C",
+        f"Road of an ISO 8608 class, or {_BUMP}: one of 60 mm by 3 m, three seconds after the "
+        "start.",
+        choices=(*ROUGHNESS, _BUMP),
+    )
+    speed: float = option(20.0, "Speed of the car [m/s].", minimum=0.1, maximum=100.0)
+    hot_force: float = with_default(_RigOptions, "hot_force", HOT_FORCE)
+    current: float = with_default(_RigOptions, "current", 0.0)
+    coil_time_constant: float = with_default(_RigOptions, "coil_time_constant", 0.01)
+    displacement_noise: float = with_default(_RigOptions, "displacement_noise", 1e-6)
+    sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=200.0, maximum=10_000.0)
+
+
+class QuarterCarSource(Source):
+    """A car on its road, for ever; its supply has a knob, and takes commands."""
+
+    options = QuarterCarOptions
+    prefix = "quarter_car."
+    suspended = True
+
+    def __init__(self, settings: QuarterCarOptions, stream: StreamSettings) -> None:
+        super().__init__(settings, stream)
+        self._damper: BuiltInDamper | None = None
+
+    def open(self) -> list[str]:
+        """Read the parameters of the damper."""
+        given = self.settings
+        known = (
+            invented_damper(0.0)
+            if given.damper == _INVENTED
+            else ParameterSet.from_yaml(Path(given.damper).read_text(encoding="utf-8"))
+        )
+        self._damper = BuiltInDamper(known, given.hot_force)
+        self.commander = emulated_supply(given.current, given.command_timeout)
+        return []
+
+    def blocks(self, start_ns: int) -> Iterator[RigBlock]:
+        """The samples of a car that starts now."""
+        assert self._damper is not None
+        assert self.commander is not None
+        given = self.settings
+        knob = SupplyKnob(self.commander.step(time.monotonic()))
+        rig = PlantRig(
+            self._damper,
+            _CAR.plant,
+            _road(given),
+            knob.schedule,
+            settings=RigSettings(
+                sample_rate=given.sample_rate,
+                force_noise=given.force_noise,
+                displacement_noise=given.displacement_noise,
+                seed=given.seed,
+                start_ns=start_ns,
+            ),
+            thermal=ThermalModel(initial=given.initial_temperature, capacity=given.heat_capacity),
+            coil_time_constant=given.coil_time_constant,
+            substeps=2,
+        )
+        taken = 0
+        while True:
+            knob.turn(taken / given.sample_rate, self.commander.step(time.monotonic()))
+            made = rig.next_block(self.stream.block_size)
+            taken += self.stream.block_size
+            yield replace(made, suspension=moment_of(rig))
+
+    def close(self) -> None:
+        """Take the damper out."""
+        self._damper = self.commander = None
+
+
+def moment_of(rig: PlantRig) -> Moment:
+    """What the controllers of a suspension see of a car now."""
+    apart, body, tyre, wheel = rig.plant.state.tolist()
+    return Moment(body, wheel, float(rig.plant.rates[1]), apart, tyre)
+
+
+def _road(given: QuarterCarOptions) -> Surroundings:
+    if given.road == _BUMP:
+        return Bump(height=0.06, length=3.0, speed=given.speed, start=3.0)
+    return IsoRoad(given.road, given.speed, given.seed)
