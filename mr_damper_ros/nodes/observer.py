@@ -12,7 +12,10 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import (
     CurrentCommand,
+    DamperParameters,
+    FitReport,
     MtsSamples,
+    PredictedForce,
     SupplyCurrent,
 )
 from rclpy.executors import SingleThreadedExecutor
@@ -111,6 +114,18 @@ class Observer:
         self.until(
             lambda: self.node.count_subscribers(topic) >= count, f"{count} subscribers of {topic}"
         )
+
+
+def listen_to_results(
+    observer: Observer, tell: Callable[[FitReport], None]
+) -> tuple[list[MtsSamples], list[PredictedForce], list[DamperParameters]]:
+    """Keep samples, predicted forces and sets as they come; ``tell`` is given the reports."""
+    observer.listen(FitReport, "damper/fit_report", quality.stream(), tell)
+    return (
+        observer.listen(MtsSamples, "mts/samples", quality.stream()),
+        observer.listen(PredictedForce, "damper/predicted_force", quality.stream()),
+        observer.listen(DamperParameters, "damper/parameters", quality.latched()),
+    )
 
 
 def record_rig(node: Node, record: RigRecord) -> None:

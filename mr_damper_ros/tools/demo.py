@@ -156,18 +156,12 @@ class _Heard:
     """What the nodes publish: samples, forces, reports, each printed as it comes, and sets."""
 
     def __init__(self, observer: Observer) -> None:
-        from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
-
-        from mr_damper_ros.nodes import quality
+        from mr_damper_ros.nodes.observer import listen_to_results
 
         self._observer = observer
         self._last = time.monotonic()
         self.reports: list[Any] = []
-        stream = quality.stream()
-        self.samples = observer.listen(MtsSamples, "mts/samples", stream)
-        self.forces = observer.listen(PredictedForce, "damper/predicted_force", stream)
-        self.sets = observer.listen(DamperParameters, "damper/parameters", quality.latched())
-        observer.listen(FitReport, "damper/fit_report", stream, self._tell)
+        self.samples, self.forces, self.sets = listen_to_results(observer, self._tell)
 
     def _tell(self, report: Any) -> None:
         self.reports.append(report)
