@@ -26,6 +26,7 @@ from mr_damper_ros.estimation.profile_likelihood import Profile, search_misfit
 from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.fluid_temperature import TemperatureMap, TemperatureMaps
 from mr_damper_ros.tracking.force_scale import Baselines, force_scale
@@ -114,11 +115,6 @@ def _discrepancy(entry: Estimate) -> str:
     if not entry.observable:
         return ""
     return f"{entry.discrepancy:.3g}" if math.isfinite(entry.discrepancy) else "unknown"
-
-
-def as_json(value: float) -> float | None:
-    """The value as JSON can hold it: null where it is infinite or unknown."""
-    return value if math.isfinite(value) else None
 
 
 _CYCLES = 2.0
@@ -229,13 +225,13 @@ def _advice(observable: np.ndarray, runs: Sequence[ExtraRun], rig: RigRange) -> 
 def _determination_entry(result: Determination) -> dict[str, Any]:
     return {
         "rank": result.rank,
-        "condition": as_json(result.condition),
+        "condition": json_ready(result.condition),
         "singular_values": result.singular_values.tolist(),
         "open": [
             {
                 "words": combination.words,
                 "weights": dict(combination.weights),
-                "standard_error": as_json(combination.standard_error),
+                "standard_error": json_ready(combination.standard_error),
             }
             for combination in result.open
         ],
@@ -256,7 +252,7 @@ def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
             "values": p.values.tolist(),
             "ratio": p.ratio.tolist(),
             "best": p.best,
-            "interval": [as_json(end) for end in p.interval],
+            "interval": [json_ready(end) for end in p.interval],
         }
         for p in found
     }
@@ -301,7 +297,7 @@ def searches(found: MultiStart) -> Findings:
         }
         for seed, fit in found.fits.items()
     ]
-    of_each = {name: as_json(x) for name, x in zip(names, found.spread.tolist(), strict=True)}
+    of_each = {name: json_ready(x) for name, x in zip(names, found.spread.tolist(), strict=True)}
     return Findings(lines, {"searches": entries, "spread": of_each})
 
 

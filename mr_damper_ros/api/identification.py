@@ -27,7 +27,6 @@ from mr_damper_ros.api.comparison import (
 from mr_damper_ros.api.findings import (
     Estimate,
     Findings,
-    as_json,
     html_estimates,
     html_table,
     parameter_estimates,
@@ -55,7 +54,7 @@ from mr_damper_ros.estimation.record_levels import Level, LevelPrior
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
 from mr_damper_ros.processes.blas_threads import one_thread
-from mr_damper_ros.processes.files import write_text
+from mr_damper_ros.processes.files import json_ready, write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.state_directory import read_parameter_file
@@ -214,8 +213,10 @@ class Identification(ComparedRuns):
         return {
             "model": self.parameter_set.model,
             "parameters": self.parameter_set.as_dict(),
-            "standard_errors": {n: as_json(e.standard_error) for n, e in self.parameters.items()},
-            "discrepancies": {n: as_json(e.discrepancy) for n, e in self.parameters.items()},
+            "standard_errors": {
+                n: json_ready(e.standard_error) for n, e in self.parameters.items()
+            },
+            "discrepancies": json_ready({n: e.discrepancy for n, e in self.parameters.items()}),
             "observable": {n: e.observable for n, e in self.parameters.items()},
             "metrics": error_entry(self.error),
             "evaluations": self.evaluations,
@@ -266,10 +267,10 @@ def _entry(run: FittedRun) -> dict[str, Any]:
         "operating_point": {"peak_velocity": speed, "current": current},
         "coefficients": {name: entry.value for name, entry in run.coefficients.items()},
         "coefficient_standard_errors": {
-            name: as_json(entry.standard_error) for name, entry in run.coefficients.items()
+            name: json_ready(entry.standard_error) for name, entry in run.coefficients.items()
         },
         "coefficient_discrepancies": {
-            name: as_json(entry.discrepancy) for name, entry in run.coefficients.items()
+            name: json_ready(entry.discrepancy) for name, entry in run.coefficients.items()
         },
         **({} if run.level is None else {"level": run.level._asdict()}),
     }

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mr_damper_ros.api.findings import as_json, html_table
+from mr_damper_ros.api.findings import html_table
 from mr_damper_ros.io.bag_reader import bag_stream
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.error_sums import ErrorSums
@@ -122,8 +123,8 @@ class Replay:
             "recording": self.name,
             "samples": int(self.time.size),
             "valid": float(np.mean(self.valid)),
-            "nrmse": as_json(error.nrmse),
-            "rmse": as_json(error.rmse),
+            "nrmse": json_ready(error.nrmse),
+            "rmse": json_ready(error.rmse),
             "invalid": {kind.name: share for kind, share in self.invalid_share().items()},
             "reports": [
                 {
@@ -131,10 +132,10 @@ class Replay:
                     "verdict": report.verdict.name,
                     "reason": report.reason,
                     "set": report.set_id,
-                    "nrmse_before": as_json(report.nrmse_before),
-                    "nrmse_after": as_json(report.nrmse_after),
-                    "force_scale": as_json(report.scale.value),
-                    "force_scale_standard_error": as_json(report.scale.standard_error),
+                    "nrmse_before": json_ready(report.nrmse_before),
+                    "nrmse_after": json_ready(report.nrmse_after),
+                    "force_scale": json_ready(report.scale.value),
+                    "force_scale_standard_error": json_ready(report.scale.standard_error),
                 }
                 for report in self.reports
             ],

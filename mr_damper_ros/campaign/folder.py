@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from mr_damper_ros.estimation.run_planner import Plan, PlanState
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.processes.files import FolderLock, LockHeldError, write_text
+from mr_damper_ros.processes.files import FolderLock, LockHeldError, json_ready, write_text
 from mr_damper_ros.signals.recording import Recording
 
 _RUN = "planned_run"
@@ -81,7 +80,7 @@ class CampaignFolder:
     def _check(self, task: CampaignTask) -> None:
         path = self.path / "campaign.json"
         if not path.exists():
-            write_text(path, json.dumps(_written(asdict(task)), indent=2) + "\n")
+            write_text(path, json.dumps(json_ready(asdict(task)), indent=2) + "\n")
             return
         before = read_task(self.path)
         # What was made holds, however the machine can move from now on.
@@ -192,11 +191,11 @@ def _document(step: CampaignStep) -> dict[str, Any]:
         "parameter_set": step.parameter_set.to_yaml(),
         "plan": {
             "state": plan.state.value,
-            "errors": _written(plan.now.errors.tolist()),
-            "worst": _written(plan.now.worst),
-            "bound": _written(plan.now.bound),
+            "errors": json_ready(plan.now.errors.tolist()),
+            "worst": json_ready(plan.now.worst),
+            "bound": json_ready(plan.now.bound),
             "run": None if plan.run is None else asdict(plan.run),
-            "expected": _written(plan.expected),
+            "expected": json_ready(plan.expected),
             "runs_left": plan.runs_left,
             "reason": plan.reason,
         },
@@ -222,15 +221,6 @@ def _step(document: dict[str, Any], goal: ForceGoal) -> CampaignStep:
         ParameterSet.from_yaml(document["parameter_set"]),
         plan,
     )
-
-
-def _written(value: Any) -> Any:
-    """A value as JSON can hold it: what is not finite is null."""
-    if isinstance(value, dict):
-        return {key: _written(entry) for key, entry in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_written(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _read(value: float | None) -> float:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
 
 _PART = 4
@@ -346,14 +347,4 @@ class LiveRecord:
 
 def _json(value: object) -> bytes:
     """JSON, in which what is no number is null."""
-    return json.dumps(_known(value), separators=(",", ":"), allow_nan=False).encode()
-
-
-def _known(value: object) -> object:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _known(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_known(item) for item in value]
-    return value
+    return json.dumps(json_ready(value), separators=(",", ":"), allow_nan=False).encode()

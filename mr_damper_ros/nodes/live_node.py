@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import queue
-import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,31 +37,14 @@ _SAME = (
 """Figures of a window that are called as in FitReport."""
 
 
-_HEAD = 4
-"""Bytes of a serialised message before its fields: what their order is."""
-
-
-def signals_in(data: bytes) -> tuple[float, ...]:
-    """Time [s] and the numbers of serialised DamperSignals, in the order of the message.
-
-    Plain CDR. rclpy's own way makes three objects of a message, a hundred times a second: half of
-    what it costs to look.
-    """
-    order = "<" if data[1] & 1 else ">"
-    seconds, nanoseconds, name_length = struct.unpack_from(f"{order}iII", data, _HEAD)
-    before = 12 + name_length
-    numbers = struct.unpack_from(f"{order}6d?", data, _HEAD + before + -before % 8)
-    return (seconds + nanoseconds / NANOSECONDS, *numbers)
-
-
 def listen(node: Node, record: LiveRecord) -> None:
     """Subscribe a node to all that is shown, in its namespace, and keep it in the record."""
     seen = _Ear(record, node.get_namespace().strip("/"))
     looking = QoSProfile(
         reliability=ReliabilityPolicy.BEST_EFFORT, history=HistoryPolicy.KEEP_LAST, depth=_WAITING
     )
-    node.create_subscription(DamperSignals, SIGNALS_TOPIC, seen.signals, looking, raw=True)
     for kind, topic, hear, profile in (
+        (DamperSignals, SIGNALS_TOPIC, seen.signals, looking),
         (DamperParameters, "damper/parameters", seen.parameters, quality.latched()),
         (Temperature, "damper/fluid_temperature", seen.temperature, quality.stream(_WAITING)),
         (FitReport, "damper/fit_report", seen.report, quality.stream(_WAITING)),
@@ -78,10 +60,15 @@ class _Ear:
         self._record = record
         self._prefix = f"{namespace}/" if namespace else ""
 
-    def signals(self, data: bytes) -> None:
-        time_s, displacement, velocity, current, measured, predicted, _, valid = signals_in(data)
+    def signals(self, message: DamperSignals) -> None:
         self._record.add_signals(
-            time_s, displacement, velocity, current, measured, predicted, valid=bool(valid)
+            to_nanoseconds(message.header.stamp) / NANOSECONDS,
+            message.displacement,
+            message.velocity,
+            message.current,
+            message.measured_force,
+            message.predicted_force,
+            valid=message.valid,
         )
 
     def temperature(self, message: Temperature) -> None:

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.api.findings import as_json
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
+from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.report.document import (
     DASHES,
     GREY,
@@ -398,7 +398,7 @@ def oscillator_document(
             law: {
                 "force_nrmse_identified": result.identified,
                 "force_nrmse_other": result.other,
-                "motion_rms_error": as_json(result.missed),
+                "motion_rms_error": json_ready(result.missed),
                 "seconds": result.seconds,
             }
             for law, result in found.items()

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from mr_damper_ros.api.findings import as_json, parameter_estimates
+from mr_damper_ros.api.findings import parameter_estimates
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.io.records import read_runs
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.report.document import (
     DASHES,
     GREY,
@@ -311,7 +312,7 @@ def earthquake_chapter(found: Recorded) -> Chapter:
         (
             law,
             *found.fits(law, follows=False),
-            as_json(found.static_mean(law)),
+            json_ready(found.static_mean(law)),
             *found.fits(law, follows=True),
         )
         for law in found.one_set
@@ -418,8 +419,8 @@ def record_document(found: Recorded) -> dict[str, object]:
             "parameters": {
                 name: {
                     "value": entry.value,
-                    "standard_error": as_json(entry.standard_error),
-                    "discrepancy": as_json(entry.discrepancy),
+                    "standard_error": json_ready(entry.standard_error),
+                    "discrepancy": json_ready(entry.discrepancy),
                     "unit": entry.unit,
                     "observable": entry.observable,
                 }

@@ -13,33 +13,14 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import DamperSignals, PredictedForce
-from rclpy.serialization import serialize_message
 from support import PATIENCE, Listener, TriedProgram, assert_one_sentence
 
 from mr_damper_ros.live.live_record import SIGNALS, SILENT_AFTER
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.live_node import signals_in
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 RATE = 2.0
-
-
-@pytest.mark.parametrize("frame_id", ["", "damper", "a frame of seventeen"])
-def test_signals_are_read_from_their_bytes(frame_id: str) -> None:
-    message = DamperSignals(
-        displacement=1.0,
-        velocity=2.0,
-        current=3.0,
-        measured_force=4.0,
-        predicted_force=5.0,
-        force_error=6.0,
-        valid=True,
-    )
-    message.header.frame_id = frame_id
-    message.header.stamp.sec, message.header.stamp.nanosec = 1_700_000_000, 250_000_000
-    read = signals_in(serialize_message(message))
-    assert read == (1_700_000_000.25, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, True)
 
 
 class Client:
