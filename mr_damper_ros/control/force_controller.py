@@ -27,56 +27,15 @@ from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
 
-@dataclass(frozen=True)
-class SupplyLimits(CheckedSettings):
-    """What may be asked of the supply."""
+def coil_command(wanted: float, coil: float, horizon: float, time_constant: float) -> float:
+    """Current [A] of the supply that brings the coil from ``coil`` to ``wanted`` [A].
 
-    lowest_current: float = option(
-        0.0,
-        "The lowest current that is commanded [A], within those that the parameters were "
-        "identified at.",
-        minimum=-10.0,
-        maximum=10.0,
-    )
-    highest_current: float = option(
-        2.0,
-        "Highest current [A] that is commanded; the damper's data sheet says what it bears.",
-        minimum=-10.0,
-        maximum=10.0,
-    )
-    slew_rate: float = option(
-        0.0, "Fastest change of the command [A/s]; 0 for no limit.", minimum=0.0, maximum=1e6
-    )
-
-    def limited(self, command: float, before: float, duration: float) -> float:
-        """The command [A] within the limits; it may move from ``before`` for ``duration`` [s]."""
-        command = min(max(command, self.lowest_current), self.highest_current)
-        if self.slew_rate > 0.0:
-            reach = self.slew_rate * duration
-            command = min(max(command, before - reach), before + reach)
-        return command
-
-
-class CoilDrive:
-    """Commands for a supply within limits, to a coil of this time constant [s], 0 for no lag.
-
-    Raises ValueError where the highest current is not above the lowest.
+    The coil's current follows that of the supply with a first-order lag of the time constant [s], 0
+    for none (:mod:`mr_damper_ros.models.first_order_lag`); it is there by the end of a horizon [s].
     """
-
-    def __init__(self, limits: SupplyLimits, time_constant: float) -> None:
-        if not limits.lowest_current < limits.highest_current:
-            raise ValueError(
-                f"highest_current is {limits.highest_current:g} A: it must be above the lowest, "
-                f"{limits.lowest_current:g} A"
-            )
-        self._limits = limits
-        self._time_constant = time_constant
-
-    def towards(self, wanted: float, coil: float, horizon: float) -> float:
-        """Current [A] that brings the coil from ``coil`` to ``wanted`` [A] in a horizon [s]."""
-        if self._time_constant == 0.0:
-            return wanted
-        return coil + (wanted - coil) / -math.expm1(-horizon / self._time_constant)
+    if time_constant == 0.0:
+        return wanted
+    return coil + (wanted - coil) / -math.expm1(-horizon / time_constant)
 
 
 _LEAST = 0.05
@@ -178,9 +137,25 @@ _FOUND, _LOWEST, _KEPT = range(3)
 
 
 @dataclass(frozen=True)
-class ForceControlSettings(SupplyLimits):
+class ForceControlSettings(CheckedSettings):
     """What is commanded, and when it is the safe current instead."""
 
+    lowest_current: float = option(
+        0.0,
+        "The lowest current that is commanded [A], within those that the parameters were "
+        "identified at.",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    highest_current: float = option(
+        2.0,
+        "Highest current [A] that is commanded; the damper's data sheet says what it bears.",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    slew_rate: float = option(
+        0.0, "Fastest change of the command [A/s]; 0 for no limit.", minimum=0.0, maximum=1e6
+    )
     fallback: FallbackSettings = group(FallbackSettings, flat=True)
     demand_timeout: float = option(
         0.2,
@@ -216,6 +191,14 @@ class ForceControlSettings(SupplyLimits):
     )
     feedback: FeedbackSettings = group(FeedbackSettings, flat=True)
     predictor: PredictorSettings = group(PredictorSettings, flat=True)
+
+    def limited(self, command: float, before: float, duration: float) -> float:
+        """The command [A] within the limits; it may move from ``before`` for ``duration`` [s]."""
+        command = min(max(command, self.lowest_current), self.highest_current)
+        if self.slew_rate > 0.0:
+            reach = self.slew_rate * duration
+            command = min(max(command, before - reach), before + reach)
+        return command
 
 
 class Demand(NamedTuple):
@@ -260,7 +243,8 @@ class ForceController:
 
     def __init__(self, settings: ForceControlSettings, grid: GridSettings | None = None) -> None:
         self.settings = settings
-        self._predictor = ForcePredictor(settings.predictor, grid)
+        self.predictor = ForcePredictor(settings.predictor, grid)
+        """What the force is judged by: give it currents and reports."""
         self._feedback = ForceFeedback(settings.feedback)
         self._demand: Demand | None = None
         self._inverse: _Inverse | None = None
@@ -276,11 +260,6 @@ class ForceController:
         self._last_was_unknown = False
 
     @property
-    def predictor(self) -> ForcePredictor:
-        """What the force is judged by: give it currents and reports."""
-        return self._predictor
-
-    @property
     def feedback_factor(self) -> float:
         """Factor on the wanted force that the feedback has come to."""
         return self._feedback.factor
@@ -292,15 +271,15 @@ class ForceController:
 
     def set_parameters(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None:
         """Control with this set from now on; see :meth:`ForcePredictor.set_parameters`."""
-        self._predictor.set_parameters(parameters, confirmed_ns)
+        self.predictor.set_parameters(parameters, confirmed_ns)
 
     def _take_set_in_use(self) -> None:
         """Invert the set that the force is predicted with, which may be one of before again."""
-        parameters, gradual = self._predictor.parameters, self._predictor.gradual
+        parameters, gradual = self.predictor.parameters, self.predictor.gradual
         if parameters is None:
             return
         beyond = self._probe.beyond
-        self._predictor.tried = parameters.current_range[1] + beyond
+        self.predictor.tried = parameters.current_range[1] + beyond
         if self._inverted is not None:
             before, were_gradual, reached = self._inverted
             if parameters is before and gradual == were_gradual and beyond == reached:
@@ -322,7 +301,7 @@ class ForceController:
 
     def command(self, block: SampleBlock, now_ns: int | None = None) -> Command:
         """What to command after a block; ``now_ns`` as for :meth:`ForcePredictor.predict`."""
-        prediction = self._predictor.predict(block, now_ns)
+        prediction = self.predictor.predict(block, now_ns)
         duration = block.sample_count * block.period
         self._take_set_in_use()
         doubt = self._doubt(prediction, block.end_ns)
@@ -335,7 +314,7 @@ class ForceController:
         assert self._inverse is not None
         self._feedback.follow(block.force, duration)
         horizon = max(duration, self.settings.horizon)
-        now = _Now.after(prediction, self._predictor.memory)
+        now = _Now.after(prediction, self.predictor.memory)
         aim = self._inverse.aim(now, wanted * self._feedback.factor, self._wanted, horizon)
         self._wanted = self._fallback.towards(aim.current, duration)
         attainable = aim.attainable and self._wanted == aim.current
@@ -385,11 +364,11 @@ class ForceController:
 
     def follow(self, block: SampleBlock) -> None:
         """Follow a block for which it is too late to command anything."""
-        self._predictor.predict(block)
+        self.predictor.predict(block)
 
     def catch_up(self) -> None:
         """Do what only later blocks need; call it once the command is on its way."""
-        self._predictor.catch_up()
+        self.predictor.catch_up()
 
     def give_up(self) -> float:
         """Forget what was commanded: returns the safe current [A]."""
@@ -472,9 +451,7 @@ class _Inverse:
         self._model = InverseModel(parameters, low, high, gradual_reversal=gradual)
         self._time_constant = coil_time_constant(parameters)
         # Also on the way to another current: beyond those identified no force would be valid.
-        within = replace(settings, lowest_current=low, highest_current=high)
-        self._limits = within
-        self._drive = CoilDrive(within, self._time_constant)
+        self._limits = replace(settings, lowest_current=low, highest_current=high)
         self._lowest, self.highest = low, high
         self._deadband = settings.force_deadband
 
@@ -514,5 +491,5 @@ class _Inverse:
         coil = now.supplied
         if self._time_constant > 0.0 and now.memory is not None:
             coil = float(now.memory[-1])
-        command = self._drive.towards(wanted, coil, horizon)
+        command = coil_command(wanted, coil, horizon, self._time_constant)
         return self._limits.limited(command, before, duration)

@@ -116,7 +116,8 @@ class PlantRig(MeasuredRig):
         super().__init__(current, settings, thermal)
         self._dampers, self._substeps = dampers, substeps
         self._step = self.settings.period / substeps
-        self._plant = MovingPlant(plant, self._step)
+        self.plant = MovingPlant(plant, self._step)
+        """The plant as it is now."""
         self._peak = PeakVelocity(self._step)
         decay = math.exp(-self._step / coil_time_constant) if coil_time_constant > 0.0 else 0.0
         self._coil_decay, self._coil = decay, float(self._current.at(np.zeros(1))[0])
@@ -128,11 +129,6 @@ class PlantRig(MeasuredRig):
         self.motion: PlantMotion | None = None
         """Of the last block."""
 
-    @property
-    def plant(self) -> MovingPlant:
-        """The plant as it is now."""
-        return self._plant
-
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples."""
         first, period = self._made, self.settings.period
@@ -142,8 +138,8 @@ class PlantRig(MeasuredRig):
         rows, states, rates = np.empty((6, count)), [], []
         for place in range(count):
             rows[:, place] = self._next_sample(float(supplied[place]), moved[place])
-            states.append(self._plant.state)
-            rates.append(self._plant.rates)
+            states.append(self.plant.state)
+            rates.append(self.plant.rates)
         displacement, force, celsius, true_force, velocity, coil = rows
         self.motion = PlantMotion(np.array(states), np.array(rates), true_force, velocity, coil)
         return self._block(first, np.stack([displacement, force, supplied, celsius]))
@@ -164,7 +160,7 @@ class PlantRig(MeasuredRig):
             self._noise = self._rng.standard_normal((2, CHUNK))
         heat = 0.0
         for each in moved:
-            now = self._plant.damper
+            now = self.plant.damper
             self._coil = supplied + (self._coil - supplied) * self._coil_decay
             self._acceleration += self._share * (now.acceleration - self._acceleration)
             velocity, acceleration = np.array([now.velocity]), np.array([self._acceleration])
@@ -179,10 +175,10 @@ class PlantRig(MeasuredRig):
                 motion, np.array([self._coil]), self._celsius, self._step
             )
             heat += self._force * now.velocity * self._step
-            self._plant.step(self._dampers * self._force, each)
+            self.plant.step(self._dampers * self._force, each)
         self._made += 1
         self._warm(heat)
-        after, settings = self._plant.damper, self.settings
+        after, settings = self.plant.damper, self.settings
         force_noise, displacement_noise = self._noise[:, place]
         return (
             after.displacement + settings.displacement_noise * displacement_noise,

@@ -39,15 +39,11 @@ class RollingTable:
         # Filled, so that all of the memory is taken at once.
         self._rows = np.full((capacity, len(self.columns)), np.nan)
         self._size = 0
-        self._next = 0
+        self.next_index = 0
+        """The number that the next row will have."""
 
     def __len__(self) -> int:
         return self._size
-
-    @property
-    def next_index(self) -> int:
-        """The number that the next row will have."""
-        return self._next
 
     def append(self, values: Sequence[float]) -> None:
         """Add a row; raises ValueError where the values are not as many as the columns."""
@@ -56,10 +52,10 @@ class RollingTable:
         if self._size == len(self._rows):
             self._make_room()
         row = self._rows[self._size]
-        row[0] = self._next
+        row[0] = self.next_index
         row[1:] = values
         self._size += 1
-        self._next += 1
+        self.next_index += 1
 
     def after(self, index: int) -> Array:
         """The rows after the one of this number, shape (k, columns), their numbers first."""
@@ -167,8 +163,10 @@ class LiveRecord:
         self._tables: dict[str, tuple[int, RollingTable]] = {}
         self._sentences: deque[tuple[int, bytes]] = deque(maxlen=SENTENCES_KEPT)
         self._windows_seen = 0
-        self._last_window: WindowSeen | None = None
-        self._set: SetSeen | None = None
+        self.last_window: WindowSeen | None = None
+        """What became of the last window; None before the first."""
+        self.parameters: SetSeen | None = None
+        """The set in use; None before the first."""
         self._concerns: dict[str, tuple[Concern, float]] = {}
         self._events: deque[str] = deque(maxlen=SENTENCES_KEPT)
         self._origin = math.nan
@@ -204,8 +202,8 @@ class LiveRecord:
         with self._lock:
             if time_s < self._last_time - _JUMP:
                 self._begin()
-                if self._set is not None:
-                    self._trace_set(self._set, -math.inf)
+                if self.parameters is not None:
+                    self._trace_set(self.parameters, -math.inf)
             if math.isnan(self._origin):
                 self._origin = time_s
             self._last_time = time_s
@@ -229,7 +227,7 @@ class LiveRecord:
             self._fluid = (math.nan, math.nan)
             self._tables["windows"][1].append([figures.get(name, math.nan) for name in WINDOWS])
             self._windows_seen += 1
-            self._last_window = window
+            self.last_window = window
             told = {
                 **figures,
                 "number": self._windows_seen,
@@ -246,7 +244,7 @@ class LiveRecord:
     def set_parameters(self, seen: SetSeen) -> None:
         """Take note of the set in use from now on."""
         with self._lock:
-            self._set = seen
+            self.parameters = seen
             # What comes from no samples holds from now on.
             self._trace_set(seen, seen.time if seen.time > 0.0 else self._last_time)
 
@@ -295,16 +293,6 @@ class LiveRecord:
             return Rows(present, table.columns, table.after(after if generation == present else -1))
 
     @property
-    def parameters(self) -> SetSeen | None:
-        """The set in use; None before the first."""
-        return self._set
-
-    @property
-    def last_window(self) -> WindowSeen | None:
-        """What became of the last window; None before the first."""
-        return self._last_window
-
-    @property
     def concerns(self) -> list[tuple[Concern, float]]:
         """The newest diagnostics, by name, and the seconds since each was heard."""
         with self._lock:
@@ -329,7 +317,7 @@ class LiveRecord:
                 for name, (generation, table) in self._tables.items()
             }
             sentences = [text for number, text in self._sentences if number > windows_after]
-            seen, events = self._set, list(self._events)
+            seen, events = self.parameters, list(self._events)
         parts = {
             "tables": _json(tables),
             "set": _json(None if seen is None else vars(seen)),

@@ -93,7 +93,7 @@ class NodeParameters(Generic[T]):
     not allowed. Later changes are accepted or rejected with a sentence as the reason; ``changed``
     is called after each that is accepted, with the values and the names of those that were set,
     be it to the same value. ``configured`` is given by a managed node: as long as it is false, what
-    is read-only may be set, too.
+    is read-only may be set, too. ``values`` are the present ones.
     """
 
     def __init__(
@@ -112,10 +112,10 @@ class NodeParameters(Generic[T]):
         defaults = {name: item.default for name, item in self._options.items()}
         self._raise_first(objections)
         try:
-            self._values = build(table, defaults | given)
+            self.values = build(table, defaults | given)
         except ValueError as error:
             raise ConfigurationError(str(error)) from error
-        self._raise_first([self._values.objection()])
+        self._raise_first([self.values.objection()])
         for name, item in self._options.items():
             descriptor = _descriptor(item)
             descriptor.read_only = item.start_only if configured else item.read_only
@@ -124,11 +124,6 @@ class NodeParameters(Generic[T]):
         limit_parameter_services(node)
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
-
-    @property
-    def values(self) -> T:
-        """The present values."""
-        return self._values
 
     @staticmethod
     def _raise_first(objections: list[str]) -> None:
@@ -181,9 +176,9 @@ class NodeParameters(Generic[T]):
         names = {parameter.name for parameter in parameters} & self._options.keys()
         if not names:
             return
-        self._values = self._merged(parameters)
+        self.values = self._merged(parameters)
         if self._changed is not None:
-            self._changed(self._values, names)
+            self._changed(self.values, names)
 
 
 def _descriptor(item: Option) -> ParameterDescriptor:

@@ -50,23 +50,15 @@ class Pacer:
 
     def __init__(self, rate: float, *, paused: bool = False) -> None:
         self._rate = rate
-        self._paused = paused
-        self._stopped = False
+        self.paused = paused
+        """Whether the sending is held up."""
+        self.stopped = False
+        """Whether the sending is to end."""
         self._steps = 0
         self._anchor: tuple[int, int] | None = None
         self._changed = threading.Condition()
         self.left_out_ns = 0
         """Of the data's time, since the start: so much later it is now than its stamps say."""
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the sending is to end."""
-        return self._stopped
-
-    @property
-    def paused(self) -> bool:
-        """Whether the sending is held up."""
-        return self._paused
 
     def wait_until(self, data_ns: int, *, is_step: bool = True) -> bool:
         """Wait for the data's time; returns False where the sending is to end.
@@ -74,8 +66,8 @@ class Pacer:
         While paused, one step lets everything pass up to the first that ``is_step``.
         """
         with self._changed:
-            while not self._stopped:
-                if self._paused:
+            while not self.stopped:
+                if self.paused:
                     self._anchor = None
                     if self._steps > 0:
                         self._steps -= int(is_step)
@@ -124,7 +116,7 @@ class Pacer:
     def start(self) -> None:
         """Begin a new sending."""
         with self._changed:
-            self._stopped = False
+            self.stopped = False
             self._steps = 0
             self._anchor = None
             self.left_out_ns = 0
@@ -132,12 +124,12 @@ class Pacer:
     def stop(self) -> None:
         """End the sending."""
         with self._changed:
-            self._stopped = True
+            self.stopped = True
             self._changed.notify_all()
 
     def _steer(self, *, paused: bool) -> None:
         with self._changed:
-            self._paused = paused
+            self.paused = paused
             self._steps = 0
             self._changed.notify_all()
 

@@ -22,34 +22,26 @@ class BackgroundWriter(Generic[T]):
         self._write = write
         self._changed = threading.Condition()
         self._newest: tuple[int, T] | None = None
-        self._given = 0
-        self._done = 0
+        self.given = 0
+        """Number of items given so far: that of the newest one."""
+        self.done = 0
+        """Number of the newest item that was written, or could not be; it includes all before."""
         self._closed = False
         self.fault = ""
         self._thread = threading.Thread(target=self._work, name="state", daemon=True)
         self._thread.start()
 
-    @property
-    def given(self) -> int:
-        """Number of items given so far: that of the newest one."""
-        return self._given
-
-    @property
-    def done(self) -> int:
-        """Number of the newest item that was written, or could not be; it includes all before."""
-        return self._done
-
     def keep(self, item: T) -> None:
         """Write this item soon."""
         with self._changed:
-            self._given += 1
-            self._newest = (self._given, item)
+            self.given += 1
+            self._newest = (self.given, item)
             self._changed.notify_all()
 
     def wait(self, timeout: float) -> bool:
         """Wait until the newest item is written; False where that takes more than ``timeout`` s."""
         with self._changed:
-            return self._changed.wait_for(lambda: self._done == self._given, timeout)
+            return self._changed.wait_for(lambda: self.done == self.given, timeout)
 
     def close(self, timeout: float) -> None:
         """Write what waits, for at most ``timeout`` seconds, and end."""
@@ -72,7 +64,7 @@ class BackgroundWriter(Generic[T]):
             except (OSError, ValueError) as error:
                 fault = str(error)
             with self._changed:
-                self.fault, self._done = fault, number
+                self.fault, self.done = fault, number
                 self._changed.notify_all()
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import EXAMPLES, PLAUSIBLE, controllable, fixed
 
-from mr_damper_ros.control.force_controller import CoilDrive, SupplyLimits
+from mr_damper_ros.control.force_controller import ForceControlSettings, coil_command
 from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel, coil_time_constant
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
@@ -217,27 +217,18 @@ def test_no_nan_whatever_is_wanted(wanted, velocity, extra, scale):
 # -- the coil --------------------------------------------------------------------------------------
 
 
-def test_the_drive_brings_the_coil_to_its_current_within_the_horizon():
-    drive = CoilDrive(SupplyLimits(highest_current=5.0), 0.01)
-    command = drive.towards(1.0, 0.4, 0.01)
+def test_the_command_brings_the_coil_to_its_current_within_the_horizon():
+    command = coil_command(1.0, 0.4, 0.01, 0.01)
     assert command > 1.0
     assert command + (0.4 - command) * math.exp(-1.0) == pytest.approx(1.0)
+    assert coil_command(0.7, 0.1, 0.01, 0.0) == 0.7
 
 
-def test_the_drive_asks_for_no_more_than_the_supply_can():
-    drive = SupplyLimits(highest_current=2.0, slew_rate=50.0)
-    assert drive.limited(1.9, 0.0, 0.001) == pytest.approx(0.05)
-    assert drive.limited(9.0, 1.99, 0.001) == 2.0
-    assert drive.limited(-9.0, 0.02, 0.001) == 0.0
-
-
-def test_without_a_lag_the_command_is_the_current():
-    assert CoilDrive(SupplyLimits(), 0.0).towards(0.7, 0.1, 0.01) == 0.7
-
-
-def test_the_drive_refuses_limits_without_a_range():
-    with pytest.raises(ValueError, match="highest_current"):
-        CoilDrive(SupplyLimits(lowest_current=1.0, highest_current=0.5), 0.0)
+def test_no_more_is_commanded_than_the_supply_can():
+    settings = ForceControlSettings(highest_current=2.0, slew_rate=50.0)
+    assert settings.limited(1.9, 0.0, 0.001) == pytest.approx(0.05)
+    assert settings.limited(9.0, 1.99, 0.001) == 2.0
+    assert settings.limited(-9.0, 0.02, 0.001) == 0.0
 
 
 def test_the_time_constant_is_that_of_the_set():
