@@ -25,8 +25,6 @@ from mr_damper_ros.signals.recording import Recording
 
 START = 1_700_000_000_123_456_789
 
-KELVIN = 1e-9
-"""Of a temperature that is interpolated between messages."""
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -100,20 +98,6 @@ def test_the_file_alone_and_its_folder_read_the_same(tmp_path: Path) -> None:
     (alone,) = read_bag(tmp_path / "alone.mcap")
     np.testing.assert_array_equal(alone.force, recording().force)
     assert alone.name == "alone"
-
-
-def test_the_temperature_comes_back(tmp_path: Path) -> None:
-    celsius = np.linspace(28.0, 29.0, 350)
-    write_bag(tmp_path / "bag", recording(temperature=celsius))
-    (read,) = read_bag(tmp_path / "bag")
-    assert read.temperature is not None
-    np.testing.assert_allclose(read.temperature, celsius, atol=KELVIN)
-
-
-def test_a_block_is_written_when_its_last_sample_is_there(tmp_path: Path) -> None:
-    write_bag(tmp_path / "bag", recording(250), block_size=100)
-    times = [m.time_ns for m in messages(tmp_path / "bag", "/mts/samples")]
-    assert [time - START for time in times] == [99_000_000, 199_000_000, 249_000_000]
 
 
 def test_the_current_is_known_for_every_block_that_was_played(tmp_path: Path) -> None:
@@ -306,14 +290,6 @@ def test_lost_samples_split_a_bag(recorder: Recorder) -> None:
     assert (first.name, second.name) == ("bag, part 1", "bag, part 2")
 
 
-def test_a_pause_without_lost_samples_splits_a_bag(recorder: Recorder) -> None:
-    recorder.current(0.0, 1.0)
-    recorder.block(0.0, 0)
-    recorder.block(0.117, 10)
-    recorder.writer.close()
-    assert [r.sample_count for r in read_bag(recorder.writer.path)] == [10, 10]
-
-
 def test_stamps_that_waver_within_half_a_period_do_not_split_a_bag(recorder: Recorder) -> None:
     recorder.current(0.0, 1.0)
     recorder.block(0.0, 0)
@@ -423,21 +399,9 @@ def write_rigs(path: Path, store: Any, *rigs: str) -> None:
             )
 
 
-def test_topics_are_found_in_a_namespace(tmp_path: Path, typestore: Any) -> None:
-    write_rigs(tmp_path / "bag", typestore, "/rig1")
-    (read,) = read_bag(tmp_path / "bag")
-    np.testing.assert_array_equal(read.current, np.full(5, 1.0))
-
-
 def test_two_rigs_in_one_bag_must_be_told_apart(tmp_path: Path, typestore: Any) -> None:
     write_rigs(tmp_path / "bag", typestore, "/rig1", "/rig2")
     assert "/rig1/mts/samples, /rig2/mts/samples" in refused(tmp_path / "bag")
-
-
-def test_the_messages_written_are_those_of_the_package(tmp_path: Path, typestore: Any) -> None:
-    write_bag(tmp_path / "bag", recording())
-    types = [f"mr_damper_msgs/msg/{name}" for name in ("MtsSamples", "SupplyCurrent")]
-    assert type_hashes(tmp_path / "bag") == {name: typestore.hash_rihs01(name) for name in types}
 
 
 @pytest.mark.parametrize("name", ["MtsSamples", "SupplyCurrent"])

@@ -74,16 +74,12 @@ def forces(predictions: list[Prediction]) -> Array:
 
 
 @pytest.mark.parametrize("model", LAWS)
-def test_the_force_does_not_step_where_a_set_comes(model: str) -> None:
+def test_the_force_continues_and_ends_in_that_of_the_new_set(model: str) -> None:
     before, after = set_of(model), set_of(model, 1.4)
     alone = [np.abs(np.diff(forces(predicted(each))[1000:])).max() for each in (before, after)]
     apart = np.abs(forces(predicted(before)) - forces(predicted(after)))[1000:].max()
     step = np.abs(np.diff(forces(predicted(before, after))[1000:])).max()
     assert step <= max(alone) + 1.1 * apart / FADED
-
-
-@pytest.mark.parametrize("model", LAWS)
-def test_the_force_is_that_of_the_new_set_once_the_other_has_faded(model: str) -> None:
     rest = slice(CHANGED * BLOCK + FADED, None)
     found = forces(predicted(set_of(model), set_of(model, 1.4)))[rest]
     np.testing.assert_allclose(found, forces(predicted(set_of(model, 1.4)))[rest], atol=SAME_FORCE)

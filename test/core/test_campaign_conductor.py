@@ -235,14 +235,6 @@ def test_between_the_runs_the_machine_rests(planned: list[PlannedRun], tmp_path:
     assert np.all(machine.seen[2, -10:] == 0.0)
 
 
-def test_a_run_is_written_by_the_worker_alone(planned: list[PlannedRun], tmp_path: Path) -> None:
-    conductor, worker = begun(tmp_path)
-    machine = EmulatedMachine(conductor)
-    machine.until(lambda: conductor.status().stage is CampaignStage.IDENTIFYING)  # type: ignore[union-attr]
-    assert worker.done == []
-    assert not list(tmp_path.glob("runs/*"))
-
-
 def test_the_temperature_is_kept_with_the_runs(planned: list[PlannedRun], tmp_path: Path) -> None:
     conductor, _ = begun(tmp_path)
     conductor.add_temperature(0, 31.5)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from campaign_of_three import GOAL, LIMITS, RUNS, TASK, perform, plan_quickly, played
+from campaign_of_three import GOAL, LIMITS, RUNS, TASK, perform, plan_quickly
 
 import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome, fault_of_run
@@ -18,7 +18,6 @@ from mr_damper_ros.campaign.folder import (
     read_steps,
     read_task,
 )
-from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run
 from mr_damper_ros.estimation.force_knowledge import ForceGoal
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
@@ -197,13 +196,6 @@ def test_a_removed_step_is_found_again_from_the_runs(quick: list[int], tmp_path:
     assert quick == [4]
 
 
-def test_the_task_is_plain_json(tmp_path: Path) -> None:
-    CampaignFolder(tmp_path, TASK).close()
-    text = json.loads((tmp_path / "campaign.json").read_text())
-    assert text["limits"]["heat"] is None
-    assert text["goal"]["error"] == 0.06
-
-
 def test_a_campaign_of_before_there_were_other_motions_goes_on(tmp_path: Path) -> None:
     CampaignFolder(tmp_path, TASK).close()
     path = tmp_path / "campaign.json"
@@ -213,19 +205,3 @@ def test_a_campaign_of_before_there_were_other_motions_goes_on(tmp_path: Path) -
     assert read_task(tmp_path) == TASK
     broad = replace(TASK, limits=replace(LIMITS, motions=tuple(MotionKind)))
     CampaignFolder(tmp_path, broad).close()
-
-
-@pytest.mark.parametrize("run", RUNS)
-def test_a_run_is_cut_out_of_a_recording(run: PlannedRun) -> None:
-    whole = played(run)
-    found = cut_run(run, whole)
-    assert found.sample_count == round(run.duration * 500.0)
-    assert fault_of_run(run, found) == ""
-    begin = round((found.start_ns - whole.start_ns) * 1e-9 * 500.0)
-    # The motion grows for two cycles after the rest; a quarter of a cycle is not much then.
-    assert begin == pytest.approx(700 + 1000.0 / run.frequency, abs=125.0 / run.frequency)
-
-
-def test_a_recording_without_the_run_is_told() -> None:
-    with pytest.raises(RunNotFoundError, match="does not hold the run"):
-        cut_run(RUNS[1], played(RUNS[2]))

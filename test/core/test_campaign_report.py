@@ -40,14 +40,11 @@ def page(folder: Path) -> str:
     return write_campaign_report(folder).read_text(encoding="utf-8")
 
 
-def test_the_report_has_all_its_chapters(page: str) -> None:
+def test_the_report_has_its_chapters_goal_runs_and_outcome(page: str) -> None:
     assert re.findall(r'<section id="(\w+)">', page) == [
         *("plan", "error", "map", "loops", "set", "unknown")
     ]
     assert page.count("data:image/svg+xml") == 3
-
-
-def test_the_report_tells_goal_runs_and_outcome(page: str) -> None:
     assert "the force to 6.00% at the worst point" in page
     assert "3 runs, 6 s of steady motion; the goal is met" in page
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import asdict, replace
 
@@ -21,7 +20,6 @@ from mr_damper_ros.estimation.planned_run import (
     MachineLimits,
     PlannedRun,
     candidate_runs,
-    first_run,
     motions_of,
 )
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
@@ -88,12 +86,23 @@ def test_every_kind_is_there_where_the_machine_can_make_it() -> None:
 
 
 @RUNS
-def test_a_run_tells_as_much_as_was_foreseen(run: PlannedRun) -> None:
+def test_a_run_tells_and_demands_what_was_foreseen(run: PlannedRun) -> None:
     foreseen = CandidateRuns(known.SIGMOID, [run], 1000.0).gains(known.PLAUSIBLE, 20.0, 20.0)[0]
     windows = run.windows(perform(run, noise=0.0, rate=1000.0))
     found = window_information(known.SIGMOID, windows, [20.0] * len(windows), known.PLAUSIBLE)
     seen = np.diag(found) > 1e-9 * np.diag(found).max()
     assert np.diag(foreseen)[seen] / np.diag(found)[seen] == pytest.approx(1.0, rel=FEW_LOOKED_AT)
+    force, heat = CandidateRuns(known.SIGMOID, [run], 1000.0).demands([known.PLAUSIBLE])
+    recording = perform(run, noise=0.0, rate=1000.0)
+    assert force[0] == pytest.approx(np.abs(recording.force).max(), rel=0.02)
+    velocity = np.gradient(recording.displacement, recording.period)
+    work = float(np.sum(recording.force * velocity)) * recording.period
+    assert heat[0] == pytest.approx(work, rel=0.05)
+    windows = run.windows(perform(run, noise=0.0, rate=1000.0))
+    assert [window.current[0] for window in windows] == list(run.currents)
+    for window in windows:
+        left = known.SIGMOID.window_force(window, known.PLAUSIBLE) - window.force
+        assert np.sqrt(np.mean(left**2)) < 0.01 * np.sqrt(np.mean(window.force**2))
 
 
 def test_a_motion_that_the_law_follows_less_well_tells_less() -> None:
@@ -104,29 +113,11 @@ def test_a_motion_that_the_law_follows_less_well_tells_less() -> None:
 
 
 @RUNS
-def test_force_and_heat_are_those_of_the_machine(run: PlannedRun) -> None:
-    force, heat = CandidateRuns(known.SIGMOID, [run], 1000.0).demands([known.PLAUSIBLE])
-    recording = perform(run, noise=0.0, rate=1000.0)
-    assert force[0] == pytest.approx(np.abs(recording.force).max(), rel=0.02)
-    velocity = np.gradient(recording.displacement, recording.period)
-    work = float(np.sum(recording.force * velocity)) * recording.period
-    assert heat[0] == pytest.approx(work, rel=0.05)
-
-
-@RUNS
-def test_windows_of_a_run_hold_its_motion_and_currents(run: PlannedRun) -> None:
-    windows = run.windows(perform(run, noise=0.0, rate=1000.0))
-    assert [window.current[0] for window in windows] == list(run.currents)
-    for window in windows:
-        left = known.SIGMOID.window_force(window, known.PLAUSIBLE) - window.force
-        assert np.sqrt(np.mean(left**2)) < 0.01 * np.sqrt(np.mean(window.force**2))
-
-
-@RUNS
-def test_a_run_is_cut_out_of_a_recording_of_its_signal(run: PlannedRun) -> None:
+def test_a_run_is_cut_out_of_a_recording_and_read_back(run: PlannedRun) -> None:
     found = cut_run(run, played(run))
     assert found.sample_count == round(run.duration * 500.0)
     assert fault_of_run(run, found) == ""
+    assert PlannedRun.from_document(asdict(run)) == run
 
 
 def test_a_run_is_not_cut_out_of_another() -> None:
@@ -139,28 +130,9 @@ def test_a_sine_made_instead_of_a_sweep_is_refused() -> None:
     assert "from a swept sine as wanted" in fault_of_run(SWEEP, instead)
 
 
-@RUNS
-def test_a_run_is_read_back_as_it_was_written(run: PlannedRun) -> None:
-    assert PlannedRun.from_document(asdict(run)) == run
-
-
-def test_a_run_of_before_is_a_sine() -> None:
-    before = {"amplitude": 0.01, "frequency": 2.0, "currents": [0.0, 1.0], "duration": 4.0}
-    assert PlannedRun.from_document(before) == PlannedRun(0.01, 2.0, (0.0, 1.0), 4.0)
-
-
 def test_motions_are_named() -> None:
     assert motions_of(["random", "sine", "sine"]) == (MotionKind.SINE, MotionKind.RANDOM)
     with pytest.raises(ValueError, match="'square' is unknown: use sine, sweep, random"):
         motions_of(["square"])
     with pytest.raises(ValueError, match="sine must be one of them"):
         replace(LIMITS, motions=(MotionKind.SWEEP,))
-
-
-def test_the_first_run_is_a_gentle_sine_at_up_to_half_the_current() -> None:
-    run = first_run(GOAL, LIMITS)
-    assert run.kind is MotionKind.SINE
-    assert run.peak_velocity <= GOAL.peak_velocity[0]
-    assert len(run.currents) > 2
-    assert max(run.currents) == pytest.approx(0.75)
-    assert not math.isnan(run.stretch)

@@ -18,7 +18,7 @@ from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.first_order_lag import COIL, in_coil
+from mr_damper_ros.models.first_order_lag import in_coil
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.parameter_set import ParameterSet, start_set
@@ -32,8 +32,6 @@ SAMPLES = 2000
 TOLERANCE = 0.05
 LAG = 0.012
 
-ROUNDING = 1e-9
-"""Relative: sums of the same numbers in another order."""
 
 BETWEEN_SAMPLES = 1e-3
 """Relative to the step: what is left between an exponential and its samples joined by lines."""
@@ -66,11 +64,6 @@ def raw(current: CurrentSchedule, *, coil: float = 0.0, number: int = 0) -> RawW
 def window(current: CurrentSchedule, **options: float) -> Window:
     given = raw(current, **options)  # type: ignore[arg-type]
     return Window.from_samples(given.displacement, given.force, given.current, given.period)
-
-
-def test_a_window_of_constant_current_is_its_own_part() -> None:
-    whole = known.run().window
-    assert parts_by_current(SIXTEEN, whole, TOLERANCE) == [whole]
 
 
 def test_each_level_of_the_current_is_a_part() -> None:
@@ -162,13 +155,6 @@ def test_the_current_of_the_coil_approaches_a_step_exponentially() -> None:
     np.testing.assert_allclose(given.current[400:500], expected, atol=BETWEEN_SAMPLES)
 
 
-def test_a_part_sees_the_coil_of_the_whole() -> None:
-    given = window(switching())
-    high = given.current > 1.0
-    part = in_coil(given.part(high), LAG)
-    np.testing.assert_allclose(part.current, in_coil(given, LAG).current[high], rtol=ROUNDING)
-
-
 @pytest.mark.parametrize("model", [LAW, MODELS["bingham"]], ids=lambda model: model.name)
 def test_a_stream_and_a_window_have_the_same_coil(model: Model) -> None:
     parameters: Array = (
@@ -203,9 +189,3 @@ def test_the_jacobian_by_the_coil_is_that_of_differences() -> None:
     got = misfit.jacobian(LATE)[:, -1]
     # The difference of second order has an error of (step / lag)² of the third derivative.
     np.testing.assert_allclose(got, expected, atol=1e-3 * np.abs(expected).max())
-
-
-def test_files_of_nineteen_parameters_have_a_coil_without_lag() -> None:
-    old = ParameterSet(LATE[:-1], model="sigmoid_lag")
-    assert old.as_dict()[COIL] == 0.0
-    assert not old.observable[-1]

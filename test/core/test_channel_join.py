@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import mr_damper_ros as mr
 from mr_damper_ros.signals.clocks import ArrivalClock
 from mr_damper_ros.signals.stamped_channel import (
     ChannelJoin,
@@ -131,19 +129,6 @@ def test_a_loss_that_does_not_show_for_long_puts_no_sample_in_the_wrong_place(un
     assert found[-1].value == numbers[-4]
 
 
-def test_stamps_of_joined_samples_are_those_of_the_clock() -> None:
-    _, runs = joined(sent(7), sent(8))
-    late = [(run.start_ns - START) * 1e-9 - run.leading[0] for run in runs]
-    assert np.abs(late).max() < PAIRED
-
-
-def test_channels_of_one_message_are_joined_as_they_are() -> None:
-    both = sent(9, jitter=0.3)
-    _, runs = joined(both, both)
-    for run in runs:
-        np.testing.assert_array_equal(run.leading, run.following)
-
-
 def test_what_was_sampled_at_its_stamp_is_brought_to_even_times() -> None:
     rng = np.random.default_rng(10)
     count = 6000
@@ -241,22 +226,3 @@ def test_a_cubic_goes_through_a_motion_and_no_further_than_its_neighbours() -> N
     np.testing.assert_allclose(values[:4], wanted[:4] ** 3, rtol=1e-12)
     _, known = interpolated(np.delete(times, 20), np.delete(times, 20), wanted, 1.6)
     assert known.tolist() == [True, True, False, True, False]
-
-
-def test_a_run_of_the_thesis_that_came_by_topics_is_identified_down_to_its_noise() -> None:
-    (run,) = mr.read_bag(Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A")
-    # As the bridge takes in joint states, position and effort of each with one stamp.
-    join = ChannelJoin(StampedChannel(0.0), StampedChannel(0.0))
-    pieces = []
-    for k, (moved, pulled) in enumerate(zip(run.displacement, run.force, strict=True)):
-        join.lead(run.stamp_ns(k), 0, float(pulled))
-        join.follow(run.stamp_ns(k), 0, float(moved))
-        if k % 20 == 0:
-            pieces += join.take()
-    found = mr.identify(
-        displacement=np.concatenate([piece.following for piece in pieces]),
-        force=np.concatenate([piece.leading for piece in pieces]),
-        current=1.5,
-        period=join.leader.period,
-    )
-    assert found.rmse <= THESIS_BAR * THESIS_NOISE

@@ -70,17 +70,12 @@ def commands(draw: st.DrawFn) -> Told:
 
 @known.fixed(60)
 @given(commands())
-def test_no_sample_leaves_the_limits_whatever_is_commanded(
+def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(
     told: Told,
 ) -> None:
     u, v, _ = moved(told, 10.0)
     assert np.abs(u).max() <= AMPLITUDE * (1.0 + ROUNDING)
     assert np.abs(v).max() <= VELOCITY * (1.0 + ROUNDING)
-
-
-@known.fixed(60)
-@given(commands())
-def test_the_motion_has_no_jump(told: Told) -> None:
     u, v, a = moved(told, 10.0)
     # What the velocity makes of a displacement within a period, and the acceleration of it.
     assert np.abs(np.diff(u)).max() <= np.abs(v).max() * PERIOD * 1.01

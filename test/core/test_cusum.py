@@ -90,10 +90,6 @@ def test_the_stated_rate_of_false_alarms_is_one_in_hours() -> None:
     assert least < average_run_length(THRESHOLD) / (20.0 * 3600.0) < most
 
 
-def test_no_false_alarm_in_minutes_of_noise() -> None:
-    assert blocks_to_alarm(1, THRESHOLD, 20_000) == 20_000
-
-
 @pytest.mark.parametrize("change", [-0.1, -0.03, 0.03, 0.1])
 def test_a_change_is_noticed_within_a_few_blocks(change: float) -> None:
     predicted = 100.0 * np.sin(np.arange(2000) * 0.03)
@@ -171,21 +167,6 @@ def test_looks_come_between_the_windows_whatever_the_blocks(sizes: list[int]) ->
     assert all(w.force.size == 1000 for w in windows)
 
 
-def test_looks_leave_the_windows_as_they_were() -> None:
-    plain = cut([100] * 30, looks=0)
-    watched = [w for w in cut([100] * 30, looks=4) if not w.look]
-    assert [w.start_ns for w in plain] == [w.start_ns for w in watched]
-    for a, b in zip(plain, watched, strict=True):
-        np.testing.assert_array_equal(a.force, b.force)
-
-
-def test_more_looks_than_samples_is_a_look_at_every_sample() -> None:
-    windows = cut([1520], looks=1000)
-    assert [w.look for w in windows[:3]] == [0, 1, 1]
-    with pytest.raises(ValueError, match="looks must be from 0 to 1000, not -1"):
-        WindowAssembler(1.0, 0.5, -1)
-
-
 def test_a_look_compares_with_the_force_that_the_set_predicts() -> None:
     run = known.run()
     narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 0.5 * run.top_speed))
@@ -257,12 +238,6 @@ def test_after_a_step_no_window_mixes_before_and_after(tracker: str) -> None:
     np.testing.assert_allclose(found, 0.9 * known.PLAUSIBLE[0], rtol=SCALE_ERROR)
 
 
-def test_an_early_set_keeps_what_is_known_of_the_other_parameters() -> None:
-    errors = stream(0.9)[0].parameters.standard_errors
-    assert np.isfinite(errors[0])
-    assert np.isnan(errors[known.SHAPE]).all()
-
-
 @pytest.mark.parametrize("tracker", ["window", METHOD])
 @pytest.mark.parametrize("current", [0.0, 1.0])
 def test_a_steady_damper_is_never_fitted_early(tracker: str, current: float) -> None:
@@ -304,12 +279,6 @@ def test_a_large_change_waits_for_whole_windows_to_confirm_it() -> None:
     assert any("waiting for the next window to confirm" in report.reason for report in reports)
 
 
-def test_a_look_before_the_first_set_says_nothing() -> None:
-    tracked = WindowTracker(TrackerSettings(), ParameterSet(known.PLAUSIBLE))
-    look = dataclasses.replace(known.raw_window(known.run()), look=500)
-    assert tracked.follow(look) is None
-
-
 def test_when_time_is_set_back_the_past_change_is_forgotten() -> None:
     tracked, _ = stream(0.9)
     past = dataclasses.replace(known.raw_window(known.run()), start_ns=known.T0 - 10**13)
@@ -335,13 +304,3 @@ def test_after_a_reset_nothing_is_watched() -> None:
     tracked.reset()
     task = tracked.job_of(known.raw_window(known.run()))
     assert (task.watch, task.state, task.changed_ns) == (None, None, 0)
-
-
-def test_the_same_stream_gives_the_same_early_set() -> None:
-    (first, _), (second, _) = itertools.repeat(stream(0.9), 2)
-    np.testing.assert_array_equal(first.parameters.values, second.parameters.values)
-
-
-def test_a_smallest_change_of_nothing_is_a_sentence() -> None:
-    with pytest.raises(ValueError, match="smallest_change must be from"):
-        TrackerSettings(smallest_change=0.0)

@@ -104,14 +104,6 @@ def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, r
             assert np.linalg.norm(jacobian @ move) <= unnoticed
 
 
-@known.fixed(25)
-@given(st.integers(0, 10_000), st.integers(1, 15))
-def test_each_open_combination_is_led_by_another_parameter(seed: int, rank: int) -> None:
-    result = determination(SIGMOID, random_jacobian(seed, rank), np.ones(16), np.ones(16))
-    leads = [next(iter(combination.weights)) for combination in result.open]
-    assert len(set(leads)) == len(leads)
-
-
 def test_units_do_not_change_what_is_determined() -> None:
     chosen = windows((0.0, 1.0))
     misfit = pooled(chosen)
@@ -155,15 +147,6 @@ def test_a_large_move_is_told_in_the_unit_of_the_parameter() -> None:
     (combination,) = determination(SIGMOID, jacobian, np.ones(16), values).open
     assert "I1 " in combination.words
     assert " A" in combination.words
-
-
-def test_a_weak_combination_has_the_standard_error_of_its_parameter() -> None:
-    columns = np.linalg.qr(np.random.default_rng(1).normal(size=(100, 16)))[0]
-    sizes = np.full(16, 100.0)
-    sizes[known.index("k0")] = 0.5
-    (combination,) = determination(SIGMOID, columns * sizes, np.ones(16), np.ones(16)).open
-    assert combination.words == "k0"
-    assert combination.standard_error == pytest.approx(2.0)
 
 
 # -- currents within a window ----------------------------------------------------------------
@@ -242,19 +225,10 @@ def test_no_advice_for_what_the_rig_cannot_tell() -> None:
     assert advised(chosen, RigRange.of_windows(chosen)) == ()
 
 
-def test_the_advice_is_a_sentence() -> None:
-    run = ExtraRun(10e-3, 2.0, 0.75, ("a2", "I0"), 0.1)
-    assert run.sentence == "run 10 mm at 2 Hz with 0.75 A: it would determine a2, I0"
-
-
 def test_the_worst_standard_error_falls_from_run_to_run() -> None:
     errors = [run.worst_error for run in advised([window(5e-3, 1.0, 1.0)])]
     assert len(errors) > 1
     assert errors == sorted(errors, reverse=True)
-
-
-def test_all_shape_parameters_have_a_plausible_range() -> None:
-    assert set(RANGES) == set(known.SHAPE_PARAMETER_NAMES)
 
 
 @pytest.mark.parametrize(

@@ -128,11 +128,19 @@ def test_the_header_is_cpp_too(law: ExportedLaw, tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-def test_the_c_code_is_the_law_point_by_point(law: ExportedLaw, compiled: Compiled) -> None:
+def test_the_c_code_is_that_of_the_package(law: ExportedLaw, compiled: Compiled) -> None:
     vectors = Vectors.of(law, POINTS)
     coefficients, force = compiled.law(vectors.inputs)
     assert_same(coefficients, vectors.coefficients)
     assert_same(force, vectors.force)
+    inputs, wanted = wanted_forces(law, 4000)
+    assert_gives(law, inputs, wanted, compiled.inverse(inputs, wanted)[0])
+    time = np.arange(2500) * law.settings.period
+    displacement = 0.02 + BandLimitedRandom(0.004, 0.5, 6.0, seed=2).at(time).displacement
+    current = np.where(np.sin(7.0 * time) > 0.3, 1.2, 0.2)
+    got = compiled.stream(displacement, current, 0.02)
+    expected = expected_stream(law, displacement, current, 0.02)
+    assert np.abs(got - expected).max() <= SAME_STREAM * np.abs(expected).max()
 
 
 def wanted_forces(law: ExportedLaw, count: int) -> tuple[Array, Array]:
@@ -165,11 +173,6 @@ def assert_gives(law: ExportedLaw, inputs: Array, wanted: Array, current: Array)
         assert np.all(further <= MISSED * (most - least) + SAME * size)
 
 
-def test_the_c_inverse_gives_what_was_wanted(law: ExportedLaw, compiled: Compiled) -> None:
-    inputs, wanted = wanted_forces(law, 4000)
-    assert_gives(law, inputs, wanted, compiled.inverse(inputs, wanted)[0])
-
-
 def _at(inputs: Array, current: Array | float) -> Array:
     other = inputs.copy()
     other[:, 2] = current
@@ -190,15 +193,6 @@ def expected_stream(law: ExportedLaw, displacement: Array, current: Array, centr
         motion = Motion(u - centre, v, a, v_m, None).held_within(*law.held)
         forces.append(stream.follow(law.parameters.values, motion, current[here]))
     return np.concatenate(forces)
-
-
-def test_the_c_stream_is_that_of_the_package(law: ExportedLaw, compiled: Compiled) -> None:
-    time = np.arange(2500) * law.settings.period
-    displacement = 0.02 + BandLimitedRandom(0.004, 0.5, 6.0, seed=2).at(time).displacement
-    current = np.where(np.sin(7.0 * time) > 0.3, 1.2, 0.2)
-    got = compiled.stream(displacement, current, 0.02)
-    expected = expected_stream(law, displacement, current, 0.02)
-    assert np.abs(got - expected).max() <= SAME_STREAM * np.abs(expected).max()
 
 
 @needs_compiler
@@ -374,13 +368,3 @@ def test_brackets_are_kept_where_they_count() -> None:
     assert expression("-a4 * v_m", C) == "-a4 * v_m"
     with pytest.raises(ValueError, match="cannot be written"):
         expression("a if b else c", C)
-
-
-def test_a_set_of_one_current_is_warned_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "one.yaml"
-    ParameterSet(PLAUSIBLE, current_range=(0.5, 0.5)).save(path)
-    assert export.main([str(path), "--format", "c", "--output", str(tmp_path)]) == 0
-    assert "identified at 0.5 A alone" in capsys.readouterr().err
-    assert "WARNING: set unnamed was identified at 0.5 A" in (tmp_path / "mr_damper.h").read_text()

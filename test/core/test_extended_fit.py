@@ -54,8 +54,6 @@ SETTLED_ERROR = 1
 FITTED = 1.05
 """RMSE over the noise, which 2000 samples tell to 1.6 %."""
 
-POOLED_ERROR = 0.1
-"""Of a mean square of 1, which 2400 samples tell to 3 %."""
 
 FITTED_RUNS = 1.02
 """RMSE over the noise, which 9600 samples tell to 0.7 %."""
@@ -102,10 +100,6 @@ def test_a_part_sees_the_lag_of_the_whole(frequency):
     for part in (whole, whole.part(chunks), whole.part(chunks).part(slice(10, None, 7))):
         error = EXTENDED.window_force(part, TRUTH) - part.force
         assert known.rms(error) < FINE * spread
-
-
-@MOTIONS
-def test_a_thinned_window_sees_the_lag_of_the_whole(frequency):
     whole = window(frequency, seed=None)
     thinned = whole.thinned(100)
     assert 100 <= thinned.sample_count < 200
@@ -151,13 +145,6 @@ def test_the_jacobian_of_a_window_is_that_of_differences(frequency, most):
         )
 
 
-def test_many_sets_of_scales_at_once_are_the_same_as_one_by_one():
-    misfit = WindowProblem(EXTENDED, window(0.0).thinned(100), TRUTH)
-    sets = misfit.start * np.array([[0.9], [1.0], [1.2]])
-    together = misfit.residual(sets)
-    np.testing.assert_allclose(together, [misfit.residual(scales) for scales in sets])
-
-
 def test_the_begin_of_a_window_of_unknown_past_says_nothing():
     whole = window(0.0)
     lone = Window(whole.motion, whole.force, whole.current, PERIOD)
@@ -198,18 +185,6 @@ def test_the_jacobian_of_all_twenty_is_that_of_differences(most):
             err_msg=name,
         )
     np.testing.assert_array_equal(misfit.jacobian(TRUTH, [3, 16]), jacobian[:, [3, 16]])
-
-
-def test_the_pooled_misfit_of_the_truth_is_the_noise():
-    assert pooled(5000).mean_square(TRUTH) == pytest.approx(1.0, abs=POOLED_ERROR)
-
-
-def test_the_cost_of_many_sets_is_that_of_each():
-    sets = TRUTH * np.array([[0.9], [1.0], [1.1]])
-    misfit = pooled(100)
-    np.testing.assert_allclose(
-        misfit.population_cost(sets), [misfit.mean_square(values) for values in sets]
-    )
 
 
 def test_without_lag_stiffness_and_offset_the_misfit_is_that_of_the_sixteen():
@@ -253,27 +228,15 @@ def test_the_extension_is_found_with_the_sixteen(found):
     errors = (got.values - TRUTH)[16:19] / got.standard_errors[16:19]
     assert np.max(np.abs(errors)) < STANDARD_ERRORS
     np.testing.assert_allclose(got.values[16:18], TRUTH[16:18], rtol=DETERMINED)
-
-
-def test_all_runs_are_fitted_down_to_the_noise(found):
     windows = runs(TRUTH[16:], CURRENTS)
     left = [EXTENDED.window_force(w, found.parameter_set.values) - w.force for w in windows]
     assert known.rms(np.concatenate(left)) < FITTED_RUNS * known.NOISE
-
-
-def test_the_extension_is_determined_by_runs_at_four_currents(found):
     assert found.parameter_set.observable[16:19].all()
     block = found.covariance[16:19, 16:19]
     np.testing.assert_allclose(np.sqrt(np.diag(block)), found.parameter_set.standard_errors[16:19])
-
-
-def test_the_coil_is_not_observable_where_the_current_is_constant(found):
     assert not found.parameter_set.observable[-1]
     assert math.isnan(found.parameter_set.standard_errors[-1])
     assert found.parameter_set.values[-1] == 0.0
-
-
-def test_coefficients_of_an_extended_set_are_those_of_its_sigmoid_law(found):
     coefficients, errors, _ = found.coefficients((0.1, 0.6))
     truth = np.concatenate(operating_point_coefficients(known.PLAUSIBLE, 0.1, 0.6))
     assert np.all(errors > 0.0)
@@ -290,13 +253,6 @@ def test_a_damper_that_is_early_has_no_lag():
     got = identify_global(EXTENDED, early, start, QUICK).parameter_set
     assert got.values[16] == 0.0
     assert not got.observable[16]
-
-
-def test_of_a_damper_without_lag_none_is_found():
-    start = np.append(known.PLAUSIBLE, NONE)
-    got = identify_global(EXTENDED, runs(NONE, (0.0, 0.8)), start, QUICK).parameter_set
-    known_to = np.nan_to_num(got.standard_errors[16:])
-    assert np.all(np.abs(got.values[16:]) <= STANDARD_ERRORS * known_to)
 
 
 @pytest.mark.parametrize("method", ["nelder_mead", "differential_evolution"])

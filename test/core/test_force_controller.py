@@ -163,12 +163,6 @@ def test_a_dissipative_force_is_tracked() -> None:
     assert trial.nrmse < TRACKED
 
 
-def test_a_coil_that_lags_is_made_up_for() -> None:
-    late = lagging_coil("sigmoid_lag", 0.01)
-    trial = tracked(ControlLoop(controlled(late), ModelDamper(late, PERIOD)), 12e3)
-    assert trial.nrmse < TRACKED
-
-
 def test_other_laws_are_controlled_too() -> None:
     values = EXAMPLES["bouc_wen"].copy()
     names = list(ParameterSet(values, model="bouc_wen").law.parameter_names)
@@ -191,15 +185,6 @@ def test_feedback_makes_good_a_damper_that_has_got_weaker() -> None:
         errors.append(tracked(ControlLoop(controller, damper), 12e3).nrmse)
     assert errors[1] < 0.7 * errors[0]
     assert controller.feedback_factor == pytest.approx(1.0 / 0.9, abs=0.04)
-
-
-def test_the_current_does_not_chatter() -> None:
-    loop = ControlLoop(controlled(WHOLE), ModelDamper(WHOLE, PERIOD))
-    commands = np.array([c.current for c in tracked(loop, 12e3).commands[250:]])
-    moves = np.diff(commands)
-    moves = moves[np.abs(moves) > 0.02]
-    reversals = np.count_nonzero(np.diff(np.sign(moves)) != 0)
-    assert reversals / (commands.size * BLOCK * PERIOD) <= 20.0
 
 
 # -- nothing uncertain -----------------------------------------------------------------------------
@@ -358,15 +343,6 @@ def begun(**changes: Any) -> Fallback:
     return fallback
 
 
-def test_a_doubt_of_a_moment_holds_the_current() -> None:
-    fallback = begun()
-    assert currents_of(fallback, "?") == [0.0]
-    held = begun()
-    currents_of(held, 20 * ".")
-    assert held.follow(STEP, doubted=True) is False
-    assert held.away_from(1.0, STEP) == 1.0
-
-
 def test_a_doubt_of_a_moment_lets_the_current_slide() -> None:
     currents = currents_of(begun(in_doubt="slide", doubt_time=0.4), "." + 30 * "?")
     np.testing.assert_allclose(currents[:11], 1.0 - SPAN * STEP / 0.4 * np.arange(11), atol=1e-9)
@@ -404,10 +380,6 @@ def test_control_that_does_not_last_is_waited_for_ever_longer() -> None:
     assert waits[-1] > 4 * waits[0]
 
 
-def test_doubts_that_come_and_go_do_not_take_the_current_to_the_safe_one() -> None:
-    assert min(currents_of(begun(), 60 * ".?.")) == 1.0
-
-
 def test_no_doubt_drives_the_current_up() -> None:
     rng = np.random.default_rng(0)
     fallback = begun(doubt_time=0.05)
@@ -438,14 +410,6 @@ def test_a_current_that_hurries_the_coil_is_not_held() -> None:
     in_doubt = loop.controller.command(stale)
     assert in_doubt.doubt
     assert in_doubt.current < last.current
-
-
-def test_a_force_that_drives_is_said_not_to_be_had() -> None:
-    command = after(controlled(WHOLE), demand=1e5)
-    other = after(controlled(WHOLE), demand=-1e5)
-    assert not command.attainable
-    assert not other.attainable
-    assert abs(command.expected) < 4000.0
 
 
 def test_what_was_commanded_is_given_up() -> None:

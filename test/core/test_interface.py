@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import subprocess
@@ -10,14 +9,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import known
 import numpy as np
 import pytest
 import yaml
 
 import mr_damper_ros as mr
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
-from mr_damper_ros.tools import identify as program
 
 ROOT = Path(__file__).parents[2]
 ONE_RUN = ROOT / "bags" / "5.0mm_1Hz_1.5A"
@@ -137,26 +134,27 @@ def test_what_cannot_be_used_is_one_sentence(
 # -- what is found -------------------------------------------------------------------------------
 
 
-def test_the_result_has_parameters_with_errors_and_flags(result: mr.Identification) -> None:
+def test_the_result_tells_coefficients_and_parameters_with_their_errors(
+    result: mr.Identification,
+) -> None:
     assert result.parameters["f0"].observable
     assert result.parameters["f0"].standard_error > 0.0
     assert result.parameters["k2"].unit == "1"
     assert not result.parameters["k2"].observable
     assert math.isnan(result.parameters["k2"].standard_error)
-
-
-def test_the_seven_coefficients_come_first_for_a_single_run(result: mr.Identification) -> None:
     assert tuple(result.coefficients) == COEFFICIENT_NAMES
     shown = str(result)
     assert shown.index("yield force") < shown.index("not observable")
     assert shown.index("f_t") < shown.index("f0")
+    import dataclasses
 
-
-def test_of_several_runs_the_parameters_are_told() -> None:
-    found = mr.identify(ONE_RUN, ANOTHER, method="least_squares")
-    assert "f_t" not in str(found)
-    assert [run.name for run in found.runs] == [str(ONE_RUN), str(ANOTHER)]
-    assert found.runs[1].operating_point[1] == pytest.approx(0.5)
+    odd = dataclasses.replace(RUN, name="<b>run</b>")
+    page = mr.validate(result.parameter_set, odd)._repr_html_()
+    assert "&lt;b&gt;run" in page
+    assert "<td>f_t</td>" in result._repr_html_()
+    inside, outside = mr.validate(result.parameter_set, ONE_RUN, ANOTHER).runs
+    assert inside.remark == ""
+    assert outside.remark == "OUT OF RANGE: current 0.5 A, and the set is for 1.5 to 1.5 A"
 
 
 def test_terminal_file_and_document_tell_one_nrmse(
@@ -169,28 +167,10 @@ def test_terminal_file_and_document_tell_one_nrmse(
     assert f"NRMSE {result.nrmse:.2%}" in str(result)
     again = mr.validate(tmp_path / "set.yaml", ONE_RUN)
     assert again.nrmse == pytest.approx(result.nrmse)
-
-
-def test_a_notebook_gets_tables_without_markup_from_names(result: mr.Identification) -> None:
-    import dataclasses
-
-    odd = dataclasses.replace(RUN, name="<b>run</b>")
-    page = mr.validate(result.parameter_set, odd)._repr_html_()
-    assert "&lt;b&gt;run" in page
-    assert "<td>f_t</td>" in result._repr_html_()
-
-
-def test_what_explains_little_is_no_success() -> None:
-    noise = np.random.default_rng(0).normal(0.0, 500.0, RUN.force.size)
-    found = mr.identify(
-        displacement=RUN.displacement,
-        force=noise,
-        current=1.5,
-        period=RUN.period,
-        method="least_squares",
-    )
-    assert not found.success
-    assert "EXPLAINS TOO LITTLE" in found.message
+    file = tmp_path / "folder" / "set.yaml"
+    result.parameter_set.save(file)
+    again = mr.ParameterSet.load(file)
+    assert again.to_yaml() == result.parameter_set.to_yaml()
 
 
 def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
@@ -201,34 +181,6 @@ def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
     assert found.nrmse < 0.3
     assert not found.success
     assert "EXPLAINS TOO LITTLE OF THE FORCE of the odd one:" in found.message
-
-
-def test_the_program_says_so_too_with_an_exit_code_of_its_own(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import dataclasses
-
-    noise = np.random.default_rng(0).normal(0.0, 500.0, RUN.force.size)
-    bag, file = tmp_path / "bag", tmp_path / "result.json"
-    mr.write_bag(bag, dataclasses.replace(RUN, force=noise))
-    code = program.main([str(bag), "--method", "least_squares", "--json", str(file)])
-    assert code == program.EXPLAINS_TOO_LITTLE
-    assert "EXPLAINS TOO LITTLE" in capsys.readouterr().out
-    assert json.loads(file.read_text())["success"] is False
-
-
-def test_a_run_out_of_the_range_of_the_set_is_remarked(result: mr.Identification) -> None:
-    inside, outside = mr.validate(result.parameter_set, ONE_RUN, ANOTHER).runs
-    assert inside.remark == ""
-    assert outside.remark == "OUT OF RANGE: current 0.5 A, and the set is for 1.5 to 1.5 A"
-
-
-def test_a_set_of_another_model_is_validated() -> None:
-    values = np.array([900.0, 10_000.0, 0.0])
-    found = mr.validate(mr.ParameterSet(values, model="bingham"), RUN)
-    assert found.runs[0].error.rmse == pytest.approx(
-        known.rms(found.runs[0].comparison.residual), rel=1e-12
-    )
 
 
 def test_the_workers_of_a_script_give_the_same(tmp_path: Path) -> None:
@@ -256,15 +208,6 @@ def test_the_workers_of_a_script_give_the_same(tmp_path: Path) -> None:
 # -- parameter files, and the other laws ---------------------------------------------------------
 
 
-def test_a_set_is_saved_and_loaded_to_the_last_digit(
-    result: mr.Identification, tmp_path: Path
-) -> None:
-    file = tmp_path / "folder" / "set.yaml"
-    result.parameter_set.save(file)
-    again = mr.ParameterSet.load(file)
-    assert again.to_yaml() == result.parameter_set.to_yaml()
-
-
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [(b"\xff\xfe\x00", "not text"), (b"parameters: {f0: 1}", "is missing")],
@@ -283,9 +226,3 @@ def test_every_law_gives_one_set_for_runs_at_several_currents() -> None:
     assert found.success
     assert found.parameters["alpha_1"].observable
     assert found.parameter_set.current_range == pytest.approx((0.5, 1.5))
-
-
-def test_the_coefficients_of_any_law_have_units_and_meanings() -> None:
-    found = mr.identify(ONE_RUN, model="nonlinear_biviscous", method="least_squares")
-    assert found.coefficients["f_y"].unit == "N"
-    assert "yield force" in str(found)

@@ -6,12 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from known import EXAMPLES, PLAUSIBLE, controllable, fixed
+from known import PLAUSIBLE, controllable
 
 from mr_damper_ros.control.force_controller import ForceControlSettings, coil_command
-from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel, coil_time_constant
+from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -177,41 +175,9 @@ def test_what_saturates_is_not_paid_for_with_current():
     assert found.current[0] < HIGHEST - 0.1
 
 
-def test_a_force_that_drives_is_not_to_be_had_and_gets_the_least_current():
-    motion = Motion(np.zeros(1), np.array([0.1]), np.ones(1), np.array([0.1]), None)
-    found = InverseModel(ParameterSet(PLAUSIBLE), LOWEST, HIGHEST).currents(motion, -500.0)
-    assert not found.attainable[0]
-    assert found.current[0] == pytest.approx(LOWEST, abs=1e-3)
-    assert found.force[0] == pytest.approx(found.least[0], rel=1e-3)
-
-
-def test_a_law_that_no_current_changes_gets_the_lowest():
-    found = InverseModel(ParameterSet(EXAMPLES["bingham"], model="bingham"), 0.5, 2.0).currents(
-        random_motion(5, np.random.default_rng(0)), 1e3
-    )
-    assert np.all(found.current <= 0.5 + 0.1)
-    assert not found.attainable.any()
-
-
 def test_the_limits_must_leave_a_range():
     with pytest.raises(ValueError, match="not above the lowest"):
         InverseModel(ParameterSet(PLAUSIBLE), 1.0, 1.0)
-
-
-@fixed(60)
-@given(
-    wanted=st.floats(-1e12, 1e12),
-    velocity=st.floats(-10.0, 10.0),
-    extra=st.floats(0.0, 10.0),
-    scale=st.floats(-1e3, 1e3),
-)
-def test_no_nan_whatever_is_wanted(wanted, velocity, extra, scale):
-    motion = Motion(
-        np.zeros(1), np.array([velocity]), np.ones(1), np.array([abs(velocity) + extra]), None
-    )
-    found = InverseModel(ParameterSet(PLAUSIBLE * scale), LOWEST, HIGHEST).currents(motion, wanted)
-    assert LOWEST <= found.current[0] <= HIGHEST
-    assert np.isfinite(found.force).all()
 
 
 # -- the coil --------------------------------------------------------------------------------------
@@ -229,13 +195,6 @@ def test_no_more_is_commanded_than_the_supply_can():
     assert settings.limited(1.9, 0.0, 0.001) == pytest.approx(0.05)
     assert settings.limited(9.0, 1.99, 0.001) == 2.0
     assert settings.limited(-9.0, 0.02, 0.001) == 0.0
-
-
-def test_the_time_constant_is_that_of_the_set():
-    assert coil_time_constant(ParameterSet(PLAUSIBLE)) == 0.0
-    values = EXAMPLES["sigmoid_lag"].copy()
-    values[-1] = 0.012
-    assert coil_time_constant(ParameterSet(values, model="sigmoid_lag")) == 0.012
 
 
 def test_a_set_of_one_current_is_warned_of() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import signal
@@ -86,14 +85,6 @@ def test_every_task_is_done_told_and_kept_once(
     assert len(some.told) == len(names)
 
 
-def test_own_processes_are_others_than_this_one(tmp_path: Path) -> None:
-    some = work(tmp_path, 1)
-    some.do(LocalProcesses(1))
-    document = some.results.kept(some.tasks[0])
-    assert document is not None
-    assert document["process"] != str(os.getpid())
-
-
 def test_the_end_of_the_processes_is_not_that_of_the_callers_own() -> None:
     own = LocalProcesses(1)
     started = own.start().submit(os.getpid)
@@ -115,12 +106,6 @@ def test_what_is_kept_is_not_done_again(tmp_path: Path) -> None:
     more.do(in_threads())
     assert set(more.begun.values()) == {1}
     assert sorted(more.told) == ["task6", "task7"]
-
-
-def test_another_fingerprint_is_another_task(tmp_path: Path) -> None:
-    some = work(tmp_path, 1)
-    some.do(in_threads())
-    assert some.results.kept(KeptTask("task0", "changed", None)) is None
 
 
 @pytest.mark.parametrize("text", ["", '{"fingerprint": "as it is"', "[]", '"text"'])
@@ -217,10 +202,3 @@ def test_files_of_similar_names_differ() -> None:
     stems = {file_stem(name) for name in names}
     assert len(stems) == len(names)
     assert all(len(stem) < 100 and "/" not in stem for stem in stems)
-
-
-def test_a_result_is_readable_json(tmp_path: Path) -> None:
-    some = work(tmp_path, 1)
-    some.do(in_threads())
-    document = json.loads(some.results.path("task0").read_text())
-    assert document["document"]["name"] == "task0"

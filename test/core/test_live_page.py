@@ -84,7 +84,7 @@ def ink(page: Browser, chart: str) -> str:
     return shown
 
 
-def test_there_is_a_figure_of_each_kind(page: Browser) -> None:
+def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     names = page.evaluate("[...document.querySelectorAll('figure canvas')].length")
     # Eleven by name, seven coefficients, sixteen parameters.
     assert names == 11 + 7 + 16
@@ -103,9 +103,6 @@ def test_there_is_a_figure_of_each_kind(page: Browser) -> None:
             }})()"""
         )
         assert min(colours) > 50, f"{chart}: measured and predicted are drawn"
-
-
-def test_the_tiles_say_how_it_stands(page: Browser) -> None:
     assert "valid; NRMSE 4.1%" in page.text("#tile-prediction")
     assert page.text("#tile-scale").split() == ["0.952", "±", "0.003"]
     assert "5 mm, 1.5 Hz" in page.text("#tile-motion")
@@ -114,9 +111,6 @@ def test_the_tiles_say_how_it_stands(page: Browser) -> None:
     assert page.text("#tile-latency").startswith("0.612 ms")
     assert page.text("#tile-lost").startswith("3")
     assert page.text("#tile-error").split()[1] == "%"
-
-
-def test_coefficients_and_parameters_come_with_their_errors(page: Browser) -> None:
     assert page.text('#coefficients [data-name="f_t"] figcaption').split() == [
         *("f_t", "590.2", "±", "12")
     ]
@@ -124,17 +118,11 @@ def test_coefficients_and_parameters_come_with_their_errors(page: Browser) -> No
     assert "±" in determined
     assert determined.endswith("N")
     assert page.text('#parameters [data-name="k6"] figcaption').endswith("not determined")
-
-
-def test_windows_are_listed_with_the_reason(page: Browser) -> None:
     rows = page.evaluate("[...document.querySelectorAll('#window-rows tr')].map(r => r.innerText)")
     assert len(rows) == SECONDS - 1
     assert "✕ disturbed" in rows[0]
     assert "a hammer blow" in rows[0]
     assert "✓ accepted" in rows[1]
-
-
-def test_the_diagnostics_are_told_by_sign_and_word(page: Browser) -> None:
     shown = page.text("#concerns")
     assert "✕ error: the state cannot be kept" in shown
     assert "▲ warning: 3 samples were lost" in shown
@@ -165,7 +153,7 @@ def test_it_moves_and_stands_still_while_it_is_paused(page: Browser) -> None:
     page.until("document.querySelector('#state').innerText.includes('live')")
 
 
-def test_the_span_is_chosen_by_keys(page: Browser) -> None:
+def test_keys_choose_the_span_and_lead_to_the_sections(page: Browser) -> None:
     chosen = "document.querySelector('#spans :checked').value"
     assert page.evaluate(chosen) == "10"
     page.press("]")
@@ -173,9 +161,6 @@ def test_the_span_is_chosen_by_keys(page: Browser) -> None:
     for _ in range(3):
         page.press("[")
     assert page.evaluate(chosen) == "2"
-
-
-def test_keys_lead_to_the_sections(page: Browser) -> None:
     page.press("4")
     page.until("document.querySelector('nav [aria-current]').hash === '#parameters'")
     page.press("1")

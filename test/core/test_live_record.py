@@ -60,18 +60,6 @@ def status(record: LiveRecord, windows_after: int = 0) -> dict[str, Any]:
     return told
 
 
-def test_signals_come_with_their_error_and_in_order() -> None:
-    record = LiveRecord()
-    signals(record, T0, T0 + 0.01)
-    rows = record.rows("signals", -1, -1)
-    assert rows is not None
-    assert rows.columns == ("index", *live_record.SIGNALS)
-    newest = dict(zip(rows.columns, rows.values[-1], strict=True))
-    assert newest["time"] == T0 + 0.01
-    assert newest["force_error"] == -20.0
-    assert newest["valid"] == 1.0
-
-
 def test_a_viewer_asks_for_what_it_has_not_got() -> None:
     record = LiveRecord()
     signals(record, T0, T0 + 0.01)
@@ -114,14 +102,6 @@ def test_a_set_is_known_from_the_beginning_of_another_recording_or_from_no_sampl
     assert math.isnan(rows.values[0, 1])
 
 
-def test_stamps_that_jitter_are_no_jump() -> None:
-    record = LiveRecord()
-    signals(record, T0, T0 + 0.02, T0 + 0.01)
-    rows = record.rows("signals", -1, -1)
-    assert rows is not None
-    assert len(rows.values) == 3
-
-
 def test_coefficients_have_a_column_for_each_and_for_its_error() -> None:
     record = LiveRecord()
     record.add_window(window(f_t=500.0, alpha=20.0))
@@ -141,11 +121,6 @@ def test_those_of_another_model_begin_a_table_of_their_own() -> None:
     assert second is not None
     assert first.generation != second.generation
     assert len(second.values) == 1
-
-
-def test_there_is_no_table_before_anything_is_known() -> None:
-    assert LiveRecord().rows("coefficients", -1, -1) is None
-    assert LiveRecord().rows("nonsense", -1, -1) is None
 
 
 def test_what_the_data_do_not_determine_has_no_error() -> None:
@@ -176,14 +151,6 @@ def test_the_status_is_json_even_of_what_is_not_known() -> None:
     assert told["silence"] >= 0.0
 
 
-def test_windows_are_told_once() -> None:
-    record = LiveRecord()
-    for number in range(3):
-        record.add_window(window(T0 + number))
-    numbers = [told["number"] for told in status(record, windows_after=1)["windows"]]
-    assert numbers == [2, 3]
-
-
 def test_the_temperature_that_the_force_tells_belongs_to_the_window_after_it() -> None:
     record = LiveRecord()
     record.add_fluid_temperature(41.0, 0.5)
@@ -202,14 +169,6 @@ def test_nothing_grows_without_end() -> None:
     told = status(record)
     assert len(told["windows"]) == len(told["events"]) == live_record.SENTENCES_KEPT
     assert len(told["concerns"]) == live_record.CONCERNS_KEPT
-
-
-def test_known_concerns_are_followed_however_many_there_are() -> None:
-    record = LiveRecord()
-    for number in range(live_record.CONCERNS_KEPT):
-        record.add_concern(Concern(f"{number}", 0, "well", {}))
-    record.add_concern(Concern("0", 2, "broken", {}))
-    assert status(record)["concerns"][0]["message"] == "broken"
 
 
 def test_a_summary_says_what_is_missing_and_how_it_stands() -> None:

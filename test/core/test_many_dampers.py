@@ -16,7 +16,6 @@ import mr_damper_ros as mr
 from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings, scaled
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.lots.population import KnownDamper, Population
-from mr_damper_ros.lots.report import write_parquet
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tools import identify_many
 
@@ -69,32 +68,24 @@ def found(lot: Path, results: Path) -> mr.ManyDampers:
         return mr.identify_many(lot, folder=results, executor=executor, **options(lot))
 
 
-def test_every_damper_that_can_be_identified_is(found: mr.ManyDampers) -> None:
+def test_a_lot_is_identified_and_what_is_bad_or_odd_is_named(found: mr.ManyDampers) -> None:
     rows = {row["damper"]: row for row in found.table}
     assert {name for name, row in rows.items() if row["identified"]} == set(STRENGTHS)
     assert rows["D1"]["recordings"] == 2
     assert all(rows[name]["nrmse"] < 0.02 for name in STRENGTHS)
-
-
-def test_bad_files_are_named_with_the_reason(found: mr.ManyDampers) -> None:
     named = {entry.path.name: entry.reason for entry in found.left_out}
     assert set(named) == {"broken.csv", "empty.csv"}
     assert all(named.values())
     assert found.failures == {"D7": "none of its recordings could be used"}
-
-
-def test_the_damper_that_stands_out_is_named(found: mr.ManyDampers) -> None:
     (outlier,) = [one for one in found.population.outliers if one.unit == "N"]
     assert outlier.damper == "D4"
     assert "D4: force at" in outlier.sentence
-
-
-def test_forces_of_the_lot_are_those_of_its_dampers(found: mr.ManyDampers) -> None:
     spread = next(s for s in found.population.forces if s.known.size == len(STRENGTHS))
     dampers = found.population.dampers
     usual = spread.values[[d.name for d in dampers].index("D1")]
     expected = usual * np.array([STRENGTHS[d.name] for d in dampers])
     assert np.all(np.abs(spread.values - expected) < STANDARD_ERRORS * np.hypot(*spread.errors[:2]))
+    assert json.loads(json.dumps(found.documents[0], allow_nan=False))
 
 
 def test_a_set_lies_beside_each_result(found: mr.ManyDampers, results: Path) -> None:
@@ -212,12 +203,6 @@ def test_a_cluster_of_dask_does_the_same(found: mr.ManyDampers, lot: Path, tmp_p
         }
 
 
-def test_the_table_is_the_same_in_parquet(found: mr.ManyDampers, tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    write_parquet(found.table, tmp_path / "dampers.parquet")
-    assert parquet.read_table(tmp_path / "dampers.parquet").to_pylist() == found.table
-
-
 def test_a_folder_in_use_is_left_alone(lot: Path, tmp_path: Path) -> None:
     from mr_damper_ros.processes.files import FolderLock
 
@@ -251,10 +236,6 @@ def test_the_spread_of_a_lot_is_found() -> None:
     assert spread.deviation / spread.median == pytest.approx(0.03, rel=0.3)
 
 
-def test_in_an_ordinary_lot_nobody_stands_out() -> None:
-    assert population(LOT).outliers == []
-
-
 def test_who_is_poorly_known_does_not_stand_out() -> None:
     odd = np.append(LOT, 0.8)
     assert [one.damper for one in population(odd).outliers] == ["D60"]
@@ -270,7 +251,3 @@ def test_the_force_error_follows_from_the_covariance() -> None:
     force, error = damper.peak_forces([(0.1, 1.0)])
     # The force is proportional to the parameter f0.
     assert error / force == pytest.approx(0.01, rel=1e-6)
-
-
-def test_a_document_is_json(found: mr.ManyDampers) -> None:
-    assert json.loads(json.dumps(found.documents[0], allow_nan=False))

@@ -142,15 +142,6 @@ def test_no_scale_is_less_certain_than_the_running_set_makes_it() -> None:
     assert np.all(effects <= WANDER * (1.0 + ROUNDING))
 
 
-def test_a_sudden_change_is_followed_at_once() -> None:
-    stronger = RUNNING.copy()
-    stronger[SCALE_INDICES[0]] *= 2.0
-    window = steady(stronger)
-    alone = own(window)
-    weighed = weigh(window)
-    assert weighed.rmse < AS_WELL * alone.rmse
-
-
 def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it() -> None:
     # A damper of another law: what the fit leaves of it is smooth, and counts for few samples.
     rig = EmulatedRig(

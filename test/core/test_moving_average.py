@@ -20,7 +20,6 @@ from mr_damper_ros.signals.moving_average import (
     undo_average,
     undo_average_in_motion,
 )
-from mr_damper_ros.tools import import_record
 
 ROUNDING = 1e-9
 """Of sums over the whole signal, relative to its size."""
@@ -79,15 +78,6 @@ def test_none_is_seen_where_there_is_none(seed: int) -> None:
     assert find_average(motion(seed)) == 1
 
 
-def test_none_is_seen_in_a_sine_with_noise() -> None:
-    noise = 1e-3 * np.random.default_rng(2).normal(size=SAMPLES)
-    assert find_average(np.tanh(5.0 * np.sin(np.arange(SAMPLES) * 0.02)) + noise) == 1
-
-
-def test_a_short_record_tells_nothing() -> None:
-    assert find_average(averaged(motion(), COUNT)[:200]) == 1
-
-
 def written(folder: Path, displacement: Array, force: Array) -> Path:
     path = folder / "run.csv"
     np.savetxt(path, np.column_stack([displacement, force]), delimiter=",", fmt="%.12g")
@@ -135,17 +125,6 @@ def test_an_average_that_cannot_be_is_refused(tmp_path: Path, count: int) -> Non
         mr.read_record(
             path, "displacement:mm,force:N", current=1.0, period=1e-3, moving_average=count
         )
-
-
-def test_the_program_undoes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    displacement, force = motion(3), 100.0 * motion(4)
-    path = written(tmp_path, averaged(displacement, COUNT), averaged(force, COUNT))
-    bag = tmp_path / "bag"
-    arguments = [str(path), "--columns", "displacement:mm,force:N", "--period", "0.001"]
-    arguments += ["--current", "1", "--undo-moving-average", "50", "--output", str(bag)]
-    assert import_record.main(arguments) == 0
-    (found,) = mr.read_bag(bag)
-    assert np.allclose(found.force, force, atol=WRITTEN)
 
 
 def test_what_was_averaged_is_said_of_a_run() -> None:

@@ -84,11 +84,6 @@ def test_each_search_is_that_of_its_seed() -> None:
         assert_same(fit, alone)
 
 
-def test_the_best_is_the_one_with_the_lowest_cost() -> None:
-    found = searched(3)
-    assert found.best.cost == min(fit.cost for fit in found.fits.values())
-
-
 def test_the_cost_counts_in_units_of_the_noise() -> None:
     found = searched(1).best
     expected = [
@@ -96,12 +91,6 @@ def test_the_cost_counts_in_units_of_the_noise() -> None:
         for window, noise in zip(windows(), found.noise, strict=True)
     ]
     assert found.cost == pytest.approx(np.mean(np.square(expected)))
-
-
-def test_the_candidates_tell_where_they_come_from() -> None:
-    candidates = searched(1).best.candidates
-    assert len({candidate.origin for candidate in candidates}) == len(candidates) == 3
-    assert min(c.cost for c in candidates) <= 1.1
 
 
 def shifted(fit: GlobalFit, by: float, cost: float) -> GlobalFit:
@@ -124,25 +113,9 @@ def test_the_spread_is_that_of_the_searches_that_are_as_good() -> None:
     assert np.all(found.spread[~fit.parameter_set.observable] == 0.0)
 
 
-def test_one_search_has_no_spread() -> None:
-    assert np.isnan(searched(1).spread).all()
-
-
 def test_less_than_one_start_is_refused() -> None:
     with pytest.raises(ValueError, match="starts is 0: at least 1 is needed"):
         searched(0)
-
-
-def test_the_progress_names_the_search() -> None:
-    stages: list[str] = []
-
-    def report(progress: GlobalProgress) -> bool:
-        stages.append(progress.stage)
-        return True
-
-    searched(2, report)
-    assert stages[0].startswith("search 1 of 2, ")
-    assert stages[-1].startswith("search 2 of 2, ")
 
 
 # -- records -----------------------------------------------------------------------------------
@@ -179,14 +152,6 @@ def test_finished_searches_are_not_done_again() -> None:
 
     assert_same(searched(1, report, record).best, first.best)
     assert heard == []
-
-
-def test_more_starts_go_on_from_fewer() -> None:
-    record = empty()
-    searched(1, record=record)
-    whole = searched(2)
-    for seed, fit in searched(2, record=record).fits.items():
-        assert_same(fit, whole.fits[seed])
 
 
 @pytest.mark.parametrize("after", [1, 10, 45])

@@ -62,7 +62,7 @@ def test_every_file_of_the_page_is_served(server: PageServer, path: str) -> None
     assert body == (PAGE / FILES[path][0]).read_bytes()
 
 
-def test_the_page_needs_nothing_from_elsewhere(server: PageServer) -> None:
+def test_the_page_is_served_with_its_data_alone(server: PageServer) -> None:
     page = ask(server, "/")[1].decode()
     asked_for = set(re.findall(r'(?:src|href)="(?!data:)([^"#]+)"', page))
     assert asked_for <= set(FILES)
@@ -71,9 +71,6 @@ def test_the_page_needs_nothing_from_elsewhere(server: PageServer) -> None:
         text = (PAGE / name).read_text(encoding="utf-8")
         assert not re.search(r"https?://(?!www\.w3\.org/)", text), name
     assert "default-src 'self'" in ask(server, "/")[0].headers["Content-Security-Policy"]
-
-
-def test_rows_are_numbers_with_their_names(server: PageServer) -> None:
     answer, body = ask(server, "/tables/signals?after=97")
     all_rows = np.frombuffer(body).reshape(-1, len(answer.headers["X-Columns"].split(",")))
     assert len(all_rows) >= 100, "the generation was not given: all rows"
@@ -81,29 +78,20 @@ def test_rows_are_numbers_with_their_names(server: PageServer) -> None:
     answer, body = ask(server, f"/tables/signals?after=97&generation={generation}")
     rows = np.frombuffer(body).reshape(-1, all_rows.shape[1])
     assert rows[:2, 0].tolist() == [98.0, 99.0]
-
-
-def test_a_table_that_is_not_there_is_empty(server: PageServer) -> None:
     assert ask(server, "/tables/parameters")[0].status == 204
-
-
-def test_the_status_says_what_is_shown(server: PageServer) -> None:
     told = json.loads(ask(server, "/status?windows=0")[1])
     assert told["title"] == "/left"
     assert told["commands"] == []
     assert told["tables"]["signals"]["generation"] >= 1
+    with closing(connection(server)) as asked:
+        for _ in range(20):
+            asked.request("GET", "/status")
+            assert asked.getresponse().read()
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "/../live_record.py", "/vendor/", "/page.js/.."])
 def test_nothing_else_is_served(server: PageServer, path: str) -> None:
     assert ask(server, path)[0].status == 404
-
-
-def test_one_connection_serves_many_requests(server: PageServer) -> None:
-    with closing(connection(server)) as asked:
-        for _ in range(20):
-            asked.request("GET", "/status")
-            assert asked.getresponse().read()
 
 
 NAME = socket.gethostname()

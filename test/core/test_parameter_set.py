@@ -67,12 +67,6 @@ def test_a_file_that_tells_no_discrepancies_leaves_them_unknown() -> None:
     assert np.isnan(ParameterSet.from_yaml(by_hand()).discrepancies).all()
 
 
-def test_unknown_standard_errors_and_nrmse_stay_unknown() -> None:
-    read = ParameterSet.from_yaml(ParameterSet(LITERATURE).to_yaml())
-    assert np.isnan(read.standard_errors).all()
-    assert math.isnan(read.nrmse)
-
-
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 def test_the_text_names_value_and_unit_of_every_parameter(model: Model) -> None:
     values = np.clip(np.arange(len(model.parameters)), *model.bounds)
@@ -235,12 +229,6 @@ def test_a_set_of_another_model_than_needed_is_refused() -> None:
     assert extended.of_model("sigmoid_lag") is extended
     with pytest.raises(ParameterError, match=r"those of model 'sigmoid_lag': give .* 'sigmoid'"):
         extended.of_model("sigmoid")
-
-
-def test_values_by_name() -> None:
-    assert ParameterSet(LITERATURE).as_dict() == dict(
-        zip(PARAMETER_NAMES, LITERATURE.tolist(), strict=True)
-    )
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pytest
 from step_worker import StepWorker
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
@@ -102,19 +101,6 @@ def results(events: list[Event]) -> list[tuple[Any, ...]]:
     ]
 
 
-def test_windows_are_fitted_in_their_order_each_from_the_set_before() -> None:
-    b = bench()
-    for number in range(4):
-        b.identifier.add_windows([window(number)])
-    assert (b.identifier.running, b.identifier.waiting_windows) == ("fit", 3)
-    events = b.work_off()
-    assert starts(events) == [0, 1, 2, 3]
-    assert [report.accepted for report in of_windows(events)] == [True] * 4
-    assert (b.identifier.running, b.identifier.waiting_windows) == ("", 0)
-    scale = b.tracker.parameters.values[0] / THESIS_28_CELSIUS[0]
-    assert scale == pytest.approx(0.95**3, rel=0.1)
-
-
 def test_the_results_do_not_depend_on_how_fast_the_windows_come() -> None:
     windows = [window(n, current=0.5 * (n % 3), speed=1.0 + n % 2) for n in range(8)]
     fast, slow = bench(global_period=3), bench(global_period=3)
@@ -181,15 +167,6 @@ def test_a_search_goes_before_the_windows_that_wait() -> None:
     assert all(event.search is search for event in progress)
 
 
-def test_a_search_without_windows_ends_with_the_reason() -> None:
-    b = bench()
-    b.identifier.add_search(Search(QUICK_SEARCH))
-    (event,) = [e for e in b.work_off() if isinstance(e, SearchEnded)]
-    assert event.report is not None
-    assert not event.report.accepted
-    assert event.report.reason
-
-
 def test_a_cancelled_search_keeps_the_best_so_far() -> None:
     b = bench()
     b.identifier.add_windows([window(0)])
@@ -254,15 +231,6 @@ def test_a_look_that_sees_a_change_ends_in_an_early_set() -> None:
     ended = b.work_off()
     assert [report.method for report in of_windows(ended)][1] == EARLY_SOURCE
     assert b.tracker.parameters.set_id.startswith("early-")
-
-
-def test_a_look_whose_worker_died_is_no_event() -> None:
-    b = bench()
-    b.identifier.add_windows([window(0)])
-    b.work_off()
-    b.worker.failing = True
-    b.identifier.add_windows([replace(window(0), look=200)])
-    assert b.work_off() == []
 
 
 def test_a_window_that_makes_room_takes_its_looks_along() -> None:

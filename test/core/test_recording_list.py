@@ -38,30 +38,15 @@ def names(*sources: Path | str, **options: object) -> dict[str, list[str]]:
     return groups
 
 
-def test_the_bags_of_a_folder_are_of_one_damper(lot: Path) -> None:
+def test_recordings_are_found_and_named_as_asked(lot: Path) -> None:
     assert names(lot) == {"D1": ["D1_fast.mcap", "slow"], "D2": ["D2_0.5A.mcap"]}
-
-
-def test_record_files_are_taken_where_that_is_asked_for(lot: Path) -> None:
     assert names(lot / "D2", with_records=True) == {"D2": ["D2_0.5A.mcap", "D2_1.0A.csv"]}
-
-
-def test_a_pattern_of_names_finds_bags_in_any_folder(lot: Path) -> None:
     assert names(str(lot / "*" / "*.mcap")) == {"D1": ["D1_fast.mcap"], "D2": ["D2_0.5A.mcap"]}
-
-
-def test_the_first_group_names_the_damper(lot: Path) -> None:
     assert names(lot, pattern=r"D(\d)/") == {"1": ["D1_fast.mcap", "slow"], "2": ["D2_0.5A.mcap"]}
-
-
-def test_a_group_tells_the_current(lot: Path) -> None:
     pattern = r"(?P<damper>D\d)_(?P<current>[\d.]+)A"
     found, left_out = find_recordings([lot], pattern=pattern, with_records=True)
     assert {r.path.name: r.current for r in found} == {"D2_0.5A.mcap": 0.5, "D2_1.0A.csv": 1.0}
     assert {entry.path.name for entry in left_out} == {"D1_fast.mcap", "slow", "notes.txt"}
-
-
-def test_a_recording_given_twice_is_one(lot: Path) -> None:
     assert names(lot, lot / "D2") == names(lot)
 
 

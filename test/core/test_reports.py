@@ -96,11 +96,6 @@ def test_a_misfit_that_repeats_is_told_apart_from_what_scatters(
     report, _ = misfitted
     assert np.all(report.coefficient_discrepancies > report.coefficient_errors)
     assert report.scale.discrepancy > report.scale.standard_error
-
-
-def test_the_set_knows_how_much_of_its_errors_is_misfit(
-    misfitted: tuple[Report, ParameterSet],
-) -> None:
     _, found = misfitted
     seen = found.observable
     assert np.all(found.discrepancies[seen] < found.standard_errors[seen])

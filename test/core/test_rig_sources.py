@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, ThermalModel
-from mr_damper_ros.emulation.motions import BandLimitedMotion, SineMotion, SweptSine
+from mr_damper_ros.emulation.motions import BandLimitedMotion, SweptSine
 from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.columns import RecordError
@@ -29,7 +28,6 @@ from mr_damper_ros.signals.recording import Recording
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 START = 1_700_000_000_000_000_000
-SECOND = 1_000_000_000
 
 
 def source(name: str, block_size: int = 10, **settings: Any) -> Source:
@@ -58,15 +56,6 @@ def test_the_recordings_of_a_bag_come_as_they_are() -> None:
     bag.close()
 
 
-def test_each_start_is_from_the_beginning() -> None:
-    bag = source("bag", bag=str(BAG))
-    bag.open()
-    first, again = (next(iter(bag.blocks(start))) for start in (START, START + SECOND))
-    np.testing.assert_array_equal(first.force, again.force)
-    assert (first.sequence, again.sequence) == (0, 0)
-    assert again.start_ns - first.start_ns == SECOND
-
-
 def test_a_record_comes_in_si_units(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("".join(f"{k % 7},{k % 5}\n" for k in range(100)), encoding="utf-8")
@@ -90,11 +79,6 @@ def test_recordings_are_counted_through_with_a_second_between_them() -> None:
     assert [block.sample_count for block in blocks] == [10, 5, 7, 10, 5, 7]
     offsets = [(block.start_ns - START) // 1_000_000 for block in blocks]
     assert offsets == [0, 10, 1015, 2022, 2032, 3037]
-
-
-def test_without_a_loop_recordings_end() -> None:
-    blocks = list(recorded_blocks([recording(15)], StreamSettings(10), START))
-    assert sum(block.sample_count for block in blocks) == 15
 
 
 def test_the_knob_of_the_supply_works_between_two_blocks() -> None:
@@ -123,23 +107,6 @@ def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_tim
     assert set(next(blocks).current) == {0.8}
     rig.commander.command(0.8, 2, 0.0, time.monotonic() - 3600.0)
     assert set(next(blocks).current) == {0.0}
-
-
-def test_a_rig_that_makes_no_sample_beforehand_gives_the_same_stream() -> None:
-    rigs = [
-        EmulatedRig(
-            ConstantDamper(THESIS_28_CELSIUS),
-            SineMotion(0.005, 1.0),
-            1.0,
-            thermal=ThermalModel(capacity=1.0),
-            coil_time_constant=0.01,
-        )
-        for _ in range(2)
-    ]
-    rigs[0].live = True
-    one, other = ([rig.next_block(7) for _ in range(50)] for rig in rigs)
-    for name in ("displacement", "force", "current", "temperature"):
-        np.testing.assert_allclose(joined(one, name), joined(other, name), rtol=1e-12)
 
 
 def test_the_air_around_the_emulated_rig_can_be_changed_while_it_runs() -> None:
@@ -206,14 +173,6 @@ def test_a_motion_has_its_own_derivatives(motion: Any) -> None:
         here.acceleration[smooth],
         atol=1e-4,
     )
-
-
-def test_the_emulated_rig_heats_from_its_initial_temperature() -> None:
-    rig = source("emulated", block_size=1000, initial_temperature=40.0, heat_capacity=20.0)
-    rig.open()
-    block = next(rig.blocks(START))
-    assert block.temperature[0] == 40.0
-    assert block.temperature[-1] > 40.0
 
 
 @pytest.mark.parametrize("damper", ["thesis_temperatures", "5.0mm_1Hz_0.5A", "file"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from dataclasses import replace
@@ -16,33 +15,25 @@ from campaign_of_three import perform
 import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
 from mr_damper_ros.campaign.folder import CampaignStep
-from mr_damper_ros.campaign.runs import signal, write_signal
+from mr_damper_ros.campaign.runs import signal
 from mr_damper_ros.estimation.force_knowledge import (
     Cycles,
     ForceGoal,
     cycle_errors,
     point_errors,
-    prior_information,
-    relative_gradient,
-    window_information,
 )
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
 from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
-from mr_damper_ros.io.records import read_record
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools import plan_run
 
 GOAL = ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5), speeds=3, currents=4)
 LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
-NOISE = 25.0
-"""[N]: 2 % of the force's root mean square over the range of the goal."""
 
 CLAIMS = (1.0 / 3.0, 3.0)
 """Claimed over true error of one damper: of the largest of many normal deviates."""
 
-THINNED = 0.2
-"""Relative: of the steep parts of a loop thinned samples hold now more, now less."""
 
 LAW = known.SIGMOID
 EVERY = np.ones(len(LAW.parameters), dtype=bool)
@@ -71,42 +62,32 @@ def campaign(machine: Machine) -> ForceCampaign:
     return run_campaign(GOAL, LIMITS, machine)
 
 
-def test_what_is_claimed_comes_with_its_confidence(campaign: ForceCampaign) -> None:
+def test_a_campaign_reaches_its_goal_and_claims_what_is_true(campaign: ForceCampaign) -> None:
     now = campaign.steps[-1].plan.now
     assert now.bound > now.worst
     sure = f"{now.worst:.2%} at worst, at even odds, and {now.bound:.2%} with 95 % confidence"
     assert sure in campaign.reason
-
-
-def test_a_campaign_reaches_its_goal(campaign: ForceCampaign) -> None:
     assert campaign.reached
     assert campaign.reason.startswith("the goal is met: ")
     assert campaign.steps[-1].plan.now.worst <= GOAL.error
     assert len(campaign.steps) <= 6
-
-
-def test_what_it_claims_is_about_true(campaign: ForceCampaign) -> None:
     cycles = Cycles(LAW, GOAL.cycles())
     truth = cycles.force(known.PLAUSIBLE)
     missed = np.abs(cycles.force(campaign.parameter_set.values) - truth)
     true = float(np.max(missed.max(axis=1) / np.abs(truth).max(axis=1)))
     assert CLAIMS[0] < campaign.steps[-1].plan.now.worst / true < CLAIMS[1]
+    worst = [step.plan.now.worst for step in campaign.steps]
+    assert worst[-1] < 0.1 * worst[0]
 
 
-def test_no_sample_leaves_the_limits(campaign: ForceCampaign, machine: Machine) -> None:
+def test_no_run_leaves_the_limits_and_the_first_is_the_gentlest(
+    campaign: ForceCampaign, machine: Machine
+) -> None:
     for recording in machine.recordings:
         assert np.abs(recording.displacement).max() <= LIMITS.amplitude
         assert np.abs(recording.force).max() <= LIMITS.force
         assert 0.0 <= recording.current.min() <= recording.current.max() <= LIMITS.current
     assert all(run.peak_velocity <= LIMITS.peak_velocity for run in machine.runs)
-
-
-def test_the_error_falls(campaign: ForceCampaign) -> None:
-    worst = [step.plan.now.worst for step in campaign.steps]
-    assert worst[-1] < 0.1 * worst[0]
-
-
-def test_the_first_run_is_the_gentlest(campaign: ForceCampaign, machine: Machine) -> None:
     assert machine.runs[0] == first_run(GOAL, LIMITS)
     assert machine.runs[0].peak_velocity <= GOAL.peak_velocity[0]
 
@@ -181,13 +162,10 @@ def test_a_goal_beyond_the_noise_is_out_of_reach_and_says_what_is_left() -> None
     assert "more runs would leave an error of" in plan.reason
 
 
-def test_the_next_run_is_expected_to_help(planner: RunPlanner) -> None:
+def test_the_next_run_helps_within_the_limits(planner: RunPlanner) -> None:
     plan = planner.next(windows(RUNS[0]), known.PLAUSIBLE, EVERY)
     assert plan.state is PlanState.RUN
     assert plan.expected < plan.now.worst
-
-
-def test_every_candidate_is_within_the_limits(planner: RunPlanner) -> None:
     assert planner.candidates
     for run in planner.candidates:
         assert run.amplitude <= LIMITS.amplitude
@@ -211,30 +189,6 @@ def test_the_worst_error_is_exceeded_as_often_as_not() -> None:
     assert found.errors == pytest.approx(1.0)
 
 
-def test_more_samples_tell_more() -> None:
-    cycles = Cycles(LAW, GOAL.cycles())
-    gradient = relative_gradient(cycles, known.PLAUSIBLE)
-    information = prior_information(LAW, cycles, known.PLAUSIBLE, GOAL)
-    worst = [point_errors(GOAL, gradient, information).worst]
-    for run in RUNS:
-        some = run.windows(perform(run))
-        information = information + window_information(
-            LAW, some, [NOISE] * len(some), known.PLAUSIBLE
-        )
-        worst.append(point_errors(GOAL, gradient, information).worst)
-    assert worst == sorted(worst, reverse=True)
-
-
-def test_information_scales_with_the_samples() -> None:
-    short, long = (replace(RUNS[1], duration=seconds) for seconds in (2.0, 4.0))
-    of_short, of_long = (
-        np.diag(window_information(LAW, run.windows(perform(run)), [NOISE], known.PLAUSIBLE))
-        for run in (short, long)
-    )
-    seen = of_short > 1e-9 * of_short.max()
-    assert of_long[seen] / of_short[seen] == pytest.approx(2.0, rel=THINNED)
-
-
 @pytest.mark.parametrize("run", RUNS)
 def test_a_signal_starts_and_ends_at_rest_within_the_limits(run: PlannedRun) -> None:
     time, displacement, current = signal(run, 1000.0)
@@ -245,19 +199,6 @@ def test_a_signal_starts_and_ends_at_rest_within_the_limits(run: PlannedRun) -> 
     assert np.abs(displacement).max() <= run.amplitude * (1.0 + 1e-12)
     assert np.abs(velocity).max() <= run.peak_velocity * (1.0 + 1e-9)
     assert list(dict.fromkeys(current.tolist())) == list(run.currents)
-
-
-def test_a_signal_file_is_read_back_as_a_record(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    write_signal(RUNS[0], path, 1000.0)
-    with path.open(newline="") as file:
-        assert next(csv.reader(file)) == ["time:s", "displacement:m", "current:A"]
-    rows = path.read_text().splitlines()[1:]
-    text = "".join(f"{row},{place % 7}\n" for place, row in enumerate(rows))
-    (tmp_path / "with_force.csv").write_text(text)
-    columns = "time:s,displacement:m,current:A,force:N"
-    read = read_record(tmp_path / "with_force.csv", columns)
-    assert read.displacement == pytest.approx(signal(RUNS[0], 1000.0)[1], abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -159,18 +159,6 @@ def test_the_force_of_a_sample_is_that_of_the_law(name: str) -> None:
     check()
 
 
-@pytest.mark.parametrize("name", ["sigmoid", "sigmoid_lag"])
-@pytest.mark.parametrize("size", [1e8, 1e40])
-def test_what_goes_beyond_all_measure_is_left_to_the_arrays(name: str, size: float) -> None:
-    inverse = InverseModel(scaled(name, [size]), LOWEST, HIGHEST, gradual_reversal=True)
-    sample = MotionSample(0.001, 0.1, 1.0, 0.12)
-    response = inverse.at(sample, period=PERIOD)
-    found = inverse.current(response, 1e3)
-    expected = inverse.currents(sample.motion, 1e3, period=PERIOD)
-    assert LOWEST <= found.current <= HIGHEST
-    assert found.force == pytest.approx(float(expected.force[0]), rel=SAME)
-
-
 CLOSEST_ROOTS = 2e-3
 """Amperes: of roots that lie closer to each other, the scan that is compared with sees none."""
 

@@ -235,23 +235,9 @@ def test_a_wrong_set_for_all_is_not_called_valid() -> None:
     assert came.predictions[-1].doubt.kind.grave
 
 
-def test_a_set_without_a_report_counts_everywhere() -> None:
-    came = course([Said(5.0, window_of(SIGMOID, LOW, "low"), reported=False)])
-    assert came.set_at(END - 0.1) == "low"
-
-
 def at(set_id: str, current: float, stamp_ns: int, source: str = "nelder_mead") -> KnownSet:
     parameters = replace(window_of(SIGMOID, current, set_id), source=source)
     return KnownSet(parameters, stamp_ns, currents=(current, current))
-
-
-def test_the_newest_set_of_a_current_is_the_one() -> None:
-    sets = model_bank.CurrentSchedule()
-    for number, current in enumerate((LOW, HIGH, LOW + 0.02)):
-        sets.add(at(f"set-{number}", current, number))
-    found = sets.at_current(LOW, 3)
-    assert found is not None
-    assert found.parameters.set_id == "set-2"
 
 
 def test_a_set_of_long_ago_is_not() -> None:

@@ -44,19 +44,6 @@ def test_a_saved_set_comes_back_to_the_last_digit(tmp_path: Path) -> None:
     assert state.names() == ["cold"]
 
 
-def test_a_set_can_be_saved_again(tmp_path: Path) -> None:
-    state = StateDirectory(tmp_path)
-    state.save("running", SET)
-    state.save("running", ParameterSet(LITERATURE, set_id="literature"))
-    assert state.load("running").set_id == "literature"
-    assert os.listdir(tmp_path) == ["running.yaml"]
-
-
-def test_a_set_written_by_hand_is_read(tmp_path: Path) -> None:
-    (tmp_path / "mine.yaml").write_text(SET.to_yaml())
-    assert same(StateDirectory(tmp_path).load("mine"), SET)
-
-
 @pytest.mark.parametrize(
     "name",
     ["", "..", ".", "../other", "/etc/passwd", "a/b", ".hidden", "a\\b", "a b", "a\0b", "x" * 101]
@@ -88,14 +75,6 @@ def test_a_set_edited_by_hand_has_no_memory(tmp_path: Path) -> None:
     path.write_text(path.read_text().partition("\n")[2])
     kept, memory = state.load_with_memory("running")
     assert (same(kept, SET), memory) == (True, "")
-
-
-def test_damage_to_the_memory_is_noticed(tmp_path: Path) -> None:
-    state = StateDirectory(tmp_path)
-    path = state.save("running", SET, '{"windows":3}')
-    path.write_text(path.read_text().replace("3}", "4}"))
-    with pytest.raises(StateError, match="not what was written"):
-        state.load("running")
 
 
 def test_what_a_killed_process_left_behind_is_removed(tmp_path: Path) -> None:

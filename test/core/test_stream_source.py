@@ -443,14 +443,6 @@ def test_remarks_and_empty_lines_are_no_samples() -> None:
     assert decoder.feed(b"# ready\n\n\r\n") == []
 
 
-def test_all_that_a_sender_knows_is_taken() -> None:
-    form = parse_row_format("count:8,displacement:mm,-,force:kN,current:mA,temperature:K")
-    row = form.row([b"7", b"2", b"x", b"0.5", b"1500", b"300.15"])
-    assert row is not None
-    assert row.number == 7
-    assert row.measured == pytest.approx((0.002, 500.0, 1.5, 27.0))
-
-
 @pytest.mark.parametrize(
     ("cell", "number"),
     [
@@ -505,13 +497,6 @@ def test_no_record_is_made_of_garbage_in_between(hits: list[tuple[int, bytes]]) 
     for row in decoder.feed(data):
         if row is not None and row.number is not None:
             assert row.measured.force == -2.0 * row.number
-
-
-def test_nothing_of_a_megabyte_of_garbage_is_a_record() -> None:
-    decoder = records("none")
-    rows = decoder.feed(random.Random(3).randbytes(1_000_000))
-    assert numbers(rows) == []
-    assert len(decoder._rest) < 100
 
 
 # -- stamps ------------------------------------------------------------------------------------

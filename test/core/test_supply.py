@@ -615,14 +615,6 @@ def test_stopping_a_supply_that_dribbles_ends_and_says_what_could_not_be_done(
     assert thread.finished
 
 
-def test_stopping_a_supply_that_answers_is_heard(live: InstrumentServer) -> None:
-    thread = in_thread(live, [])
-    gives_current(live)
-    assert thread.stop()
-    assert live.instrument.is_off
-    assert thread.failure == ""
-
-
 def test_a_command_that_ends_is_obeyed_between_two_complaints(live: InstrumentServer) -> None:
     thread = in_thread(live, [])
     gives_current(live)

@@ -63,17 +63,13 @@ def windows(blocks: list[SampleBlock]) -> list[RawWindow]:
 
 
 @pytest.mark.parametrize("epoch_ns", EPOCHS_NS.values(), ids=EPOCHS_NS)
-def test_the_prediction_does_not_depend_on_the_epoch(epoch_ns: int) -> None:
+def test_nothing_depends_on_the_epoch(epoch_ns: int) -> None:
     usual = predicted(BLOCKS)
     other = predicted(shifted(BLOCKS, epoch_ns - known.T0))
     assert usual[-1].valid
     assert [(p.valid, p.reason) for p in other] == [(p.valid, p.reason) for p in usual]
     for p, q in zip(other, usual, strict=True):
         np.testing.assert_array_equal(p.force, q.force)
-
-
-@pytest.mark.parametrize("epoch_ns", EPOCHS_NS.values(), ids=EPOCHS_NS)
-def test_the_windows_do_not_depend_on_the_epoch(epoch_ns: int) -> None:
     by_ns = epoch_ns - known.T0
     usual, other = windows(BLOCKS), windows(shifted(BLOCKS, by_ns))
     assert [w.start_ns for w in other] == [w.start_ns + by_ns for w in usual]

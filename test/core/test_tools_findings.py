@@ -101,14 +101,6 @@ def test_one_run_determines_seven_combinations_and_the_rest_is_advised(
         assert run["sentence"] in said
 
 
-def test_without_current_only_the_laws_over_velocity_are_advised(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    document = identified(tmp_path, BAGS / "5.0mm_1Hz_0.0A", "--method", "least_squares")
-    assert {n for run in document["advice"] for n in run["determines"]} <= {"a1", "a4", "k0"}
-    assert "run 5 mm" in capsys.readouterr().out
-
-
 def test_a_profile_is_given_on_demand(tmp_path: Path) -> None:
     document = identified(tmp_path, ONE_RUN, "--profile", "k6", "a2")
     profile, error = document["profiles"]["k6"], document["standard_errors"]["k6"]
@@ -208,7 +200,3 @@ def test_a_bag_with_a_thermometer_gives_the_map(
     assert found["temperature"][0] == found["range"][0]
     assert found["force_scale"][-1] / found["force_scale"][0] == pytest.approx(0.78, abs=0.02)
     assert "the force changes by -0.6" in capsys.readouterr().out
-
-
-def test_without_a_thermometer_there_is_no_word_of_temperature(tmp_path: Path) -> None:
-    assert "temperature_maps" not in identified(tmp_path, ONE_RUN, "--method", "least_squares")

@@ -22,13 +22,10 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import CONDITIONS, LITERATURE, is_clean, parameters
+from mr_damper_ros.models.published import CONDITIONS, LITERATURE, is_clean
 from mr_damper_ros.models.sigmoid.extension import without_extension
 from mr_damper_ros.models.sigmoid.law import (
-    COEFFICIENT_NAMES,
-    PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    operating_point_coefficients,
 )
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.console import ProgressLine
@@ -39,8 +36,6 @@ ONE_RUN = BAGS / "5.0mm_1Hz_1.5A"
 
 AT_THE_NOISE = 1.01
 """Residual over the noise in the bag: the asked figure."""
-
-STANDARD_ERRORS = 3.0
 
 
 def identified(tmp_path: Path, *arguments: str | Path) -> dict[str, Any]:
@@ -60,35 +55,6 @@ def test_a_run_is_identified_down_to_its_noise(tmp_path: Path, method: str) -> N
     assert document["metrics"]["rmse"] <= AT_THE_NOISE * 5.53
 
 
-def test_the_coefficients_are_those_of_the_published_set(tmp_path: Path) -> None:
-    condition = next(c for c in CONDITIONS if is_clean(c) and c.current == 0.5)
-    bag = tmp_path / "bag"
-    write_bag(bag, synthesise(condition))
-    entry = identified(tmp_path, bag, "--method", "nelder_mead")["bags"][0]
-    peak_velocity = 2.0 * math.pi * condition.frequency * condition.amplitude
-    true = np.concatenate(
-        operating_point_coefficients(
-            parameters(condition, "nelder_mead"), peak_velocity, condition.current
-        )
-    )
-    true[:2] *= math.copysign(1.0, true[0])
-    for name, value in zip(COEFFICIENT_NAMES, true, strict=True):
-        error = entry["coefficient_standard_errors"][name]
-        assert abs(entry["coefficients"][name] - value) < STANDARD_ERRORS * error, name
-
-
-def test_the_document_has_the_promised_keys(tmp_path: Path) -> None:
-    document = identified(tmp_path, ONE_RUN, "--method", "least_squares")
-    assert {
-        *("parameters", "standard_errors", "observable", "metrics", "evaluations"),
-        *("duration_s", "method", "message", "bags"),
-    } <= document.keys()
-    assert set(document["metrics"]) == {"rmse", "nrmse", "r2", "n_samples"}
-    assert list(document["parameters"]) == list(PARAMETER_NAMES)
-    assert document["bags"][0]["bag"] == str(ONE_RUN)
-    assert document["metrics"] == document["bags"][0]["metrics"]
-
-
 def test_what_one_run_cannot_tell_is_said_to_be_unknown(tmp_path: Path) -> None:
     document = identified(tmp_path, ONE_RUN, "--method", "nelder_mead")
     unknown = {name for name, error in document["standard_errors"].items() if error is None}
@@ -106,19 +72,6 @@ def test_the_metrics_belong_to_the_parameters(tmp_path: Path) -> None:
     assert document["metrics"]["n_samples"] == total
     assert document["metrics"]["rmse"] == pytest.approx(math.sqrt(squares / total))
     assert document["metrics"]["r2"] == pytest.approx(1.0 - document["metrics"]["nrmse"] ** 2)
-
-
-def test_the_same_seed_gives_the_same_set(tmp_path: Path) -> None:
-    arguments = (ONE_RUN, BAGS / "7.5mm_1Hz_1.0A", "--generations", "20", "--seed", "3")
-    first, second = (identified(tmp_path, *arguments) for _ in range(2))
-    assert first["parameters"] == second["parameters"]
-
-
-def test_differential_evolution_over_all_free_parameters(tmp_path: Path) -> None:
-    document = identified(
-        tmp_path, ONE_RUN, "--method", "differential_evolution", "--generations", "60"
-    )
-    assert document["metrics"]["rmse"] <= AT_THE_NOISE * 5.53
 
 
 def test_validate_gives_the_errors_that_identify_gave(tmp_path: Path) -> None:
@@ -141,25 +94,6 @@ def test_validate_does_not_extrapolate_the_law(tmp_path: Path) -> None:
     lowest = dataclasses.replace(motion, peak_velocity=np.full(RUN.force.size, 0.05))
     force = found.law.force(found.values, lowest, RUN.current, RUN.period)
     assert entry["metrics"]["rmse"] == pytest.approx(known.rms(force - RUN.force))
-
-
-def test_validate_takes_a_set_of_any_model(tmp_path: Path) -> None:
-    # Friction and damping of about the run's force and speed.
-    file, report = tmp_path / "bingham.yaml", tmp_path / "validation.json"
-    values = np.array([900.0, 10_000.0, 0.0])
-    file.write_text(ParameterSet(values, model="bingham").to_yaml())
-    assert validate.main([str(file), str(ONE_RUN), "--json", str(report)]) == 0
-    (entry,) = json.loads(report.read_text())["bags"]
-    assert 0.1 < entry["metrics"]["nrmse"] < 0.5
-
-
-def test_a_start_of_ones_own_is_kept_where_the_data_do_not_determine(tmp_path: Path) -> None:
-    start = LITERATURE.copy()
-    start[PARAMETER_NAMES.index("I1")] = 0.777
-    file = tmp_path / "start.yaml"
-    file.write_text(ParameterSet(start).to_yaml())
-    document = identified(tmp_path, ONE_RUN, "--method", "least_squares", "--start", str(file))
-    assert document["parameters"]["I1"] == 0.777
 
 
 def spoilt(tmp_path: Path, **changes: Any) -> Path:

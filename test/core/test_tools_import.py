@@ -146,10 +146,6 @@ def test_a_surplus_column_of_numbers_is_refused_unless_skipped(write: Any, rest:
     assert_is_the_run(path, COLUMNS + rest)
 
 
-def test_a_column_may_be_skipped(write: Any) -> None:
-    assert_is_the_run(write(["04/29 " + row for row in rows()]), "-," + COLUMNS)
-
-
 def test_an_offset_is_added_in_its_unit(write: Any) -> None:
     lines = [
         f"{t} {u} {(force + 12.0) / 980.665}"
@@ -205,20 +201,11 @@ def test_a_sample_counter_is_a_time(write: Any) -> None:
     assert_is_the_run(write(lines), "time:0.01*s,-,displacement:mm,force:N")
 
 
-def test_a_period_stands_for_a_time_column(write: Any) -> None:
-    assert_is_the_run(write(rows()), "-,displacement:mm,force:N", period=0.01)
-
-
 def test_a_part_is_cut_out_by_seconds_from_the_first_sample(write: Any) -> None:
     path = write([f"{1000 + float(row[:8])}{row[8:]}" for row in rows()])
     part = read_record(path, COLUMNS, current=0.5, start=0.1, stop=0.2)
     np.testing.assert_allclose(part.force, FORCE[10:21], rtol=0.0, atol=WRITTEN_FORCE)
     assert part.start_ns == DEFAULT_START_NS + 1_000_100_000_000
-
-
-def test_times_since_1970_become_the_stamps(write: Any) -> None:
-    path = write([f"{1.7e9 + float(row[:8]):.6f}{row[8:]}" for row in rows()])
-    assert read_record(path, COLUMNS, current=0.5).start_ns == 1_700_000_000 * 10**9
 
 
 def test_rounded_times_are_taken_as_even_and_it_is_said(write: Any) -> None:
@@ -416,11 +403,6 @@ def test_rows_that_cannot_be_used_are_named(write: Any, lines: list[str], senten
     assert sentence in refused(lambda: read_record(write(lines), COLUMNS, current=0.5))
 
 
-def test_what_lies_outside_the_part_does_not_matter(write: Any) -> None:
-    path = write(with_line(30, "0.300000 nan 3"))
-    assert read_record(path, COLUMNS, current=0.5, stop=0.25).sample_count == 26
-
-
 def test_an_uneven_pace_is_refused(write: Any) -> None:
     times = np.cumsum(np.linspace(0.008, 0.011, 40))
     lines = [f"{t} {row[9:]}" for t, row in zip(times, rows(), strict=True)]
@@ -526,14 +508,6 @@ def test_a_value_may_begin_with_a_minus_sign(write: Any, tmp_path: Path) -> None
     assert import_record.main([*given, "--output", str(tmp_path / "bag")]) == 0
     with pytest.raises(SystemExit):
         import_record.main([str(path), "--columns", "--current", "0.5"])
-
-
-def test_a_fault_of_the_program_keeps_its_traceback() -> None:
-    def run(options: argparse.Namespace) -> int:
-        raise KeyError("a fault")
-
-    with pytest.raises(KeyError):
-        run_tool(argparse.ArgumentParser("tool"), run, [])
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -18,15 +18,11 @@ from known import SIGMOID
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.tracking.acceptance import fault_of_data
-from mr_damper_ros.tracking.jobs import TRACKERS, Outcome
+from mr_damper_ros.tracking.jobs import TRACKERS
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerMemory, check, from_text, to_text
-
-SCALE_ERROR = 0.05
-"""Relative error of the force scale: the damper weakened while its baseline was taken."""
 
 SAMPLES = 1000
 """A whole cycle: less does not determine the seven scales."""
@@ -79,25 +75,6 @@ def test_a_tracker_goes_on_where_it_was(kind: str) -> None:
     assert to_text(again.memory) == to_text(tracked.memory)
 
 
-def test_the_baseline_is_still_that_of_the_first_windows() -> None:
-    tracked = tracker()
-    feed(tracked, 0, 6)
-    (report,) = feed(resumed(tracked), 12, 13)
-    assert report.scale.value == pytest.approx(0.97**12, rel=SCALE_ERROR)
-
-
-def test_an_unconfirmed_step_is_still_waiting() -> None:
-    def stronger(tracked: WindowTracker, number: int) -> Report:
-        twice = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 2.0, 1.0)
-        raw = known.raw_window(known.run(twice, samples=SAMPLES, seed=number), number=number)
-        return tracked.follow(raw)
-
-    tracked = tracker()
-    feed(tracked, 0, 4)
-    assert "waiting for the next window to confirm it" in stronger(tracked, 4).reason
-    assert stronger(resumed(tracked), 5).accepted
-
-
 def test_the_next_search_comes_when_it_would_have_come() -> None:
     tracked = tracker(global_period=20)
     feed(tracked, 0, 4)
@@ -146,13 +123,6 @@ def test_a_watch_for_other_changes_is_not_used() -> None:
     feed(tracked, 0, 2)
     assert resumed(tracked).memory.watch is not None
     assert resumed(tracked, smallest_change=0.05).memory.watch is None
-
-
-def test_sets_are_numbered_on() -> None:
-    tracked = tracker()
-    feed(tracked, 0, 3)
-    again = resumed(tracked)
-    assert feed(again, 3, 4)[0].set_id == "window-4"
 
 
 def learnt() -> dict[str, Any]:
@@ -246,11 +216,6 @@ def test_the_memory_of_another_model_is_refused() -> None:
         from_text(json.dumps(DOCUMENT), MODELS["sigmoid_lag"])
 
 
-def test_nothing_learnt_is_a_memory_too() -> None:
-    memory = from_text(to_text(TrackerMemory()), SIGMOID)
-    assert to_text(memory) == to_text(TrackerMemory())
-
-
 def test_windows_of_any_motion_keep_what_is_behind_their_samples() -> None:
     time = np.arange(3000) * 1e-3
     displacement = 3e-3 * np.sin(6.0 * time) + 2e-3 * np.sin(17.0 * time)
@@ -271,10 +236,3 @@ def test_a_place_beyond_the_window_is_refused() -> None:
     memory = TrackerMemory(reservoir=(wrong,), reservoir_points=(window.operating_point,))
     with pytest.raises(StateError, match="such a place"):
         from_text(to_text(memory), SIGMOID)
-
-
-def test_a_failed_window_is_counted() -> None:
-    tracked = tracker()
-    job = tracked.job_of(known.raw_window(known.run(samples=SAMPLES)))
-    tracked.complete(job, Outcome(fault_of_data("the machine stands still")))
-    assert resumed(tracked).memory.windows == 1

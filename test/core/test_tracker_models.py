@@ -109,7 +109,7 @@ def followed(model: str) -> tuple[WindowTracker, list[Report]]:
 
 
 @EACH
-def test_a_damper_of_which_nothing_is_known_is_found(model: str) -> None:
+def test_a_damper_of_which_nothing_is_known_is_found_and_its_scale_followed(model: str) -> None:
     tracked, reports = followed(model)
     assert reports[0].accepted, reports[0].reason
     times = UNSEEN_QUARTER.get(model, 1.0 + NOISE_ERROR)
@@ -118,10 +118,6 @@ def test_a_damper_of_which_nothing_is_known_is_found(model: str) -> None:
     assert reports[0].nrmse_after < most
     assert tracked.parameters.model == model
     assert tracked.parameters.law is MODELS[model]
-
-
-@EACH
-def test_the_force_scale_is_that_of_the_damper(model: str) -> None:
     reports = followed(model)[1]
     assert math.isnan(reports[0].scale.value)
     for report, truth in zip(reports[1:], (1.0, 0.9, 0.9), strict=True):
@@ -131,7 +127,7 @@ def test_the_force_scale_is_that_of_the_damper(model: str) -> None:
 
 
 @EACH_OF_ONE_CURRENT
-def test_the_running_set_is_the_weaker_damper(model: str) -> None:
+def test_the_running_set_and_coefficients_are_those_of_the_damper(model: str) -> None:
     found = followed(model)[0].parameters
     law = MODELS[model]
     truth = known.EXAMPLES[model].copy()
@@ -143,10 +139,6 @@ def test_the_running_set_is_the_weaker_damper(model: str) -> None:
     assert found.current_range == (1.0, 1.0)
     speeds = pytest.approx((0.0314, 0.0314), rel=PEAK_VELOCITY_ERROR)
     assert found.peak_velocity_range == speeds
-
-
-@EACH_OF_ONE_CURRENT
-def test_the_coefficients_of_a_window_are_reported(model: str) -> None:
     report = followed(model)[1][1]
     truth = known.EXAMPLES[model][: len(report.coefficients)]
     assert len(report.coefficients) == len(MODELS[model].coefficient_names)
@@ -263,11 +255,6 @@ def test_a_set_of_another_model_is_refused() -> None:
     ):
         with pytest.raises(ParameterError, match="those of model 'bingham': give a set of model"):
             take(other)
-
-
-def test_an_unknown_model_is_refused() -> None:
-    with pytest.raises(ValueError, match="model must be one of auto, bingham"):
-        TrackerSettings(model="magic")
 
 
 @EACH_OF_ONE_CURRENT

@@ -74,10 +74,6 @@ def experienced() -> WindowTracker:
     return tracked
 
 
-def test_where_it_is_measured_nothing_is_estimated() -> None:
-    assert all(math.isnan(report.fluid.celsius) for report in warming()[2])
-
-
 def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
     """Also by a tracker that was started anew with what the other had learnt."""
     tracked = experienced()
@@ -87,13 +83,6 @@ def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
         allowed = STANDARD_ERRORS * report.fluid.standard_error + MODEL_ERROR
         assert abs(report.fluid.celsius - celsius) < allowed
         assert allowed < TOLD
-
-
-def test_without_a_map_nothing_is_estimated() -> None:
-    tracked = new()
-    for number, celsius in enumerate((28.0, 30.0, 35.0)):
-        report = fed(tracked, warmed(number, celsius, thermometer=False))
-        assert math.isnan(report.fluid.celsius)
 
 
 def test_a_refused_window_tells_no_temperature() -> None:

@@ -61,19 +61,6 @@ def test_a_window_comes_every_hop() -> None:
     assert starts(cut(stream(100))) == [0.0, 0.5, 1.0, 1.5, 2.0]
 
 
-def test_windows_without_overlap_hold_every_sample_once() -> None:
-    windows = cut(stream(100), assembler(window=1.0, hop=1.0))
-    np.testing.assert_array_equal(np.concatenate([w.force for w in windows]), FORCE)
-
-
-def test_a_window_holds_its_own_samples() -> None:
-    window = cut(stream(100))[3]
-    np.testing.assert_array_equal(window.displacement, DISPLACEMENT[1500:2500])
-    np.testing.assert_array_equal(window.force, FORCE[1500:2500])
-    assert window.end_ns == at(2.499)
-    assert window.period == PERIOD
-
-
 @known.fixed(80)
 @given(
     st.lists(st.integers(1, 1500), min_size=1, max_size=10),
@@ -89,10 +76,6 @@ def test_windows_do_not_depend_on_the_size_of_the_blocks(
         np.testing.assert_array_equal(one.displacement, other.displacement)
         np.testing.assert_array_equal(one.force, other.force)
         np.testing.assert_array_equal(one.current, other.current)
-
-
-def test_one_large_block_gives_all_its_windows() -> None:
-    assert len(cut(stream(COUNT), assembler(1.0, 0.02))) == 101
 
 
 def test_a_gap_starts_the_window_again() -> None:
@@ -161,15 +144,6 @@ def test_windows_keep_their_stamps_where_the_rate_is_not_the_nominal_one() -> No
     late = windows[-1]
     true_start = at(float(late.displacement[0]) * true_period)
     assert abs(late.start_ns - true_start) <= 2e-3 * NANOSECONDS
-
-
-def test_the_fill_grows_to_one() -> None:
-    made = assembler()
-    fills = []
-    for block in stream(100, last=900):
-        made.add_block(block)
-        fills.append(made.fill)
-    assert fills == pytest.approx([0.1 * k for k in range(1, 10)])
 
 
 def test_after_a_reset_the_window_starts_again() -> None:
@@ -247,14 +221,6 @@ def test_the_next_look_replaces_a_window_that_is_dropped_for_its_current() -> No
     assert [bool(window.look) for window in windows[:4]] == [False, True, False, True]
 
 
-def test_a_window_that_is_dropped_for_its_current_is_told() -> None:
-    made = WindowAssembler(1.0, 0.5)
-    made.add_current(at(0.2), 0.5)
-    made.add_current(at(5.0), 0.5)
-    cut(stream(100), made)
-    assert any("current" in event for event in made.take_events())
-
-
 @known.fixed(60)
 @given(st.lists(st.integers(0, 3), min_size=12, max_size=12), st.integers(0, 40))
 def test_windows_do_not_depend_on_when_the_current_arrives(turns: list[int], behind: int) -> None:
@@ -295,17 +261,6 @@ def test_after_a_jump_back_no_current_of_the_time_before_is_used() -> None:
     assert [float(w.current[0]) for w in windows] == [2.0]
 
 
-def test_a_value_out_of_order_does_not_hide_a_later_jump() -> None:
-    made = WindowAssembler(1.0, 1.0)
-    for stamp, value in ((0.0, 1.0), (0.2, 1.0), (0.1, 1.0), (3.0, 1.0)):
-        made.add_current(at(stamp), value)
-    cut(stream(100, last=2500), made)
-    windows = cut(stream(100, last=1000), made)
-    for stamp in (0.0, 2.0):
-        windows += made.add_current(at(stamp), 2.0)
-    assert [float(w.current[0]) for w in windows] == [2.0]
-
-
 # -- held current ----------------------------------------------------------------------------
 
 
@@ -314,11 +269,6 @@ def held(*values: tuple[float, float], keep: float = 60.0) -> ZeroOrderHold:
     for seconds, value in values:
         made.add(at(seconds), value)
     return made
-
-
-def test_a_value_holds_from_its_stamp_to_the_next() -> None:
-    current = held((0.0, 0.5), (0.005, 1.0), (0.008, 1.5)).at(at(0.0), PERIOD, 10)
-    assert current.tolist() == [0.5] * 5 + [1.0] * 3 + [1.5] * 2
 
 
 def test_a_value_between_two_samples_holds_from_the_later_one() -> None:
@@ -337,18 +287,6 @@ def test_a_step_falls_on_its_sample_at_any_rate(rate: float) -> None:
         current = made.at(T0, period, 1000)
         assert int(np.argmax(current)) == sample
         assert current.sum() == 1000 - sample
-
-
-def test_the_current_does_not_depend_on_how_it_is_asked_for() -> None:
-    rng = np.random.default_rng(0)
-    made = held((0.0, 0.0), *((float(t), float(v)) for t, v in np.sort(rng.random((20, 2)), 0)))
-    whole = made.at(at(0.0), PERIOD, 1000)
-    parts = [made.at(at(0.05 * k), PERIOD, 50) for k in range(20)]
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
-
-
-def test_two_values_with_one_stamp_count_as_the_later() -> None:
-    assert held((0.0, 1.0), (0.0, 2.0)).at(at(0.0), PERIOD, 3).tolist() == [2.0] * 3
 
 
 def test_a_value_that_jumps_back_replaces_what_came_after() -> None:

@@ -163,15 +163,6 @@ def test_a_cancelled_task_returns_what_it_has(
     assert ending(worker) == Done(number, 2)
 
 
-def test_a_task_cancelled_before_the_worker_is_up_is_cancelled(
-    make_worker: Callable[[], Worker], tasks: Any
-) -> None:
-    worker = make_worker()
-    worker.submit(tasks.count, 10**6)
-    worker.cancel()
-    assert ending(worker) == Done(1, "stopped at 0")
-
-
 def test_an_exception_is_a_failure_and_the_worker_goes_on(
     make_worker: Callable[[], Worker], tasks: Any
 ) -> None:
@@ -249,15 +240,6 @@ def test_the_task_of_a_worker_that_hangs_starts_again(
     assert ending(worker) == Done(number, "second try")
     assert worker.replaced == 1
     assert "hangs" in worker.take_notices()[0]
-
-
-def test_a_worker_that_works_long_is_left_alone(
-    make_worker: Callable[[], Worker], tasks: Any
-) -> None:
-    worker = make_worker()
-    number = worker.submit(tasks.call, time.sleep, 2.0)
-    assert ending(worker) == Done(number, None)
-    assert worker.replaced == 0
 
 
 def test_a_node_that_was_held_up_itself_blames_nobody(
