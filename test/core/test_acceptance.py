@@ -89,12 +89,6 @@ def test_a_residual_far_above_the_usual_one_is_refused() -> None:
     assert "4.0 times the usual one" in judgement.sentence
 
 
-def test_a_residual_that_grows_with_the_force_is_not_a_disturbance() -> None:
-    # Four times the newtons, but the same share of a force four times as large.
-    large = Evidence(0.05, 5.0 / SPREAD, 20.0, 0.0)
-    assert experienced(5.0).judge(large) == ACCEPTED
-
-
 def test_a_sensor_that_stays_noisy_is_believed_in_the_end() -> None:
     gatekeeper = experienced(5.0)
     verdicts = [gatekeeper.judge(evidence(100.0, 20.0)).verdict for _ in range(6)]
@@ -107,13 +101,6 @@ def test_a_large_step_waits_for_the_next_window() -> None:
     assert first.verdict is Verdict.UNCONFIRMED
     assert "changed by -70% at once: waiting for the next window" in first.sentence
     assert gatekeeper.judge(evidence(400.0, 5.0, change=-0.7)) == ACCEPTED
-
-
-def test_a_good_window_in_between_takes_the_confirmation_back() -> None:
-    gatekeeper = experienced()
-    gatekeeper.judge(evidence(400.0, 5.0, change=-0.7))
-    assert gatekeeper.judge(evidence(10.0, 5.0)) == ACCEPTED
-    assert gatekeeper.judge(evidence(400.0, 5.0, change=-0.7)).verdict is Verdict.UNCONFIRMED
 
 
 @pytest.mark.parametrize("between", [evidence(5.0, 5.0), evidence(100.0, 50.0)], ids=str)
@@ -256,11 +243,6 @@ def test_what_a_law_leaves_at_another_operating_point_is_no_disturbance() -> Non
     assert gatekeeper.judge(small, force()).verdict is Verdict.DISTURBED
 
 
-def test_a_gross_residual_is_a_disturbance_at_a_new_operating_point_too() -> None:
-    found = used_to().judge(evidence(400.0, 0.2 * SPREAD), force(speed=0.006))
-    assert found.verdict is Verdict.DISTURBED
-
-
 def test_a_window_of_several_currents_is_no_new_operating_point() -> None:
     small = evidence(100.0, 0.12 * SPREAD)
     found = used_to().judge(small, force(current=1.25), one_point=False)
@@ -288,8 +270,3 @@ def test_a_set_may_lose_no_more_elsewhere_than_it_gains_here(loss: float, accept
     here = dataclasses.replace(evidence(50.0, 20.0), loss=loss)
     judgement = Gatekeeper(AcceptanceSettings()).judge(here)
     assert judgement.verdict is (Verdict.ACCEPTED if accepted else Verdict.NO_BETTER)
-
-
-def test_a_set_that_is_poor_here_goes_whatever_it_was_elsewhere() -> None:
-    here = dataclasses.replace(evidence(400.0, 20.0), loss=2.0)
-    assert Gatekeeper(AcceptanceSettings()).judge(here, holds=True) == ACCEPTED

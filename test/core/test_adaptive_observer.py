@@ -66,14 +66,6 @@ def test_it_widens_when_the_motion_becomes_faster() -> None:
     assert observer.bandwidth > 4.0 * before
 
 
-def test_steps_of_a_digital_sensor_count_as_noise() -> None:
-    step = 1e-5
-    u, _ = measured(0.05, 1e-3, 40_000)
-    observer = AdaptiveObserver(1e-3)
-    observer.follow(np.round(u / step) * step)
-    assert observer.bandwidth < 10.0
-
-
 @settings(deadline=None, max_examples=25)
 @given(cuts=st.lists(st.integers(1, 400), min_size=1, max_size=12))
 def test_the_blocks_do_not_matter(cuts: list[int]) -> None:

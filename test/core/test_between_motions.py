@@ -7,7 +7,6 @@ import math
 import known
 import numpy as np
 
-from mr_damper_ros.api.findings import Estimate, text_table
 from mr_damper_ros.estimation.covariance import (
     discrepancy_between,
     least_squares_covariance,
@@ -69,13 +68,6 @@ def test_noise_alone_is_no_discrepancy() -> None:
     assert seen <= CHANCE * TRIALS
 
 
-def test_two_motions_tell_no_scatter() -> None:
-    jacobian, residual, motions, _ = trial(LEVELS, 1)
-    few = motions < 2
-    found = discrepancy_between(jacobian[few], residual[few], motions[few], np.eye(2))
-    assert np.isnan(found).all()
-
-
 def test_what_one_motion_alone_determines_is_unknown_and_leaves_the_others_alone() -> None:
     jacobian, residual, motions, _ = trial(LEVELS, 1)
     alone = np.where(motions == 0, jacobian[:, 0], 0.0)
@@ -120,9 +112,3 @@ def test_a_record_with_a_level_of_its_own_keeps_its_rows() -> None:
     rows = levelled.row_windows
     assert rows.size == levelled.residual(known.PLAUSIBLE).size
     assert np.bincount(rows).tolist() == [502, 300, 502]
-
-
-def test_the_terminal_tells_both_errors() -> None:
-    estimate = Estimate(2.0, 0.5, "N", discrepancy=0.4)
-    line = text_table("parameter", {"f0": estimate}).splitlines()[1]
-    assert line.split() == ["f0", "2", "0.5", "0.4", "N"]

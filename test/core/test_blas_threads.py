@@ -14,7 +14,6 @@ from threadpoolctl import ThreadpoolController
 import mr_damper_ros as mr
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.process_pool import LocalProcesses, ProcessPool
-from mr_damper_ros.processes.worker import Done, WorkerPool
 
 BAGS = Path(__file__).parents[2] / "bags"
 
@@ -77,11 +76,6 @@ def test_identify_computes_with_one_thread_and_leaves_the_process_as_it_was() ->
     assert dict(os.environ) == before
 
 
-def test_a_task_that_is_done_here_has_one_thread() -> None:
-    with ProcessPool(1) as pool:
-        assert pool.map(pool_tasks.threads, [1]) == [1]
-
-
 def test_processes_of_pools_have_one_thread_and_the_environment_is_the_callers() -> None:
     before = dict(os.environ)
     with ProcessPool(2) as pool:
@@ -90,14 +84,3 @@ def test_processes_of_pools_have_one_thread_and_the_environment_is_the_callers()
     assert own.start().submit(pool_tasks.threads).result(PATIENCE) == 1
     own.end()
     assert dict(os.environ) == before
-
-
-def test_a_worker_has_one_thread() -> None:
-    pool = WorkerPool("pool_tasks")
-    worker = pool.worker()
-    worker.submit(pool_tasks.threads)
-    outcomes = []
-    while not outcomes:
-        outcomes = worker.poll()
-    pool.close()
-    assert outcomes == [Done(1, 1)]

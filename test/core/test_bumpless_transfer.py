@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import known
 import numpy as np
 import pytest
 
 from mr_damper_ros.kinematics.motion import Motion, Sine
-from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.extension import without_extension
@@ -32,9 +31,6 @@ FADED = round(FADES / known.PERIOD)
 
 SAME_FORCE = 1e-6
 """[N]: of a kilonewton, nothing but rounding."""
-
-SAME_DIFFERENCE = 1.0
-"""[N] of some hundred: the motion is not followed quite the same in other blocks."""
 
 
 def set_of(model: str, factor: float = 1.0) -> ParameterSet:
@@ -83,15 +79,6 @@ def test_the_force_continues_and_ends_in_that_of_the_new_set(model: str) -> None
     rest = slice(CHANGED * BLOCK + FADED, None)
     found = forces(predicted(set_of(model), set_of(model, 1.4)))[rest]
     np.testing.assert_allclose(found, forces(predicted(set_of(model, 1.4)))[rest], atol=SAME_FORCE)
-
-
-def test_how_it_fades_does_not_depend_on_the_blocks() -> None:
-    before, after = set_of("sigmoid"), set_of("sigmoid", 1.4)
-    by_tens, one_by_one = (
-        (forces(predicted(before, after, size=size)) - forces(predicted(after, size=size)))[-2670:]
-        for size in (BLOCK, 1)
-    )
-    np.testing.assert_allclose(by_tens, one_by_one, atol=SAME_DIFFERENCE)
 
 
 def test_a_set_that_somebody_gives_counts_at_once() -> None:
@@ -162,24 +149,6 @@ def test_the_state_is_that_of_the_new_set_and_its_range(fastest: float) -> None:
     force = follow(made, motion.part(slice(800, None)), 50)
     expected = all_along(after, motion, 1.0, known.PERIOD)[800:]
     np.testing.assert_allclose(force, expected, rtol=0.0, atol=RECOMPUTED)
-
-
-def test_a_rest_of_single_samples_is_followed_again_in_few_pieces(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    law, count = MODELS["bouc_wen"], 5000
-    made = in_use(ParameterSet(law.initial_values()[0], model="bouc_wen"))
-    follow(made, Motion(*np.zeros((4, count)), sine=None), 1)
-    compute, sizes = type(law).follow, []
-
-    def counted(self: Model, parameters: Array, motion: Motion, *rest: Any) -> Any:
-        sizes.append(motion.velocity.size)
-        return compute(self, parameters, motion, *rest)
-
-    monkeypatch.setattr(type(law), "follow", counted)
-    made.use(set_of("bouc_wen"), gradual=False, fade=False)
-    assert sum(sizes) == count
-    assert len(sizes) <= 10
 
 
 @pytest.mark.parametrize(("way_at_zero", "first"), [(0.0, 0), (-0.9, 40)])

@@ -72,12 +72,6 @@ def test_each_level_of_the_current_is_a_part() -> None:
     assert sum(part.sample_count for part in parts) == SAMPLES
 
 
-def test_a_current_that_varies_continuously_is_cut_into_intervals() -> None:
-    ramp = CurrentSchedule(np.arange(0.0, 2.0, 1e-3).tolist(), np.linspace(0.0, 1.2, 2000).tolist())
-    parts = parts_by_current(SIXTEEN, window(ramp), TOLERANCE)
-    assert [np.ptp(part.current) for part in parts] == pytest.approx([0.2] * 6, abs=2e-3)
-
-
 def test_a_part_whose_past_is_not_known_is_left_out_of_a_law_that_remembers() -> None:
     early = CurrentSchedule([0.0, 0.3], [1.2, 0.2])
     assert len(parts_by_current(SIXTEEN, window(early), TOLERANCE)) == 2

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from mr_damper_ros.signals.clocks import ArrivalClock
 from mr_damper_ros.signals.stamped_channel import (
     ChannelJoin,
-    EvenSample,
     EvenStamps,
     JoinedRun,
     StampedChannel,
@@ -107,15 +106,6 @@ def test_the_lost_are_counted_and_none_is_invented() -> None:
     assert np.unique(forces).size == forces.size
 
 
-def test_each_sample_has_the_number_that_it_was_taken_with() -> None:
-    leader = sent(5)
-    _, runs = joined(leader, sent(6))
-    numbers = np.concatenate([run.index + np.arange(run.leading.size) for run in runs])
-    taken = np.concatenate([run.leading for run in runs])
-    right = np.round((taken - taken[0]) * RATE).astype(int)
-    np.testing.assert_array_equal(numbers - numbers[0], right)
-
-
 @pytest.mark.parametrize("unclear", range(10))
 def test_a_loss_that_does_not_show_for_long_puts_no_sample_in_the_wrong_place(unclear: int) -> None:
     """Stamps after it are as late as those before may be, until one is not late at all."""
@@ -186,15 +176,6 @@ def test_a_jump_back_begins_anew() -> None:
     assert channel.counts.jumps == 1
     assert {s.time_ns // 10**12 for s in found} == {START // 10**12, START // 10**12 + 1}
     assert len({s.index for s in found}) == len(found)
-
-
-def test_a_pause_is_a_gap_that_is_counted() -> None:
-    channel = StampedChannel(0.0)
-    found: list[EvenSample] = []
-    for k in [*range(600), *range(5600, 6200)]:
-        found += channel.add(START + k * 1_000_000, 0, float(k))
-    assert channel.lost == 5000
-    assert len({s.index - round(s.value) for s in found}) == 1
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

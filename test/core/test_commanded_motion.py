@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.emulation.motions import CommandedMotion, Kinematics, SineMotion, is_sine
+from mr_damper_ros.emulation.motions import CommandedMotion, Kinematics, SineMotion
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.rig.commander import MotionCommander, MotionLimits
 from mr_damper_ros.rig.sources.emulated_source import EmulatedOptions, EmulatedSource
@@ -128,16 +128,6 @@ def test_a_command_that_was_overtaken_is_refused() -> None:
     assert commander.wanted(10.1) == sine(0.01, 1.0)
 
 
-def test_the_emulated_rig_moves_by_itself_until_a_command_comes() -> None:
-    source = EmulatedSource(EmulatedOptions(force_noise=0.0), StreamSettings(100))
-    source.open()
-    assert source.mover is not None
-    blocks = source.blocks(0)
-    before = np.concatenate([next(blocks).displacement for _ in range(20)])
-    time = np.arange(before.size) * 1e-3
-    assert before == pytest.approx(0.005 * np.sin(2.0 * np.pi * time), abs=1e-12)
-
-
 def test_the_emulated_rig_obeys() -> None:
     given_options = EmulatedOptions(force_noise=0.0, frequency=5.0, command_timeout=3600.0)
     source = EmulatedSource(given_options, StreamSettings(100))
@@ -150,15 +140,3 @@ def test_the_emulated_rig_obeys() -> None:
     joined = np.concatenate(parts)
     assert np.abs(np.diff(joined)).max() <= 2.0 * math.pi * 5.0 * 0.005 * 1.01e-3
     assert np.abs(joined[-1000:]).max() == pytest.approx(0.002, rel=1e-3)
-
-
-def test_the_peak_velocity_of_a_commanded_sweep_is_followed() -> None:
-    motion = CommandedMotion(BY_ITSELF, 0.0)
-    assert is_sine(motion)
-    motion.command(SWEEP, 0.0)
-    assert not is_sine(motion)
-    motion.command(sine(0.005, 2.0), 10.0)
-    assert not is_sine(motion)
-    motion.command(None, 30.0)
-    motion.command(sine(0.005, 2.0), 40.0)
-    assert is_sine(motion)

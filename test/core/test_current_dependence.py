@@ -16,7 +16,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.current_dependence import COIL, Coefficient, CurrentDependentModel
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.quantities import CoefficientTable, LoopReading, State
+from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.force_scale import with_strength
@@ -155,18 +155,6 @@ def test_a_set_of_one_current_means_any_current(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FOLLOWING)
-def test_a_weaker_damper_is_weaker_by_the_same_part_at_every_current(name: str) -> None:
-    model, values = MODELS[name], truth(name)
-    weaker = values.copy()
-    weaker[model.strength_indices] *= 0.9
-    motion = known.run(noise=0.0).window.motion
-    for current in CURRENTS:
-        usual, less = (model.force(v, motion, current, known.PERIOD) for v in (values, weaker))
-        if not model.remembers:
-            np.testing.assert_allclose(less, 0.9 * usual, rtol=1e-9)
-
-
-@pytest.mark.parametrize("name", FOLLOWING)
 def test_a_window_kept_without_its_past_has_a_force_whatever_the_coil(name: str) -> None:
     model, values = MODELS[name], truth(name)
     values[-1] = LAG
@@ -185,11 +173,6 @@ def test_a_loss_of_strength_weakens_what_follows_the_current_too(name: str) -> N
     weaker = values.copy()
     weaker[model.strength_indices] *= 0.8
     np.testing.assert_allclose(fit.parameters, weaker, rtol=SAME)
-
-
-def test_a_coefficient_that_is_nothing_everywhere_has_finite_weights() -> None:
-    table = CoefficientTable(np.ones(3), np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 1)))
-    assert np.all(np.isfinite(table.weights(0)))
 
 
 def test_a_law_of_a_users_own_is_identified_over_currents(monkeypatch: pytest.MonkeyPatch) -> None:

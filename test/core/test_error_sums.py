@@ -19,14 +19,6 @@ MEASURED = 300.0 + RNG.normal(0.0, 100.0, 1000)
 PREDICTED = MEASURED + RNG.normal(3.0, 10.0, 1000)
 
 
-def test_the_measures_are_those_of_numpy() -> None:
-    sums = ErrorSums.of(PREDICTED, MEASURED)
-    rmse = math.sqrt(np.mean((PREDICTED - MEASURED) ** 2))
-    assert sums.rmse == pytest.approx(rmse, rel=ROUNDING)
-    assert sums.nrmse == pytest.approx(rmse / np.std(MEASURED), rel=ROUNDING)
-    assert sums.r2 == pytest.approx(1.0 - np.mean((PREDICTED - MEASURED) ** 2) / np.var(MEASURED))
-
-
 @given(cuts=st.lists(st.integers(0, 1000), max_size=5))
 def test_records_taken_together_are_one_record(cuts: list[int]) -> None:
     parts = np.split(np.arange(1000), sorted(cuts))

@@ -50,10 +50,6 @@ SETS = {
     "sigmoid_lag": ParameterSet(LATE, model="sigmoid_lag", peak_velocity_range=(0.02, 0.3)),
 }
 
-needs_compiler = pytest.mark.skipif(
-    compiler() is None, reason="there is no C compiler to make the exported code with"
-)
-
 
 class Compiled:
     """The C code of a set, called for many points at once."""
@@ -104,10 +100,6 @@ def assert_same(got: Array, expected: Array) -> None:
 
 
 # -- C ---------------------------------------------------------------------------------------------
-
-
-def test_the_compiler_has_nothing_to_say(compiled: Compiled) -> None:
-    assert compiled.said == ""
 
 
 def test_the_header_is_cpp_too(law: ExportedLaw, tmp_path: Path) -> None:
@@ -193,21 +185,6 @@ def expected_stream(law: ExportedLaw, displacement: Array, current: Array, centr
         motion = Motion(u - centre, v, a, v_m, None).held_within(*law.held)
         forces.append(stream.follow(law.parameters.values, motion, current[here]))
     return np.concatenate(forces)
-
-
-@needs_compiler
-def test_two_dampers_fit_into_one_program(tmp_path: Path) -> None:
-    for name, chosen in (("left", "sigmoid"), ("right", "sigmoid_lag")):
-        law = ExportedLaw.of(SETS[chosen], ExportSettings())
-        (tmp_path / f"{name}.h").write_text(header(law, name))
-    program = tmp_path / "both.c"
-    program.write_text(
-        '#include "left.h"\n#include "right.h"\n'
-        "double both(const left_point *l, const right_point *r);\n"
-        "double both(const left_point *l, const right_point *r) {\n"
-        "  return left_force(l, 1.0) + right_force(r, 1.0);\n}\n"
-    )
-    assert compile_library(program, tmp_path / "both.so") == ""
 
 
 # -- M-code ----------------------------------------------------------------------------------------

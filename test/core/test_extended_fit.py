@@ -64,9 +64,6 @@ SAME_NRMSE = 1.0 + 1e-6
 FITTED_QUICKLY = 1.2
 """Median NRMSE over that of the noise, after a search that is cut short."""
 
-SAME_FORCE = 1e-6
-"""Residuals over the noise, where a lag of none is computed as a very short one."""
-
 
 @cache
 def window(
@@ -119,16 +116,6 @@ def test_the_scales_of_a_window_are_found_where_the_extension_is_known(frequency
         errors = (fit.scales - truth.start) / np.sqrt(np.diag(fit.covariance))
         assert np.max(np.abs(errors)) < STANDARD_ERRORS, method
         np.testing.assert_array_equal(fit.parameters[16:], TRUTH[16:])
-
-
-def test_a_poor_start_is_searched_from_as_well_as_what_is_read_off_the_data():
-    # Of 0.4 of a cycle: all that is read off it leads to another minimum.
-    here = window(0.2)
-    start = TRUTH.copy()
-    start[SCALE_INDICES] *= 1.3
-    fit = fit_window(EXTENDED, here, start, method="least_squares")
-    truth = WindowProblem(EXTENDED, here, TRUTH)
-    assert fit.rmse**2 * here.sample_count <= known.sum_of_squares(truth)
 
 
 @MOTIONS
@@ -187,13 +174,6 @@ def test_the_jacobian_of_all_twenty_is_that_of_differences(most):
     np.testing.assert_array_equal(misfit.jacobian(TRUTH, [3, 16]), jacobian[:, [3, 16]])
 
 
-def test_without_lag_stiffness_and_offset_the_misfit_is_that_of_the_sixteen():
-    sixteen = np.append(known.PLAUSIBLE, NONE)
-    np.testing.assert_allclose(
-        pooled(100).residual(sixteen), pooled(100).residual(known.PLAUSIBLE), atol=SAME_FORCE
-    )
-
-
 QUICK = EvolutionSettings(generations=40, population=8)
 NONE = np.zeros(4)
 CURRENTS = (0.0, 0.4, 0.8, 1.2)
@@ -243,18 +223,6 @@ def test_the_extension_is_found_with_the_sixteen(found):
     assert np.all(np.abs(coefficients - known.positive(truth)) < STANDARD_ERRORS * errors)
 
 
-def test_a_damper_that_is_early_has_no_lag():
-    start = np.append(known.PLAUSIBLE, [1e-8, 0.0, 0.0, 0.0])
-    early = []
-    for window in runs(NONE, (0.0, 0.8)):
-        plain = SIGMOID.window_force(window, known.PLAUSIBLE)
-        ahead = plain + 2e-3 * np.gradient(plain, PERIOD)
-        early.append(replace(window, force=ahead + window.force - plain))
-    got = identify_global(EXTENDED, early, start, QUICK).parameter_set
-    assert got.values[16] == 0.0
-    assert not got.observable[16]
-
-
 @pytest.mark.parametrize("method", ["nelder_mead", "differential_evolution"])
 def test_every_method_identifies_the_extended_law(method):
     windows = runs(TRUTH[16:], (0.6,))[2:]
@@ -277,10 +245,3 @@ def test_the_richer_law_leaves_no_more_than_the_one_that_it_contains(seed):
     rich = identify_global(EXTENDED, [window], start, QUICK)
     assert rich.nrmse[0] <= plain.nrmse[0] * SAME_NRMSE
     assert any("simpler law" in candidate.origin for candidate in rich.candidates)
-
-
-def test_a_set_of_the_simpler_law_has_the_same_force_in_the_richer_one():
-    window = known.run(samples=500).window
-    rich = EXTENDED.window_force(window, EXTENDED.from_simpler(known.PLAUSIBLE))
-    np.testing.assert_allclose(rich, SIGMOID.window_force(window, known.PLAUSIBLE), atol=1e-9)
-    np.testing.assert_array_equal(EXTENDED.to_simpler(TRUTH), known.PLAUSIBLE)

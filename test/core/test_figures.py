@@ -67,26 +67,9 @@ def test_the_curves_are_told_apart_without_colour() -> None:
     assert measured.get_linestyle() != predicted.get_linestyle()
 
 
-def test_the_legend_covers_no_data() -> None:
-    figure = comparison_figure(comparison())
-    figure.canvas.draw()
-    (legend,) = figure.legends
-    for axes in figure.axes:
-        assert not axes.get_window_extent().overlaps(legend.get_window_extent())
-
-
 def test_no_line_is_drawn_over_a_gap() -> None:
     line = panels(comparison_figure(comparison(gap=5.0)))["force"].lines[1]
     assert np.count_nonzero(np.isnan(line.get_ydata())) == 1
-
-
-def test_the_users_settings_change_nothing_and_are_kept() -> None:
-    import matplotlib
-
-    with matplotlib.rc_context({"font.size": 30.0}):
-        figure = comparison_figure(comparison())
-        assert matplotlib.rcParams["font.size"] == 30.0
-    assert figure.axes[0].xaxis.label.get_fontsize() == 8.5
 
 
 def test_runs_of_the_same_name_go_to_files_of_their_own(tmp_path: Path) -> None:

@@ -125,15 +125,6 @@ def test_the_inverse_is_the_inverse(rate: float, span: float, seed: int) -> None
         assert again.celsius == pytest.approx(celsius, abs=INVERTED)
 
 
-@known.fixed(20)
-@given(st.integers(0, 10_000), st.floats(-5e-5, 5e-5))
-def test_a_map_falls_throughout_or_is_none(seed: int, bend: float) -> None:
-    found = fit_temperature_map(POINT, *observed(seed, bend=bend))
-    if found is not None:
-        scales = [found.scale(c).value for c in np.linspace(found.low, found.high, 50)]
-        assert np.all(np.diff(scales) < 0.0)
-
-
 def test_the_standard_errors_are_true() -> None:
     """The temperature of a new window lies where its standard error says."""
     deviations = []
@@ -152,11 +143,6 @@ def test_the_error_of_the_temperature_holds_the_scatter_about_the_map() -> None:
     found = fitted(celsius, scales, 0.1 * errors)
     told = found.temperature(ForceScale(found.scale(50.0).value, 0.1 * ERROR))
     assert told.standard_error >= found.scatter / abs(found.slope(50.0))
-
-
-def test_the_exponential_law_needs_two_coefficients_and_a_bent_one_three() -> None:
-    assert fitted(*observed()).coefficients.size == 2
-    assert fitted(*observed(bend=6e-5)).coefficients.size == 3
 
 
 def test_outside_of_what_was_seen_nothing_is_known() -> None:

@@ -264,12 +264,6 @@ def reached(damper: Damper, **changes: float) -> tuple[float, bool]:
     return max(each.current for each in commands), any(each.unknown for each in commands)
 
 
-def test_it_says_that_a_force_needs_a_current_at_which_nothing_is_known() -> None:
-    highest, unknown = reached(ModelDamper(WHOLE, PERIOD))
-    assert highest == pytest.approx(0.4, abs=1e-3)
-    assert unknown
-
-
 def test_it_probes_higher_currents_step_by_step_while_the_force_is_right() -> None:
     highest, _ = reached(ModelDamper(WHOLE, PERIOD), probe_step=0.2)
     assert 0.8 <= highest <= 2.0
@@ -427,13 +421,3 @@ def test_the_factor_of_the_feedback_has_limits() -> None:
         feedback.expect(1000.0)
         feedback.follow(np.array([90.0, 110.0]), 0.1)
     assert feedback.factor == pytest.approx(1.3)
-
-
-def test_what_was_not_to_be_had_does_not_count() -> None:
-    feedback = ForceFeedback(FeedbackSettings(feedback_gain=10.0))
-    feedback.expect(math.nan)
-    feedback.follow(np.array([90.0, 110.0]), 0.1)
-    feedback.expect(1000.0)
-    feedback.pause()
-    feedback.follow(np.array([90.0, 110.0]), 0.1)
-    assert feedback.factor == 1.0

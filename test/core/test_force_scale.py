@@ -12,7 +12,6 @@ from known import SIGMOID
 
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale
 
 WEAKER = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
@@ -26,8 +25,6 @@ STANDARD_ERRORS = 4.0
 SMALL_ERROR = 2e-4
 """Relative: noise over force, over the root of 2000 samples, is a standard error of 1e-4."""
 
-OTHER_PHASES = 1e-5
-"""Relative: the scale is a mean over 256 phases of a cycle, the truth one over 2000 samples."""
 
 SCATTER = 0.3
 """Relative: a standard deviation from 60 draws is good for 9 %."""
@@ -53,24 +50,11 @@ def test_a_weaker_damper_has_a_smaller_scale() -> None:
     assert value == pytest.approx(0.9, rel=NOISELESS)
 
 
-def test_without_noise_the_scale_has_no_error() -> None:
-    _, error = scale_between(known.run(seed=None), known.run(WEAKER, seed=None))
-    assert error < NOISELESS
-
-
 def test_phase_and_noise_of_the_windows_play_no_part() -> None:
     value, error = scale_between(known.run(seed=1, phase=0.3), known.run(WEAKER, seed=2, phase=2.9))
     # Both fits have an error; the scale tells that of the second.
     assert value == pytest.approx(0.9, abs=STANDARD_ERRORS * math.sqrt(2.0) * error)
     assert error < SMALL_ERROR
-
-
-def test_the_scale_between_the_published_temperatures_is_that_of_their_forces() -> None:
-    cold, warm = (
-        known.run(p, current=1.5, seed=None) for p in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
-    )
-    expected = float(cold.clean @ warm.clean) / float(cold.clean @ cold.clean)
-    assert scale_between(cold, warm)[0] == pytest.approx(expected, rel=OTHER_PHASES)
 
 
 def test_the_standard_error_is_the_scatter() -> None:

@@ -24,12 +24,11 @@ from mr_damper_ros.estimation.differential_evolution import (
 from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identify_global
 from mr_damper_ros.estimation.observability import (
     determined_parameters,
-    standard_errors,
     varied_parameters,
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import Misfit
-from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.quantities import CoefficientTable
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws
 from mr_damper_ros.models.sigmoid.law import (
@@ -52,8 +51,6 @@ STANDARD_ERRORS = 4.0
 AT_THE_ESTIMATE = 0.15
 """Relative: derivatives at the estimate, and not at the truth, change the errors by up to 8 %."""
 
-SAME_SET = 0.1
-"""Standard errors: a search ends where a step gains no more than this."""
 
 PREDICTED = 5e-4
 """NRMSE: 16 parameters from 14 400 samples leave 1.3e-4 where the noise is 0.4 %."""
@@ -177,13 +174,6 @@ def test_the_known_damper_is_identified_with_honest_errors_and_figures(found: Gl
     assert known.rms(predicted - run.clean) / np.std(run.clean) < PREDICTED
 
 
-@pytest.mark.parametrize("start", [THESIS_28_CELSIUS, THESIS_71_CELSIUS], ids=["28C", "71C"])
-def test_the_start_does_not_matter_where_all_is_observable(start: Array, found: GlobalFit) -> None:
-    other = identify_global(SIGMOID, grid(), start, EvolutionSettings()).parameter_set
-    difference = (other.values - found.parameter_set.values) / found.parameter_set.standard_errors
-    assert np.max(np.abs(difference)) < SAME_SET
-
-
 # -- what the data do not hold ---------------------------------------------------------------
 
 
@@ -249,19 +239,6 @@ def test_strokes_that_leave_coefficients_open_seldom_spoil_the_search() -> None:
     assert sum(fit.cost < AT_THE_NOISE_OF_FEW**2 for fit in fits) > len(fits) / 2
 
 
-def test_a_coefficient_that_is_open_says_nothing_of_the_size_of_others() -> None:
-    known_only = np.array([[500.0], [520.0], [480.0]])
-    with_open = np.array([[500.0], [520.0], [480.0], [9e5], [8e5]])
-    errors = np.array([[5.0], [5.0], [5.0], [math.nan], [1e7]])
-    tables = [
-        CoefficientTable(np.ones(len(c)), np.arange(float(len(c))), c, errors[: len(c)])
-        for c in (known_only, with_open)
-    ]
-    weights = [table.weights(0) for table in tables]
-    np.testing.assert_allclose(weights[1][:3], weights[0])
-    assert weights[1][3:].max() < 1e-3 * weights[0].min()
-
-
 @pytest.mark.parametrize(
     ("speeds", "currents", "names"),
     [
@@ -288,26 +265,6 @@ def test_a_parameter_without_effect_is_not_determined() -> None:
     ranges = dict.fromkeys(known.SHAPE_PARAMETER_NAMES, 10.0)
     determined = determined_parameters(SIGMOID, jacobian, frozenset(PARAMETER_NAMES), ranges)
     assert set(PARAMETER_NAMES) - determined == {"a1", "k0"}
-
-
-def test_of_two_parameters_with_the_same_effect_one_is_determined() -> None:
-    jacobian = np.random.default_rng(0).normal(size=(400, 16))
-    jacobian[:, known.index("a3")] = jacobian[:, known.index("a2")]
-    ranges = dict.fromkeys(known.SHAPE_PARAMETER_NAMES, 10.0)
-    determined = determined_parameters(SIGMOID, jacobian, frozenset(PARAMETER_NAMES), ranges)
-    assert len({"a2", "a3"} & determined) == 1
-    assert len(determined) == 15
-
-
-def test_standard_errors_are_those_of_the_named_parameters_alone() -> None:
-    jacobian = np.random.default_rng(0).normal(size=(400, 16))
-    names = ["f0", "a1", "k6"]
-    chosen = jacobian[:, [known.index(name) for name in names]]
-    expected = np.sqrt(np.diag(np.linalg.inv(chosen.T @ chosen)))
-    triangular = np.linalg.qr(jacobian, mode="r")
-    places = SIGMOID.places(names)
-    found = standard_errors(triangular[:, places], names)
-    np.testing.assert_allclose([found[name] for name in names], expected, rtol=ROUNDING)
 
 
 # -- methods, seeds, progress, stop, errors --------------------------------------------------
@@ -420,27 +377,10 @@ def unequal() -> tuple[list[Window], list[float]]:
     return windows, [2.0, 40.0]
 
 
-def test_every_window_counts_the_same() -> None:
-    windows, noise = unequal()
-    squares = [
-        mean_square((window,), LITERATURE) * (known.NOISE / sigma) ** 2
-        for window, sigma in zip(windows, noise, strict=True)
-    ]
-    pooled = Misfit(SIGMOID, windows, noise)
-    assert pooled.mean_square(LITERATURE) == pytest.approx(np.mean(squares))
-
-
 def test_at_the_truth_only_the_noise_is_left() -> None:
     assert Misfit(SIGMOID, *unequal()).mean_square(known.PLAUSIBLE) == pytest.approx(
         1.0, abs=AT_THE_TRUTH
     )
-
-
-def test_the_cost_of_a_population_is_that_of_its_members() -> None:
-    pooled = Misfit(SIGMOID, *unequal())
-    sets = np.stack((LITERATURE, known.PLAUSIBLE, THESIS_28_CELSIUS))
-    expected = [pooled.mean_square(values) for values in sets]
-    np.testing.assert_allclose(pooled.population_cost(sets), expected, rtol=ROUNDING)
 
 
 def test_the_derivatives_of_the_pooled_residual() -> None:
@@ -476,26 +416,6 @@ def test_the_laws_are_found_from_exact_coefficients() -> None:
     again = np.stack(operating_point_coefficients(parameters, speeds, currents), axis=-1)
     sizes = np.sqrt(np.mean(coefficients**2, axis=0))
     np.testing.assert_allclose(again / sizes, coefficients / sizes, rtol=0.0, atol=LAWS)
-
-
-def test_the_laws_keep_what_is_not_free() -> None:
-    speeds, currents = np.array([0.02, 0.1]), np.array([1.0, 1.0])
-    coefficients = np.stack(
-        operating_point_coefficients(known.PLAUSIBLE, speeds, currents), axis=-1
-    )
-    table = CoefficientTable(speeds, currents, coefficients, 1e-3 * np.abs(coefficients))
-    free = frozenset({"f0", "k6"})
-    parameters = fit_laws(table, LITERATURE, free, searched)
-    changed = {n for n, a, b in zip(PARAMETER_NAMES, parameters, LITERATURE, strict=True) if a != b}
-    assert changed == free
-
-
-def test_a_neutral_shape_makes_coefficients_that_do_not_change() -> None:
-    values = SIGMOID.without_dependence(known.PLAUSIBLE, 1.5)
-    c = operating_point_coefficients(values, np.array([0.01, 0.3]), np.array([0.0, 1.5]))
-    for name in ("f_t", "alpha", "k_c", "k_e", "f_d"):
-        first, second = getattr(c, name)
-        assert first == pytest.approx(second), name
 
 
 # -- differential evolution ------------------------------------------------------------------

@@ -76,21 +76,6 @@ def worked_off(made: Identifier) -> list[Any]:
     return events
 
 
-def test_samples_become_reports_and_sets() -> None:
-    disk = StateByHand()
-    disk.keep = disk.keep_now  # type: ignore[method-assign,assignment]
-    made = identifier(disk)
-    feed(made)
-    found = worked_off(made)
-    assert [type(item) for item in found] == [Publication] * 3
-    first = found[0]
-    assert first.report.verdict is Verdict.ACCEPTED
-    assert first.parameters.set_id == first.report.set_id == "window-1"
-    refused = [item for item in found if not item.report.accepted]
-    assert all(item.parameters is None for item in refused)
-    assert made.last_report is found[-1].report
-
-
 def test_a_set_is_given_out_once_it_is_on_disk() -> None:
     disk = StateByHand()
     made = identifier(disk)

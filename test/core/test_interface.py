@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -183,28 +182,6 @@ def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
     assert "EXPLAINS TOO LITTLE OF THE FORCE of the odd one:" in found.message
 
 
-def test_the_workers_of_a_script_give_the_same(tmp_path: Path) -> None:
-    script = (
-        "import mr_damper_ros as mr\n"
-        "if __name__ == '__main__':\n"
-        f"    r = mr.identify({str(ONE_RUN)!r}, {str(ANOTHER)!r}, generations=5, workers=2)\n"
-        "    print(r.nrmse)\n"
-    )
-    path = tmp_path / "script.py"
-    path.write_text(script)
-    done = subprocess.run(
-        [sys.executable, str(path)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    here = mr.identify(ONE_RUN, ANOTHER, generations=5)
-    assert float(done.stdout) == pytest.approx(here.nrmse, rel=1e-3)
-
-
 # -- parameter files, and the other laws ---------------------------------------------------------
 
 
@@ -219,10 +196,3 @@ def test_a_file_that_is_no_set_is_named(tmp_path: Path, content: bytes, sentence
     with pytest.raises(ValueError, match=sentence) as caught:
         mr.ParameterSet.load(file)
     assert str(file) in str(caught.value)
-
-
-def test_every_law_gives_one_set_for_runs_at_several_currents() -> None:
-    found = mr.identify(ONE_RUN, ANOTHER, model="hyperbolic_tangent", method="least_squares")
-    assert found.success
-    assert found.parameters["alpha_1"].observable
-    assert found.parameter_set.current_range == pytest.approx((0.5, 1.5))

@@ -116,13 +116,6 @@ def test_a_damaged_file_is_no_result(tmp_path: Path, text: str) -> None:
     assert some.kept == set()
 
 
-def test_what_is_not_final_is_told_and_not_kept(tmp_path: Path) -> None:
-    some = work(tmp_path, 2)
-    some.do(in_threads(), final=pool_tasks.never)
-    assert sorted(some.told) == ["task0", "task1"]
-    assert some.kept == set()
-
-
 def test_the_death_of_a_process_loses_nothing(tmp_path: Path) -> None:
     some = Work(tmp_path, ["task0", "deadly1", "task2", "task3", "task4"])
     some.do(LocalProcesses(2), pool_tasks.deadly_once)

@@ -223,14 +223,6 @@ def test_it_finds_the_node_again(browser: Browser, record: LiveRecord) -> None:
         leave(browser)
 
 
-def test_a_page_of_nothing_says_what_is_missing(browser: Browser) -> None:
-    with closing(PageServer(LiveRecord(), "127.0.0.1", 0)) as server:
-        browser.open(server.address)
-        browser.until("document.querySelector('#state')?.innerText.includes('waiting for signals')")
-        assert "is the node model running" in browser.text("#force")
-        leave(browser)
-
-
 def grey(browser: Browser) -> set[str]:
     """Captions of what is not shown as the present state."""
     expression = (
@@ -271,16 +263,6 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
         browser.until("document.querySelector('#state').innerText === '▲ no signals for 12 s'")
         assert grey(browser) == {"Force", "Error over the span", "Current"}
         leave(browser)
-
-
-def test_nothing_is_called_good_when_the_page_has_lost_its_node(browser: Browser) -> None:
-    record = running_damper.running(3)
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.open(server.address)
-        browser.until("document.querySelector('#tile-prediction .sign')?.innerText")
-    browser.until(f"{GONE} >= 14")
-    assert "Prediction" in grey(browser)
-    leave(browser)
 
 
 def test_commands_are_offered_where_they_are_allowed(browser: Browser, record: LiveRecord) -> None:

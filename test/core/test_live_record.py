@@ -151,15 +151,6 @@ def test_the_status_is_json_even_of_what_is_not_known() -> None:
     assert told["silence"] >= 0.0
 
 
-def test_the_temperature_that_the_force_tells_belongs_to_the_window_after_it() -> None:
-    record = LiveRecord()
-    record.add_fluid_temperature(41.0, 0.5)
-    record.add_window(window())
-    record.add_window(window())
-    told = status(record)["windows"]
-    assert [entry["fluid_temperature"] for entry in told] == [41.0, None]
-
-
 def test_nothing_grows_without_end() -> None:
     record = LiveRecord()
     for number in range(3 * live_record.SENTENCES_KEPT):

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.first_order_lag import lagged
-from mr_damper_ros.models.sigmoid.law import operating_point_coefficients, sine_force
+from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 
 PERIOD = 1e-3
 
@@ -33,14 +33,6 @@ HALVED = 2.5
 
 SAMPLED_SINE = 1e-4
 """Of a sine of size 1: the straight lines between its samples miss it by up to 4e-5."""
-
-
-MAXWELL = 0.1
-"""[N] of 1250: straight lines between samples, and the curvature of a tanh at 1e-3."""
-
-
-NO_LAG_FORCE = 1e-5
-"""[N]: the same of a force."""
 
 
 def motion(samples: int = 1000, period: float = PERIOD):
@@ -238,26 +230,3 @@ def test_the_time_constant_of_the_lag_is_the_compliance_times_the_damping_of_the
     damping = c.f_t * np.tanh(0.5 * c.alpha * velocity) / velocity
     expected = lagged(plain, compliance * damping, PERIOD) + stiffness * w.displacement + offset
     np.testing.assert_allclose(got, expected)
-
-
-def test_a_sigmoid_that_is_a_dashpot_makes_a_maxwell_element():
-    # F + s c dF/dt = c v, for a dashpot c and the compliance s: theory of its force in a sine.
-    dashpot, compliance, w = 4e4, 5e-7, motion(3000)
-    yield_force = 1e6  # so large that tanh is straight; f0 counts twice where a1 is zero
-    values = np.zeros(20)
-    values[[0, 3, 16]] = 0.5 * yield_force, 2.0 * dashpot / yield_force, compliance
-    got = MODELS["sigmoid_lag"].force(values, w, 0.0, PERIOD)[1000:]
-    angle = 2.0 * np.pi * 1.0 * dashpot * compliance
-    tau = dashpot * compliance
-    slower = (w.velocity - tau * w.acceleration) / (1.0 + angle**2)
-    np.testing.assert_allclose(got, dashpot * slower[1000:], atol=MAXWELL)
-
-
-def test_sigmoid_is_the_package_law_and_the_extension_vanishes():
-    w = motion()
-    plain = sine_force(PLAUSIBLE, w.displacement, w.velocity, w.acceleration, 0.5)
-    np.testing.assert_allclose(MODELS["sigmoid"].force(PLAUSIBLE, w, 0.5, PERIOD), plain)
-    extended = [*PLAUSIBLE, 0.0, 0.0, 0.0, 0.0]
-    np.testing.assert_allclose(
-        MODELS["sigmoid_lag"].force(extended, w, 0.5, PERIOD), plain, atol=NO_LAG_FORCE
-    )

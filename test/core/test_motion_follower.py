@@ -12,7 +12,7 @@ from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
 PERIOD = 1e-3
@@ -70,20 +70,6 @@ def test_catching_up_changes_no_prediction(
             second.set_id,
         )
         prompt.catch_up()
-
-
-def test_a_current_that_steps_in_the_next_block_counts_there() -> None:
-    made, plain = predictor(), predictor()
-    *before, last = blocks(STEADY, 10)
-    for block in before:
-        made.predict(block)
-        made.catch_up()
-        plain.predict(block)
-    step_ns = last.start_ns + round(5 * PERIOD * NANOSECONDS)
-    made.add_current(step_ns, 0.2)
-    unchanged, changed = plain.predict(last).force, made.predict(last).force
-    np.testing.assert_array_equal(changed[:5], unchanged[:5])
-    assert (changed[5:] != unchanged[5:]).all()
 
 
 def test_a_block_that_leaves_the_sine_is_followed_as_it_is() -> None:

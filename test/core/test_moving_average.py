@@ -68,11 +68,6 @@ def test_the_length_of_an_average_is_found(count: int) -> None:
     assert find_average(averaged(motion(), count)) == count
 
 
-def test_noise_of_the_logger_does_not_hide_it() -> None:
-    noise = 1e-4 * np.random.default_rng(1).normal(size=SAMPLES)
-    assert find_average(averaged(motion(), COUNT) + noise) == COUNT
-
-
 @pytest.mark.parametrize("seed", range(10))
 def test_none_is_seen_where_there_is_none(seed: int) -> None:
     assert find_average(motion(seed)) == 1

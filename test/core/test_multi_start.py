@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -195,9 +194,3 @@ def test_a_record_of_another_search_is_refused(name: str) -> None:
 def test_what_is_no_record_is_refused(document: object) -> None:
     with pytest.raises(SearchRecordError, match="begin a new one"):
         empty().take(document)
-
-
-def test_a_set_from_before_is_a_candidate_too() -> None:
-    fit = identify_global(SIGMOID, windows(), LITERATURE, FEW, known=known.PLAUSIBLE)
-    assert "an earlier search" in [candidate.origin for candidate in fit.candidates]
-    assert math.isfinite(fit.cost)

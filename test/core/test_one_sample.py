@@ -44,14 +44,3 @@ def test_one_by_one_is_all_at_once(model_name: str, coil: float) -> None:
         for k in range(300)
     ]
     np.testing.assert_allclose(found, expected, rtol=ROUNDING, atol=ROUNDING)
-
-
-def test_what_goes_beyond_all_measure_saturates_as_ever() -> None:
-    model = MODELS["sigmoid"].continuous
-    sample = motion(1e40).part(slice(10, 11))
-    (force,) = model.stream(PERIOD).follow(known.EXAMPLES["sigmoid"], sample, np.array([1.0]))
-    (expected, _) = MODELS["sigmoid"].follow(
-        known.EXAMPLES["sigmoid"], sample, np.array([1.0]), PERIOD, None
-    )
-    assert np.isfinite(force)
-    assert force == expected[0]

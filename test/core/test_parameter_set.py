@@ -14,7 +14,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.models import MODELS, Model
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
@@ -61,19 +61,6 @@ def test_text_and_back_is_exact(original: ParameterSet) -> None:
         np.testing.assert_array_equal(
             getattr(read, field.name), getattr(original, field.name), err_msg=field.name
         )
-
-
-def test_a_file_that_tells_no_discrepancies_leaves_them_unknown() -> None:
-    assert np.isnan(ParameterSet.from_yaml(by_hand()).discrepancies).all()
-
-
-@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-def test_the_text_names_value_and_unit_of_every_parameter(model: Model) -> None:
-    values = np.clip(np.arange(len(model.parameters)), *model.bounds)
-    entries = yaml.safe_load(ParameterSet(values, model=model.name).to_yaml())["parameters"]
-    assert list(entries) == list(model.parameter_names)
-    assert {name: entry["unit"] for name, entry in entries.items()} == model.units
-    assert [entry["value"] for entry in entries.values()] == values.tolist()
 
 
 def by_hand(**changes: object) -> str:

@@ -54,13 +54,6 @@ def test_velocity_and_acceleration_are_derivatives(motion: PeriodicMotion) -> No
         assert error < DIFFERENCES * np.abs(slope).max()
 
 
-@KINDS
-def test_it_repeats(motion: PeriodicMotion) -> None:
-    time = np.arange(1000) * 1e-3
-    now, later = (motion.at(time + start)[0] for start in (0.0, motion.length))
-    assert later == pytest.approx(now, abs=ROUNDING)
-
-
 def test_a_swept_sine_goes_from_the_lowest_frequency_to_the_highest_and_back() -> None:
     time = np.arange(200_000) * 1e-4
     displacement, velocity, _ = replace(SWEEP, period=20.0).at(time)
@@ -105,9 +98,3 @@ def test_a_motion_is_known_wherever_it_begins(motion: PeriodicMotion) -> None:
     displacement = motion.at(0.123 + np.arange(4000) * 1e-3)[0]
     assert match.left_of(0.02 + displacement) < 1e-6
     assert match.left_of(1.1 * displacement) == pytest.approx(0.1, rel=0.05)
-
-
-def test_another_motion_is_known_as_such() -> None:
-    displacement = SINE.at(np.arange(3000) * 1e-3)[0]
-    assert RepeatedMatch(SWEEP, 1e-3).left_of(displacement) > 0.5
-    assert RepeatedMatch(RANDOM, 1e-3).left_of(displacement) > 0.5

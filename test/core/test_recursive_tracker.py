@@ -38,12 +38,6 @@ SAME_ERRORS = 0.05
 """Relative: half of the samples tell the noise, and with it all errors, to 1.6 %."""
 
 
-FOLLOWED = 1.02
-"""RMSE over that of the noise: 2 % of 1000 samples are a few standard errors in seven scales."""
-
-NEAR_THE_NOISE = 1.03
-"""RMSE over the noise that was ordered, which 1500 samples tell to 1.8 %."""
-
 MEAN_SQUARE = 0.35
 """Of a mean square of 1: three standard errors of 40 runs, whose seven scores are correlated."""
 
@@ -119,13 +113,6 @@ def test_without_drift_two_halves_give_what_the_fit_of_the_whole_gives() -> None
     assert np.sqrt(np.diag(in_turn.covariance)) == pytest.approx(errors, rel=SAME_ERRORS)
 
 
-def test_a_sudden_change_is_followed_within_the_window() -> None:
-    leaking = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
-    run = known.run(leaking, samples=SAMPLES, seed=3)
-    followed = filtered(fitted(known.run(seed=1).window), run.window)
-    assert followed.rmse < FOLLOWED * run.noise_rms
-
-
 def test_the_errors_are_as_large_as_it_says() -> None:
     scores = []
     for seed in range(40):
@@ -148,19 +135,6 @@ def test_outliers_hardly_move_a_robust_filter() -> None:
         for r in (False, True)
     )
     assert robust < LESS_MOVED * plain
-
-
-def test_a_motion_that_is_no_sine_is_followed() -> None:
-    slow, fast = known.run(samples=3000, seed=None), known.run(frequency=2.7, samples=3000)
-    mixed = Window.from_samples(slow.displacement + 0.5 * fast.displacement, fast.force, 1.0, 1e-3)
-    m = mixed.motion
-    silent = Window(m, np.zeros(3000), mixed.current)
-    misfit = WindowProblem(SIGMOID, silent, known.PLAUSIBLE)
-    truth = misfit.residual(misfit.start)
-    noise = np.random.default_rng(5).normal(0.0, known.NOISE, 3000)
-    window = Window(m, truth + noise, mixed.current)
-    state = fitted(window.part(slice(0, 1500)))
-    assert filtered(state, window.part(slice(1500, None))).rmse < NEAR_THE_NOISE * known.NOISE
 
 
 def test_a_fit_that_leaves_a_scale_open_starts_no_filter() -> None:
@@ -250,15 +224,6 @@ def test_a_bad_window_leaves_the_filter_where_it_was(spoil: str) -> None:
     assert tracked.job_of(window(6)).state is state
 
 
-def test_a_window_that_brings_nothing_new_still_teaches_the_filter() -> None:
-    tracked = tracker(drift_rate=1e-4)
-    reports = fed(tracked, *(window(number) for number in range(12)))
-    assert not all(report.accepted for report in reports)
-    state = tracked.job_of(window(12)).state
-    assert state is not None
-    assert state.stamp_ns == window(11).end_ns
-
-
 @pytest.mark.parametrize("change", ["point", "past", "reset", "replace", "search"])
 def test_it_starts_again_from_a_fit_where_its_state_does_not_hold(change: str) -> None:
     tracked = tracker()
@@ -276,16 +241,6 @@ def test_it_starts_again_from_a_fit_where_its_state_does_not_hold(change: str) -
         fed(tracked, window(3, current=0.2, frequency=3.0))
         assert tracked.identify(EvolutionSettings(generations=20, population=8)).accepted
     assert run(tracked, following).fit.method == "least_squares"  # type: ignore[union-attr]
-
-
-def test_a_filter_that_knows_nothing_any_more_comes_back() -> None:
-    # Three months without samples.
-    tracked = tracker()
-    fed(tracked, window(0), window(1))
-    late = dataclasses.replace(window(2, strength=0.9), start_ns=known.T0 + 10**16)
-    report = fed(tracked, late)[0]
-    assert report.accepted
-    assert report.scale.value == pytest.approx(0.9, rel=0.01)
 
 
 def run(tracked: WindowTracker, raw: RawWindow) -> Outcome:

@@ -76,17 +76,6 @@ def test_the_integrated_time_is_that_of_the_noise(memory: float) -> None:
     assert np.mean(times) == pytest.approx((1.0 + memory) / (1.0 - memory), rel=0.15)
 
 
-def test_where_the_motion_is_no_sine_all_of_the_residual_counts_for_both() -> None:
-    errors = error_covariances(design(0.0), noise(0.8, 3))
-    np.testing.assert_array_equal(errors.repeatability, errors.discrepancy)
-
-
-def test_what_is_undetermined_leaves_the_others_alone() -> None:
-    columns = np.column_stack((design(0.0), np.zeros(N)))
-    errors = error_covariances(columns, noise(0.8, 3), CYCLE)
-    assert np.isnan(np.diag(errors.repeatability)).tolist() == [False, False, True]
-
-
 @pytest.mark.parametrize("widening", [0.5, 1.0, 3.0])
 def test_an_irregular_scale_is_as_uncertain_as_it_scatters(widening: float) -> None:
     scatter = ScaleScatter()

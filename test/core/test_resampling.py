@@ -33,13 +33,6 @@ def test_a_cubic_is_found_at_even_times(seed: int, cubic: list[float], count: in
     np.testing.assert_allclose(found, np.polyval(cubic, wanted), atol=ROUNDING * count**3)
 
 
-def test_only_the_last_are_asked_for() -> None:
-    places = uneven(20, seed=0)
-    wanted, values = np.arange(20.0), np.sin(places)
-    found = at_even_times(wanted[-3:], places, values)
-    np.testing.assert_allclose(found, at_even_times(wanted, places, values)[-3:])
-
-
 def test_white_noise_stays_white() -> None:
     # A smoother finds its length from the noise, which it knows by its being white.
     count = 4000

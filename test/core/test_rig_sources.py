@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mr_damper_ros.emulation.motions import BandLimitedMotion, SweptSine
 from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.columns import RecordError
@@ -151,28 +150,6 @@ def test_the_emulated_rig_moves_as_recorded_and_then_stands_still(tmp_path: Path
     moved = next(rig.blocks(START)).displacement
     np.testing.assert_allclose(moved[:500], 1e-3 * recorded, atol=1e-8)
     assert np.ptp(moved[500:]) == 0.0
-
-
-@pytest.mark.parametrize(
-    "motion",
-    [
-        SweptSine(0.005, (0.0, 1.0, 3.0), (1.0, 4.0, 1.0)),
-        BandLimitedMotion(0.005, 0.5, 5.0, 1),
-    ],
-)
-def test_a_motion_has_its_own_derivatives(motion: Any) -> None:
-    time = np.linspace(0.05, 8.95, 400)
-    step = 1e-5
-    before, here, after = (motion.at(time + shift) for shift in (-step, 0.0, step))
-    np.testing.assert_allclose(
-        (after.displacement - before.displacement) / (2.0 * step), here.velocity, atol=1e-6
-    )
-    smooth = np.abs(np.mod(time, 1.0)) > 2.0 * step  # the frequency has kinks
-    np.testing.assert_allclose(
-        ((after.velocity - before.velocity) / (2.0 * step))[smooth],
-        here.acceleration[smooth],
-        atol=1e-4,
-    )
 
 
 @pytest.mark.parametrize("damper", ["thesis_temperatures", "5.0mm_1Hz_0.5A", "file"])

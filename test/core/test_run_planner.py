@@ -19,8 +19,6 @@ from mr_damper_ros.campaign.runs import signal
 from mr_damper_ros.estimation.force_knowledge import (
     Cycles,
     ForceGoal,
-    cycle_errors,
-    point_errors,
 )
 from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
 from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
@@ -172,21 +170,6 @@ def test_the_next_run_helps_within_the_limits(planner: RunPlanner) -> None:
         assert run.peak_velocity <= LIMITS.peak_velocity
         assert 0.0 <= min(run.currents) <= max(run.currents) <= LIMITS.current
         assert run.stretch * run.frequency >= 1.0
-
-
-def test_the_error_of_a_known_information() -> None:
-    """One parameter known to 2, of which the force is three times: an error of 6."""
-    gradient = np.full((1, 4, 1), 3.0)
-    information = np.array([[[0.25]]])
-    assert cycle_errors(gradient, information) == pytest.approx(6.0)
-
-
-def test_the_worst_error_is_exceeded_as_often_as_not() -> None:
-    # The median of the size of a normal deviate is 0.674; 200 draws tell it to 9 %.
-    goal = ForceGoal(0.01, (0.1, 0.1), (1.0, 1.0))
-    found = point_errors(goal, np.ones((1, 4, 1)), np.ones((1, 1)))
-    assert found.worst == pytest.approx(0.674, rel=0.2)
-    assert found.errors == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("run", RUNS)

@@ -65,18 +65,6 @@ def test_a_fault_is_named(changes: dict[str, object], sentence: str) -> None:
     assert sentence in fault(data)
 
 
-def test_the_limits_can_be_moved() -> None:
-    data = samples()
-    data["displacement"] *= 0.05
-    assert fault(data, minimum_amplitude=0.1e-3) == ""
-
-
-def test_a_changing_current_is_no_fault() -> None:
-    data = samples()
-    data["current"][500:] = 1.5
-    assert fault(data) == ""
-
-
 def test_a_clipped_force_is_seen_at_a_low_rate_too() -> None:
     run = known.run(current=1.0, frequency=3.0, period=5e-3, samples=400)
     clipped = np.clip(run.force, -0.8 * run.force.max(), 0.8 * run.force.max())
@@ -89,16 +77,6 @@ def test_a_quantised_force_is_not_taken_for_clipped(step: float) -> None:
     # 16 bits over a load cell of 100 kN are 3 N.
     data = samples()
     data["force"] = np.round(data["force"] / step) * step
-    assert fault(data) == ""
-
-
-def test_a_machine_that_dwells_at_its_ends_is_not_taken_for_clipped() -> None:
-    # A trapezoidal motion is driven that way: the command, not the sensor, stands still.
-    t = np.arange(1000) * 1e-3
-    swing = np.clip(2.0 * np.sin(2.0 * np.pi * 2.0 * t), -1.0, 1.0)
-    noise = np.random.default_rng(0).normal(0.0, 1e-6, 1000)
-    data = samples()
-    data["displacement"] = 5e-3 * swing + noise
     assert fault(data) == ""
 
 
@@ -115,12 +93,6 @@ def test_a_crank_that_rests_at_dead_centre_is_not_taken_for_clipped(dwell: float
     assert fault(data) == ""
     clipped = np.minimum(data["displacement"], 4.8e-3)
     assert "the displacement is clipped" in fault({**data, "displacement": clipped})
-
-
-def test_coarse_digits_of_a_slow_sine_are_not_taken_for_clipped() -> None:
-    data = samples()
-    data["displacement"] = np.round(data["displacement"] / 5e-5) * 5e-5
-    assert fault(data) == ""
 
 
 @pytest.mark.parametrize("frequency", [0.5, 2.0])

@@ -12,7 +12,6 @@ from mr_damper_ros.control.semi_active import (
     Moment,
     Weights,
     acceleration_driven,
-    groundhook,
     hybrid,
     linear_feedback,
     mixed_skyhook_add,
@@ -81,40 +80,6 @@ def test_add_is_hard_where_that_slows_the_acceleration() -> None:
     assert controller(Moment(0.2, 0.1, 3.0)) == pytest.approx(0.1 * HARD)
     assert controller(Moment(0.2, 0.1, -3.0)) == pytest.approx(0.1 * SOFT)
     assert driven(controller, ROAD)[0] < driven(passive(HARD), ROAD)[0]
-
-
-def test_groundhook_holds_the_wheel_on_the_road(soft: tuple[float, float]) -> None:
-    assert driven(groundhook(HARD), ROAD)[1] < soft[1]
-
-
-def test_the_optimal_gain_costs_least() -> None:
-    weights = Weights()
-    gain = optimal_gain(CAR, weights)
-
-    def cost(k: Array) -> float:
-        closed = CAR.dynamics - np.outer(CAR.by_force, k)
-        start = np.array([0.01, 0.2, 0.002, -0.3])
-
-        def grow(_: float, x: Array) -> Array:
-            state = x[:4]
-            force, rate = -float(k @ state), closed @ state
-            squares = (
-                weights.acceleration * rate[1] ** 2
-                + weights.apart * state[0] ** 2
-                + weights.tyre * state[2] ** 2
-                + weights.force * force**2
-            )
-            return np.append(rate, squares)
-
-        run = solve_ivp(grow, (0.0, 6.0), np.append(start, 0.0), rtol=1e-8, atol=1e-12)
-        return float(run.y[4, -1])
-
-    best = cost(gain)
-    for place in range(4):
-        for factor in (0.9, 1.1):
-            other = gain.copy()
-            other[place] *= factor
-            assert cost(other) > best
 
 
 def test_the_car_moves_as_its_equations_say() -> None:

@@ -85,18 +85,6 @@ def test_no_period_makes_it_ring(period: float, stiffness: float, width: float, 
     assert np.all(np.abs(force) < 1.5 * most)
 
 
-def test_springs_as_stiff_as_the_fluid_is_strong_follow_the_current_at_once() -> None:
-    # A spring keeps its deflection: where all forces of a given motion grow alike, the force does.
-    values = EXAMPLE_AT_REST.copy()
-    grown = values.copy()
-    for name in ("f_y_1", "c_1", "k1_1", "k2_1"):
-        grown[PLACE[name]] = 2.0
-    motion = moved()
-    current = np.where(np.arange(1500) // 100 % 2, 1.2, 0.2)
-    force = LAW.force(grown, motion, current, 1e-3)
-    assert relative(force, (1.0 + 2.0 * current) * LAW.force(values, motion, 0.0, 1e-3)) < SAME
-
-
 @pytest.mark.parametrize("coil", [0.0, 0.02])
 def test_cut_into_blocks_and_in_many_sets_it_is_the_same(coil: float) -> None:
     values = truth("series_springs")

@@ -13,16 +13,6 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 ROUNDING = 1e-9
 
 
-def test_what_the_true_set_leaves_is_the_noise_of_all_records_together() -> None:
-    runs = [known.run(amplitude=amplitude, seed=5) for amplitude in (2e-3, 8e-3)]
-    error = error_of_set(ParameterSet(known.PLAUSIBLE), [run.window for run in runs])
-    noise = np.concatenate([run.force - run.clean for run in runs])
-    force = np.concatenate([run.force for run in runs])
-    # The motion of a window is found from its displacement, not known.
-    assert error.rmse == pytest.approx(known.rms(noise), rel=1e-3)
-    assert error.nrmse == pytest.approx(known.rms(noise) / np.std(force), rel=1e-3)
-
-
 def test_the_peak_velocity_is_held_within_the_range_of_the_set() -> None:
     run = known.run(seed=None)
     narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 0.5 * run.top_speed))

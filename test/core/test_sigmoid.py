@@ -174,20 +174,6 @@ def test_each_scale_parameter_scales_its_coefficient_alone(scale: str) -> None:
     np.testing.assert_allclose(ratio, expected, rtol=ROUNDING)
 
 
-@pytest.mark.parametrize(("condition", "method"), ROWS[::5], ids=ROW_IDS[::5])
-def test_yield_force_and_steepness_may_change_sign_together(
-    condition: Condition, method: str
-) -> None:
-    u, v, a = cycle(condition)
-    c = operating_point_coefficients(
-        thesis.parameters(condition, method), peak_velocity(u, v, a), condition.current
-    )
-    flipped = c._replace(f_t=-c.f_t, alpha=-c.alpha)
-    np.testing.assert_array_equal(
-        force_from_coefficients(flipped, v, a), force_from_coefficients(c, v, a)
-    )
-
-
 # -- derivatives -----------------------------------------------------------------------------
 
 DERIVATIVE = 1e-5
@@ -280,11 +266,6 @@ def test_the_damping_is_the_force_of_the_sigmoid_over_its_velocity() -> None:
     np.testing.assert_allclose(damping * shifted, force_from_coefficients(c, v, a))
 
 
-def test_the_damping_at_rest_is_the_steepness_of_the_sigmoid() -> None:
-    c = Coefficients(*np.array([1000.0, 200.0, 5.0, 5.0, -0.02, 0.003, 60.0]))
-    assert secant_damping(c, 0.017, 1.0) == pytest.approx(0.5 * 1000.0 * 200.0)
-
-
 def test_derivatives_of_the_coefficients_by_the_parameters() -> None:
     v_m, i = np.array([0.0, 0.01, 0.1, 0.3]), np.array([0.0, 0.5, 1.0, 1.5])
 
@@ -340,10 +321,3 @@ AGREEING = [c for c in thesis.CONDITIONS if c not in COPIED | DISAGREEING]
 def differences() -> dict[Condition, float]:
     """Difference of the two methods in the conditions without errata."""
     return {c: difference_of_methods(c) for c in AGREEING}
-
-
-def test_the_two_methods_agree_in_27_conditions(differences: dict[Condition, float]) -> None:
-    assert len(differences) == 27
-    assert round(min(differences.values()), 3) == 0.001
-    assert round(max(differences.values()), 3) == 0.074
-    assert round(float(np.median(list(differences.values()))), 3) == 0.012

@@ -8,11 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks import faults, healthy
+from benchmarks import faults
 from benchmarks.fault_scenarios import Scenario
-from benchmarks.other_dampers import DAMPERS, stops
+from benchmarks.other_dampers import DAMPERS
 from benchmarks.stream_trial import StreamTrial, TrialResult, TrialSettings
-from mr_damper_ros.emulation.faults import faults_of
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.signals.recording import DEFAULT_START_NS
 from mr_damper_ros.tracking.tracker import TrackerSettings
@@ -50,30 +49,14 @@ def made_up(valid: np.ndarray, error: np.ndarray) -> TrialResult:
     return replace(result, **cut, true=true, predicted=true + error, doubts=doubts)
 
 
-def test_the_damper_of_the_first_kind_has_the_stated_peak() -> None:
-    assert np.abs(healthy_trial().result().true).max() == pytest.approx(888.0, rel=0.03)
-
-
 def test_a_healthy_damper_is_identified_and_predicted() -> None:
     result = healthy_trial().result()
     assert result.error[result.time > 5.0].max() < 0.1
 
 
-def test_a_branch_leaves_the_trial_as_it_was() -> None:
-    base = healthy_trial()
-    before = base.result().predicted
-    base.branch(faults_of(["force_gain:10@6.5"])).advance(1.0)
-    np.testing.assert_array_equal(base.result().predicted, before)
-
-
 def test_a_branch_without_faults_goes_on_as_the_trial() -> None:
     branch = healthy_trial().branch()
     np.testing.assert_array_equal(branch.run(1.0).predicted, trial().run(7.0).predicted)
-
-
-def test_the_truth_is_without_the_fault_of_an_instrument() -> None:
-    broken = healthy_trial().branch(faults_of(["force_gain:10@6.5"])).run(1.5)
-    np.testing.assert_array_equal(broken.true, trial().run(7.5).true)
 
 
 def test_a_set_counts_only_after_its_delay() -> None:
@@ -88,11 +71,6 @@ def test_the_longest_wrong_stretch_is_found() -> None:
     error[1500:1800], error[2500:2600] = 50.0, 50.0
     stretch = made_up(np.ones(3000, dtype=bool), error).wrong_valid()
     assert (stretch.longest, stretch.total) == pytest.approx((0.3, 0.4))
-
-
-def test_a_wrong_force_that_is_not_called_valid_does_not_count() -> None:
-    stretch = made_up(np.zeros(3000, dtype=bool), np.full(3000, 50.0)).wrong_valid()
-    assert stretch.total == 0.0
 
 
 def test_a_force_that_swings_through_the_right_one_is_wrong_all_along() -> None:
@@ -124,14 +102,6 @@ def test_a_repair_is_seen_where_the_force_is_never_right_all_the_time() -> None:
     assert usual == pytest.approx(0.7)
     # Of the first second after it, nine tenths of the usual part are enough.
     assert faults.good_since(result, 2.5, usual) == pytest.approx(3.9, abs=0.1)
-
-
-def test_rest_is_not_motion() -> None:
-    motion = stops(SineMotion(0.005, 1.0), 2.0, 1.0, 1)
-    result = healthy_trial().result()
-    moved = replace(result, displacement=motion.at(result.time).displacement)
-    # The machine takes a tenth of a second to stop and to go.
-    assert np.count_nonzero(healthy.at_rest(moved)) * 1e-3 == pytest.approx(1.0, abs=0.15)
 
 
 @cache

@@ -24,9 +24,6 @@ from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, LITERATURE, is_clean
 from mr_damper_ros.models.sigmoid.extension import without_extension
-from mr_damper_ros.models.sigmoid.law import (
-    SCALE_PARAMETER_NAMES,
-)
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.console import ProgressLine
 from studies.thesis.published_runs import synthesise
@@ -53,25 +50,6 @@ def test_a_run_is_identified_down_to_its_noise(tmp_path: Path, method: str) -> N
     write_bag(bag, recording)
     document = identified(tmp_path, bag, "--method", method)
     assert document["metrics"]["rmse"] <= AT_THE_NOISE * 5.53
-
-
-def test_what_one_run_cannot_tell_is_said_to_be_unknown(tmp_path: Path) -> None:
-    document = identified(tmp_path, ONE_RUN, "--method", "nelder_mead")
-    unknown = {name for name, error in document["standard_errors"].items() if error is None}
-    assert unknown == set(known.SHAPE_PARAMETER_NAMES)
-    observable = {name for name, is_known in document["observable"].items() if is_known}
-    assert observable == set(SCALE_PARAMETER_NAMES)
-
-
-def test_the_metrics_belong_to_the_parameters(tmp_path: Path) -> None:
-    document = identified(tmp_path, ONE_RUN, BAGS / "5.0mm_1Hz_0.5A", "--generations", "30")
-    total = sum(bag["metrics"]["n_samples"] for bag in document["bags"])
-    squares = sum(
-        bag["metrics"]["n_samples"] * bag["metrics"]["rmse"] ** 2 for bag in document["bags"]
-    )
-    assert document["metrics"]["n_samples"] == total
-    assert document["metrics"]["rmse"] == pytest.approx(math.sqrt(squares / total))
-    assert document["metrics"]["r2"] == pytest.approx(1.0 - document["metrics"]["nrmse"] ** 2)
 
 
 def test_validate_gives_the_errors_that_identify_gave(tmp_path: Path) -> None:
@@ -200,15 +178,6 @@ def test_what_would_be_refused_is_taken_with_a_warning_where_that_is_asked_for(
     dead = tmp_path / "dead"
     write_bag(dead, dataclasses.replace(RUN, force=0.0 * RUN.force))
     assert identify.main([str(dead), "--accept-doubtful"]) == 2
-
-
-def test_of_one_run_the_loop_comes_before_the_parameters(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert identify.main([str(ONE_RUN), "--method", "least_squares"]) == 0
-    said = capsys.readouterr().out
-    places = [said.index(text) for text in ("yield force", "hold only together", "\nparameter ")]
-    assert places == sorted(places)
 
 
 PROGRESS = GlobalProgress("laws", 3, 9, 0.5, 10.0)

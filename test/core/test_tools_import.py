@@ -131,13 +131,6 @@ def test_columns_are_found_by_their_headers(write: Any) -> None:
     assert_is_the_run(path, "force=Load cell:N,time=Time [s]:s,displacement=Stroke:mm")
 
 
-def test_remarks_after_the_last_column_named_are_not_read(write: Any) -> None:
-    lines = rows(",")
-    lines[0] += ",start,,"
-    lines[7] += ",a remark"
-    assert_is_the_run(write(lines))
-
-
 @pytest.mark.parametrize("rest", [",-", ",..."])
 def test_a_surplus_column_of_numbers_is_refused_unless_skipped(write: Any, rest: str) -> None:
     path = write([f"{row} 7" for row in rows()])
@@ -196,11 +189,6 @@ def test_current_and_temperature_columns(write: Any) -> None:
     )
 
 
-def test_a_sample_counter_is_a_time(write: Any) -> None:
-    lines = [f"{k + 1} {row}" for k, row in enumerate(rows())]
-    assert_is_the_run(write(lines), "time:0.01*s,-,displacement:mm,force:N")
-
-
 def test_a_part_is_cut_out_by_seconds_from_the_first_sample(write: Any) -> None:
     path = write([f"{1000 + float(row[:8])}{row[8:]}" for row in rows()])
     part = read_record(path, COLUMNS, current=0.5, start=0.1, stop=0.2)
@@ -239,14 +227,6 @@ def test_units_and_factors_multiply(
     assert column.to_si(np.array([3.0]))[0] == pytest.approx(
         3.0 * factor * scale, rel=ROUNDING, abs=0.0
     )
-
-
-@pytest.mark.parametrize(
-    ("unit", "value", "celsius"), [("degC", 20.0, 20.0), ("K", 293.15, 20.0), ("degF", 68.0, 20.0)]
-)
-def test_temperatures(unit: str, value: float, celsius: float) -> None:
-    column = parse_columns(f"displacement:m,force:N,temperature:{unit}").wanted[2]
-    assert column.to_si(np.array([value]))[0] == pytest.approx(celsius, abs=ROUNDING_OF_KELVIN)
 
 
 # ---- MAT files ----

@@ -85,22 +85,6 @@ def test_the_next_search_comes_when_it_would_have_come() -> None:
     assert due == due_again == [False] * 3 + [True] * 2
 
 
-def test_a_set_found_from_the_reservoir_is_as_old_as_its_newest_window() -> None:
-    tracked = tracker()
-    feed(tracked, 0, 3)
-    tracked.parameters = START  # refused since: the windows stay
-    assert resumed(tracked).search().stamp_ns == tracked.search().stamp_ns > 0
-
-
-def test_a_motion_that_was_confirmed_often_enough_still_is() -> None:
-    tracked = tracker()
-    for number in range(4):
-        run = known.run(samples=SAMPLES, seed=number)
-        tracked.follow(known.raw_window(run, number=number))
-    assert tracked.memory.motion.windows == 4
-    assert resumed(tracked).memory.motion == tracked.memory.motion
-
-
 def test_after_a_reset_the_damper_may_still_be_another_one() -> None:
     tracked = tracker()
     feed(tracked, 0, 3)

@@ -85,23 +85,6 @@ def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
         assert allowed < TOLD
 
 
-def test_a_refused_window_tells_no_temperature() -> None:
-    tracked = experienced()
-    window = warmed(WARMING, 50.0, thermometer=False)
-    noise = np.random.default_rng(0).normal(0.0, 60.0 * known.NOISE, SAMPLES)
-    report = fed(tracked, dataclasses.replace(window, force=window.force + noise))
-    assert not report.accepted
-    assert math.isnan(report.fluid.celsius)
-
-
-def test_a_reset_forgets_the_map() -> None:
-    tracked = experienced()
-    tracked.reset()
-    fed(tracked, warmed(WARMING, 30.0, thermometer=False))
-    report = fed(tracked, warmed(WARMING + 1, 50.0, thermometer=False))
-    assert math.isnan(report.fluid.celsius)
-
-
 def test_a_thermometer_without_its_sensor_does_not_spoil_the_memory() -> None:
     tracked = new()
     for number, told in enumerate((28.0, 29.0, 9.9e37)):
@@ -135,13 +118,6 @@ def test_a_sudden_change_forgets_the_map() -> None:
     early = leaked(tracked, 0.5)
     assert tracked.memory.temperatures == ()
     assert math.isnan(early.fluid.celsius)
-
-
-def test_a_change_over_a_pause_leaves_the_map() -> None:
-    """The damper may have cooled meanwhile, which the map is there to tell."""
-    tracked = experienced()
-    leaked(tracked, 100.0)
-    assert len(tracked.memory.temperatures) == 1
 
 
 @pytest.mark.parametrize(

@@ -75,11 +75,6 @@ def test_a_repeated_block_is_ignored() -> None:
     assert judged(sequence, block(20)).kind == "next", "the repeat took no one's place"
 
 
-def test_an_older_block_that_comes_late_is_ignored() -> None:
-    sequence = followed(block(0), block(10), block(20))
-    assert judged(sequence, block(0)).kind == "repeat"
-
-
 def test_stamps_that_go_back_far_are_a_jump() -> None:
     sequence = followed(block(5000))
     verdict = judged(sequence, block(0))
@@ -104,12 +99,6 @@ def test_a_changed_period_restarts() -> None:
     verdict = judged(followed(block(0)), block(10, period=2e-3))
     assert (verdict.kind, verdict.restarts) == ("changed_period", True)
     assert "from 0.001 s to 0.002 s" in verdict.sentence
-
-
-def test_a_count_that_is_set_back_restarts() -> None:
-    verdict = judged(followed(block(0), block(10)), block(0, late=0.020))
-    assert (verdict.kind, verdict.restarts) == ("gap", True)
-    assert "count was set back or forward" in verdict.sentence
 
 
 # -- streams ---------------------------------------------------------------------------------

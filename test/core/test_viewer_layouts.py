@@ -70,19 +70,3 @@ def test_a_layout_draws_what_there_is_and_every_coefficient_and_parameter(drawn)
     identified = {entry for entry in known() if entry[0] == "damper/identified"}
     assert identified <= shown
     assert {("damper/signals", "measured_force"), ("damper/signals", "velocity")} <= shown
-
-
-def test_every_panel_of_lichtblick_has_its_place() -> None:
-    layout = json.loads((VIEWERS / "lichtblick.json").read_text(encoding="utf-8"))
-    placed = [layout["layout"]]
-
-    def walk(node: object) -> None:
-        if isinstance(node, str):
-            placed.append(node)
-        elif isinstance(node, dict):
-            walk(node["first"])
-            walk(node["second"])
-
-    for tab in layout["configById"]["Tab!damper"]["tabs"]:
-        walk(tab["layout"])
-    assert sorted(placed) == sorted(layout["configById"])

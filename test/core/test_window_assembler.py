@@ -57,10 +57,6 @@ def starts(windows: list[RawWindow]) -> list[float]:
 # -- windows ---------------------------------------------------------------------------------
 
 
-def test_a_window_comes_every_hop() -> None:
-    assert starts(cut(stream(100))) == [0.0, 0.5, 1.0, 1.5, 2.0]
-
-
 @known.fixed(80)
 @given(
     st.lists(st.integers(1, 1500), min_size=1, max_size=10),
@@ -76,11 +72,6 @@ def test_windows_do_not_depend_on_the_size_of_the_blocks(
         np.testing.assert_array_equal(one.displacement, other.displacement)
         np.testing.assert_array_equal(one.force, other.force)
         np.testing.assert_array_equal(one.current, other.current)
-
-
-def test_a_gap_starts_the_window_again() -> None:
-    windows = cut(stream(100, last=800) + stream(100, first=900))
-    assert starts(windows) == [0.9, 1.4, 1.9]
 
 
 def test_a_gap_is_told_once() -> None:
@@ -271,11 +262,6 @@ def held(*values: tuple[float, float], keep: float = 60.0) -> ZeroOrderHold:
     return made
 
 
-def test_a_value_between_two_samples_holds_from_the_later_one() -> None:
-    current = held((0.0, 0.5), (0.0042, 1.0)).at(at(0.0), PERIOD, 8)
-    assert current.tolist() == [0.5] * 5 + [1.0] * 3
-
-
 @pytest.mark.parametrize("rate", [100.0, 512.0, 1000.0, 3000.0, 44100.0])
 def test_a_step_falls_on_its_sample_at_any_rate(rate: float) -> None:
     period = 1.0 / rate
@@ -299,14 +285,6 @@ def test_a_value_that_is_late_takes_its_place() -> None:
     made = held((0.0, 0.5), (0.5, 1.0), (1.0, 1.5), (0.75, 0.7))
     assert made.at(at(0.0), 0.25, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 1.5, 1.5]
     assert made.last_stamp_ns == at(1.0)
-
-
-def test_before_the_first_value_nothing_is_known() -> None:
-    made = held((1.0, 0.5))
-    assert not made.known_from(at(0.999))
-    assert made.known_from(at(1.0))
-    assert not ZeroOrderHold(1.0).known_from(at(0.0))
-    assert ZeroOrderHold(1.0).last_stamp_ns is None
 
 
 def test_old_values_are_forgotten_but_the_one_in_force_is_kept() -> None:

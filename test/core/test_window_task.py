@@ -50,20 +50,6 @@ def test_an_answer_does_not_bring_the_samples_home_again(motion: str) -> None:
     assert len(pickle.dumps(result)) < samples
 
 
-def test_a_look_brings_no_samples_at_all() -> None:
-    tracker = WindowTracker(TrackerSettings(), START)
-    tracker.follow(WINDOWS["sine"])
-    weak = replace(
-        WINDOWS["sine"],
-        start_ns=known.T0 + 2 * 10**9,
-        force=0.8 * WINDOWS["sine"].force,
-        look=SAMPLES // 2,
-    )
-    result = run(tracker.job_of(weak))
-    assert result.fit is not None
-    assert len(pickle.dumps(result)) < 0.2 * weak.force.nbytes
-
-
 @pytest.mark.parametrize("model", ["sigmoid", "hyperbolic_tangent"])
 def test_what_was_first_found_here_does_not_undo_what_is_known_of_other_currents(
     model: str,

@@ -279,27 +279,6 @@ def test_a_task_that_kills_the_worker_twice_has_failed(
     assert ending(worker) == Done(number, 2)
 
 
-class Counted:
-    """Counts how often it is pickled."""
-
-    def __init__(self) -> None:
-        self.pickled = 0
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        self.pickled += 1
-        return (int, ())
-
-
-def test_a_task_is_pickled_once_even_if_it_is_tried_again(
-    make_worker: Callable[[], Worker], tasks: Any, tmp_path: Path
-) -> None:
-    counted = Counted()
-    worker = make_worker()
-    worker.submit(tasks.die_once_with, counted, str(tmp_path / "marker"))
-    assert isinstance(ending(worker), Done)
-    assert counted.pickled == 1
-
-
 def test_an_idle_worker_that_dies_is_replaced(
     make_worker: Callable[[], Worker], tasks: Any
 ) -> None:

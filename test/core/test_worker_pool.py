@@ -84,23 +84,6 @@ def test_every_user_gets_its_own_results(
     assert not any(user.busy for user in users)
 
 
-def test_progress_goes_to_whose_task_it_is(
-    make_pool: Callable[[int], WorkerPool], tasks: Any
-) -> None:
-    pool = make_pool(1)
-    users = [pool.worker(), pool.worker()]
-    for place, user in enumerate(users):
-        user.submit(tasks.say, place)
-    told: list[list[Any]] = [[], []]
-    deadline = time.monotonic() + PATIENCE
-    while any(user.busy for user in users):
-        assert time.monotonic() < deadline
-        for place, user in enumerate(users):
-            told[place] += [o.value for o in user.poll() if isinstance(o, Progress)]
-        time.sleep(0.005)
-    assert told == [[0], [1]]
-
-
 def test_first_come_first_served(make_pool: Callable[[int], WorkerPool], tasks: Any) -> None:
     pool = make_pool(1)
     first, second, third = (pool.worker() for _ in range(3))
