@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-NOBODY = 65534
 
 NEEDED = ("scripts", "requirements", "msg_defs", "setup.py", "setup.cfg", "package.xml", "resource")
 """As much of the clone as the set-up looks at before it installs anything."""
@@ -66,7 +65,7 @@ def test_a_path_that_cmake_cannot_build_in_is_refused(place: Path, name: str) ->
 def test_a_folder_that_cannot_be_written_is_refused(place: Path) -> None:
     folder = copy_to(place / "clone")
     folder.chmod(0o555)
-    user = NOBODY if os.geteuid() == 0 else None
+    user = 65534 if os.geteuid() == 0 else None
     assert_refused(set_up(folder, user), "nothing can be written to")
 
 

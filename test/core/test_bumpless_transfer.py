@@ -29,9 +29,6 @@ BLOCK = 10
 RUN = known.run(current=1.0, samples=6000, seed=None)
 FADED = round(FADES / known.PERIOD)
 
-SAME_FORCE = 1e-6
-"""[N]: of a kilonewton, nothing but rounding."""
-
 
 def set_of(model: str, factor: float = 1.0) -> ParameterSet:
     values = np.array(known.EXAMPLES[model])
@@ -78,7 +75,8 @@ def test_the_force_continues_and_ends_in_that_of_the_new_set(model: str) -> None
     assert step <= max(alone) + 1.1 * apart / FADED
     rest = slice(CHANGED * BLOCK + FADED, None)
     found = forces(predicted(set_of(model), set_of(model, 1.4)))[rest]
-    np.testing.assert_allclose(found, forces(predicted(set_of(model, 1.4)))[rest], atol=SAME_FORCE)
+    # [N]: of a kilonewton, nothing but rounding.
+    np.testing.assert_allclose(found, forces(predicted(set_of(model, 1.4)))[rest], atol=1e-6)
 
 
 def test_a_set_that_somebody_gives_counts_at_once() -> None:
@@ -111,12 +109,6 @@ def test_what_is_left_of_a_wrong_force_is_not_valid(before: float, after: float)
 
 RECOMPUTED = 1e-6
 """[N]: the half second that is followed again is 280 time constants, which leave rounding only."""
-
-FORGOTTEN = 0.1
-"""[N] of 500: ten ways to the yield leave a part in twenty thousand, half a second 0.6 N."""
-
-CLOSE = 1e-3
-"""Of the force's span: what is left of a lag after the time that it is given to settle."""
 
 
 def in_use(parameters: ParameterSet, period: float = known.PERIOD) -> ForceInUse:
@@ -174,7 +166,8 @@ def test_a_slow_hysteresis_is_followed_again_over_the_way_that_it_remembers(
     force = follow(made, motion.part(slice(last, None)), 20, current=0.0)
     current = np.where(np.arange(1000) < first, 1.0, 0.0)
     expected = model.force(changed, motion, current, period)[last:]
-    np.testing.assert_allclose(force, expected, rtol=0.0, atol=FORGOTTEN)
+    # [N] of 500: ten ways to the yield leave a part in twenty thousand, half a second 0.6 N.
+    np.testing.assert_allclose(force, expected, rtol=0.0, atol=0.1)
 
 
 @pytest.mark.parametrize("rate", [500, 20_000])
@@ -188,7 +181,8 @@ def test_a_set_that_starts_again_has_settled_at_any_rate(rate: int) -> None:
     made.use(found, gradual=True, fade=False, restart=True)
     force = follow(made, motion.part(slice(rate, None)), 10)
     expected = found.law.continuous.force(late, motion, 1.0, 1.0 / rate)[rate:]
-    assert np.max(np.abs(force - expected)) < CLOSE * np.ptp(expected)
+    # Of the force's span: what is left of a lag after the time that it is given to settle.
+    assert np.max(np.abs(force - expected)) < 1e-3 * np.ptp(expected)
 
 
 def test_a_set_that_starts_again_forgets_what_could_not_be_known() -> None:

@@ -52,9 +52,6 @@ BROAD = [
     PlannedRun(0.005, 0.9, (0.75,), 1.2, MotionKind.RANDOM, 6.0, 2),
 ]
 
-STEP_DELAY = 0.1
-"""[s]: what is cut off after a step of the current; commands must show within it."""
-
 
 class Inline:
     """A worker that does each task at once; ``fail`` makes it fail."""
@@ -221,7 +218,8 @@ def test_the_samples_are_those_of_the_run(planned: list[PlannedRun], tmp_path: P
         stretch = round(run.stretch * RATE)
         for place, current in enumerate(run.currents):
             part = recording.current[place * stretch : (place + 1) * stretch]
-            assert np.all(part[round(STEP_DELAY * RATE) :] == current)
+            # [s]: what is cut off after a step of the current; commands must show within it.
+            assert np.all(part[round(0.1 * RATE) :] == current)
 
 
 def test_between_the_runs_the_machine_rests(planned: list[PlannedRun], tmp_path: Path) -> None:

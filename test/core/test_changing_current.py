@@ -33,9 +33,6 @@ TOLERANCE = 0.05
 LAG = 0.012
 
 
-BETWEEN_SAMPLES = 1e-3
-"""Relative to the step: what is left between an exponential and its samples joined by lines."""
-
 LAW, SIXTEEN = MODELS["sigmoid_lag"], MODELS["sigmoid"]
 LATE = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, LAG])
 
@@ -146,7 +143,8 @@ def test_the_current_of_the_coil_approaches_a_step_exponentially() -> None:
     after = np.arange(100)
     expected = 1.2 - np.exp(-(after + 0.5) * 1e-3 / LAG)
     # The step lies in the middle between two samples, as lines between them have it.
-    np.testing.assert_allclose(given.current[400:500], expected, atol=BETWEEN_SAMPLES)
+    # Relative to the step: what is left between an exponential and its samples joined by lines.
+    np.testing.assert_allclose(given.current[400:500], expected, atol=1e-3)
 
 
 @pytest.mark.parametrize("model", [LAW, MODELS["bingham"]], ids=lambda model: model.name)

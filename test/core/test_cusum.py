@@ -21,21 +21,10 @@ from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 POINT = (0.03, 1.0)
 
-RUN_LENGTH_ERROR = 0.3
-"""Relative: 150 runs tell their mean to 8 %, for a run length scatters as much as it is long."""
-
-
-BLOCK = 50
-"""Samples: the detector knows the begin of a change to a block."""
 
 MEAN_ERROR, SPREAD_ERROR = 0.25, 0.2
 """Of 0 and of 1, which 200 scores tell to 7 % and 5 %."""
 
-FEW_SAMPLES = 2
-"""By which noise may move the begin of a change."""
-
-TIME_ERROR = 0.02
-"""Seconds: the same for a step of a damper that moves at 1 Hz."""
 
 SCALE_ERROR = 0.01
 """Relative: a tenth of the change that is found."""
@@ -79,7 +68,8 @@ def average_run_length(threshold: float) -> float:
 def test_false_alarms_are_as_rare_as_stated() -> None:
     threshold = 3.0
     found = np.mean([blocks_to_alarm(seed, threshold, 5000) for seed in range(150)])
-    assert found == pytest.approx(average_run_length(threshold), rel=RUN_LENGTH_ERROR)
+    # Relative: 150 runs tell their mean to 8 %, for a run length scatters as much as it is long.
+    assert found == pytest.approx(average_run_length(threshold), rel=0.3)
 
 
 @pytest.mark.parametrize("change", [-0.1, -0.03, 0.03, 0.1])
@@ -91,7 +81,8 @@ def test_a_change_is_noticed_within_a_few_blocks(change: float) -> None:
     later = (1.0 + change) * predicted + noise(1, 2000, 1.0)
     watch = watch.follow(predicted, measured).follow(predicted[:600], later[:600])
     assert watch.changed
-    assert watch.samples_since_change == pytest.approx(600, abs=BLOCK)
+    # Samples: the detector knows the begin of a change to a block.
+    assert watch.samples_since_change == pytest.approx(600, abs=50)
 
 
 def test_a_change_below_what_is_worth_a_fit_raises_no_alarm() -> None:
@@ -134,7 +125,8 @@ def test_the_factor_comes_with_its_standard_error() -> None:
 def test_the_begin_of_a_change_is_found_to_the_sample(begin: int) -> None:
     predicted = 100.0 + 50.0 * np.sin(np.arange(400) * 0.03)
     measured = np.where(np.arange(400) >= begin, 0.9, 1.0) * predicted + noise(0, 400, 2.0)
-    assert change_point(predicted, measured, 40) == pytest.approx(begin, abs=FEW_SAMPLES)
+    # By which noise may move the begin of a change.
+    assert change_point(predicted, measured, 40) == pytest.approx(begin, abs=2)
 
 
 # -- looks -----------------------------------------------------------------------------------
@@ -213,7 +205,8 @@ def test_a_step_is_fitted_before_the_hop_is_over(factor: float, tracker: str) ->
     assert f"the force changed by {factor - 1.0:+.0%} at t = " in report.reason
     assert report.reason.endswith("fitted early")
     told = float(report.reason.split("t = ")[1].split()[0]) - known.T0 * 1e-9
-    assert told == pytest.approx(STEP, abs=TIME_ERROR)
+    # Seconds: the same for a step of a damper that moves at 1 Hz.
+    assert told == pytest.approx(STEP, abs=0.02)
     assert report.scale.value == pytest.approx(factor, rel=SCALE_ERROR)
     assert np.isnan(report.coefficient_errors).all()
 

@@ -38,25 +38,9 @@ SINE = SineMotion(0.005, 1.0, phase=0.3)
 SILENT = RigSettings(force_noise=0.0)
 THERMAL = ThermalModel(capacity=20.0)
 
-SAME_FORCE = 2e-11
-"""[N]: the last digits of forces of up to 1.5 kN, computed block by block."""
 
 ROUNDING = 1e-13
 """Relative: the same products in another order."""
-
-VELOCITY_BY_DIFFERENCES = 1e-9
-"""[m/s]: curvature and rounding of differences of a motion of 10 mm over 2 µs."""
-
-ACCELERATION_BY_DIFFERENCES = 1e-7
-"""[m/s²]: the same of its velocity."""
-
-
-NOISE_SIZE = 0.02
-"""Relative: four of the standard errors that a standard deviation from 20 000 values has."""
-
-
-HEAT_BALANCE = 1e-12
-"""Relative: 2000 roundings of 28 °C are 2e-13 of the rise, if they add up at random."""
 
 
 MOTIONS = [
@@ -78,7 +62,8 @@ def test_a_damper_of_any_model_has_the_force_of_its_model(model: str) -> None:
         u, v, a = SINE.at(np.arange(1050) * SILENT.period)
         motion = Motion(u, v, a, sigmoid.peak_velocity(u, v, a), None)
         expected = parameters.law.force(parameters.values, motion, 1.0, SILENT.period)
-        np.testing.assert_allclose(block.force, expected, rtol=0.0, atol=SAME_FORCE)
+        # [N]: the last digits of forces of up to 1.5 kN, computed block by block.
+        np.testing.assert_allclose(block.force, expected, rtol=0.0, atol=2e-11)
 
 
 def test_a_damper_of_any_model_weakens_as_it_heats() -> None:
@@ -98,15 +83,13 @@ def test_a_motion_has_its_own_derivatives(motion: Excitation) -> None:
     time = np.linspace(0.013, 5.871, 400)
     step = 1e-6
     slope = (motion.at(time + step).displacement - motion.at(time - step).displacement) / 2 / step
-    np.testing.assert_allclose(
-        motion.at(time).velocity, slope, rtol=0.0, atol=VELOCITY_BY_DIFFERENCES
-    )
+    # [m/s]: curvature and rounding of differences of a motion of 10 mm over 2 µs.
+    np.testing.assert_allclose(motion.at(time).velocity, slope, rtol=0.0, atol=1e-9)
     time = np.linspace(0.0131, 5.871, 400)
     step = 1e-6
     slope = (motion.at(time + step).velocity - motion.at(time - step).velocity) / 2 / step
-    np.testing.assert_allclose(
-        motion.at(time).acceleration, slope, rtol=0.0, atol=ACCELERATION_BY_DIFFERENCES
-    )
+    # [m/s²]: the same of its velocity.
+    np.testing.assert_allclose(motion.at(time).acceleration, slope, rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +142,8 @@ def test_the_noise_has_the_stated_size(quantity: str, size: float) -> None:
         for chosen in (noisy, SILENT)
     )
     noise = getattr(measured, quantity) - getattr(true, quantity)
-    assert np.std(noise) == pytest.approx(size, rel=NOISE_SIZE)
+    # Relative: four of the standard errors that a standard deviation from 20 000 values has.
+    assert np.std(noise) == pytest.approx(size, rel=0.02)
 
 
 # ---- heat ----
@@ -190,9 +174,8 @@ def test_the_heat_balance_closes() -> None:
     block = rig.next_block(2001)
     velocity = SINE.at(np.arange(2000) * 1e-3).velocity
     energy = float(np.sum(block.force[:2000] * velocity) * 1e-3)
-    assert block.temperature[2000] - 28.0 == pytest.approx(
-        energy / 100.0, rel=HEAT_BALANCE, abs=0.0
-    )
+    # Relative: 2000 roundings of 28 °C are 2e-13 of the rise, if they add up at random.
+    assert block.temperature[2000] - 28.0 == pytest.approx(energy / 100.0, rel=1e-12, abs=0.0)
     assert energy > 0.0
 
 

@@ -18,10 +18,6 @@ from mr_damper_ros.tracking.evidence import Lead, evidence_of, held_back_samples
 
 N = 1000
 
-RUNS = 400
-
-ROUNDING = 10
-"""Samples: a chunk is as many long, but for one more or less, and every fourth is held back."""
 
 CHANCE = 0.15
 """Three standard errors of the mean of so many leads, of their deviation two more."""
@@ -44,7 +40,7 @@ def lead(memory: float, seed: int, ahead: float) -> float:
 
 @pytest.mark.parametrize("memory", [0.0, 0.8, 0.95])
 def test_a_lead_by_chance_is_a_normal_number(memory: float) -> None:
-    leads = [lead(memory, seed, 0.0) for seed in range(RUNS)]
+    leads = [lead(memory, seed, 0.0) for seed in range(400)]
     assert np.mean(leads) == pytest.approx(0.0, abs=CHANCE)
     assert np.std(leads) == pytest.approx(1.0, abs=CHANCE)
 
@@ -71,7 +67,8 @@ def test_without_noise_the_better_force_is_infinitely_ahead() -> None:
 def test_nothing_is_held_back_of_what_was_seen(seen: int) -> None:
     held_back = held_back_samples(N, N - seen)
     assert not held_back[:seen].any()
-    assert held_back.sum() == pytest.approx((N - seen) / 4, abs=ROUNDING)
+    # Samples: a chunk is as many long, but for one more or less, and every fourth is held back.
+    assert held_back.sum() == pytest.approx((N - seen) / 4, abs=10)
 
 
 def test_the_running_set_is_judged_by_the_force_that_it_predicts() -> None:

@@ -36,11 +36,6 @@ POINTS = 20_000
 SAME = 1e-9
 """Relative; of a force next to nothing, of a newton."""
 
-SAME_STREAM = 1e-7
-"""Of the largest force: what the observer has rounded goes through its gain."""
-
-MISSED = 1.1e-6
-"""Of the span: what the inverse allows itself, and the rounding of that."""
 
 LATE = np.array([*PLAUSIBLE, 3e-8, 2000.0, -40.0, 0.008])
 
@@ -132,7 +127,8 @@ def test_the_c_code_is_that_of_the_package(law: ExportedLaw, compiled: Compiled)
     current = np.where(np.sin(7.0 * time) > 0.3, 1.2, 0.2)
     got = compiled.stream(displacement, current, 0.02)
     expected = expected_stream(law, displacement, current, 0.02)
-    assert np.abs(got - expected).max() <= SAME_STREAM * np.abs(expected).max()
+    # Of the largest force: what the observer has rounded goes through its gain.
+    assert np.abs(got - expected).max() <= 1e-7 * np.abs(expected).max()
 
 
 def wanted_forces(law: ExportedLaw, count: int) -> tuple[Array, Array]:
@@ -162,7 +158,8 @@ def assert_gives(law: ExportedLaw, inputs: Array, wanted: Array, current: Array)
     further = np.abs(force - wanted) - np.abs(np.clip(wanted, least, most) - wanted)
     size = np.maximum(np.maximum(np.abs(least), np.abs(most)), 1.0)
     if law.parameters.model == "sigmoid":  # that of the other is late, and has an offset
-        assert np.all(further <= MISSED * (most - least) + SAME * size)
+        # Of the span: what the inverse allows itself, and the rounding of that.
+        assert np.all(further <= 1.1e-6 * (most - least) + SAME * size)
 
 
 def _at(inputs: Array, current: Array | float) -> Array:

@@ -33,8 +33,6 @@ LEAD_IN = 500
 STANDARD_ERRORS = 4.0
 """By which an estimate may miss the truth: of a few dozen, one in some hundred tests would not."""
 
-DETERMINED = 0.2
-"""Relative: these runs determine lag and stiffness to this part, so that errors of 4 mean much."""
 
 BY_DIFFERENCES = 1e-4
 """Relative to the largest derivative: what the curvature adds to a difference of such steps."""
@@ -42,27 +40,9 @@ BY_DIFFERENCES = 1e-4
 FINE = 1e-3
 """Relative to the spread of the force: what interpolation may cost."""
 
-THINNED = 5.0
-"""Times that: what it may cost where samples are left out too."""
-
-SETTLED = 80
-"""Samples that say nothing for want of a past: seven of the longest time constants, 11.4 ms."""
-
-SETTLED_ERROR = 1
-"""Sample, where a number of time constants is rounded to samples."""
-
-FITTED = 1.05
-"""RMSE over the noise, which 2000 samples tell to 1.6 %."""
-
-
-FITTED_RUNS = 1.02
-"""RMSE over the noise, which 9600 samples tell to 0.7 %."""
 
 SAME_NRMSE = 1.0 + 1e-6
 """Factor by which rounding may tell two equal NRMSE apart."""
-
-FITTED_QUICKLY = 1.2
-"""Median NRMSE over that of the noise, after a search that is cut short."""
 
 
 @cache
@@ -101,7 +81,8 @@ def test_a_part_sees_the_lag_of_the_whole(frequency):
     thinned = whole.thinned(100)
     assert 100 <= thinned.sample_count < 200
     error = EXTENDED.window_force(thinned, TRUTH) - thinned.force
-    assert known.rms(error) < THINNED * FINE * np.std(whole.force)
+    # Times that: what it may cost where samples are left out too.
+    assert known.rms(error) < 5.0 * FINE * np.std(whole.force)
 
 
 @MOTIONS
@@ -138,9 +119,12 @@ def test_the_begin_of_a_window_of_unknown_past_says_nothing():
     misfit = WindowProblem(EXTENDED, lone, TRUTH)
     residual, derivatives = misfit.residual(misfit.start), misfit.jacobian(misfit.start)
     settled = int(np.flatnonzero(residual)[0])
-    assert settled == pytest.approx(SETTLED, abs=SETTLED_ERROR)
+    # Samples that say nothing for want of a past: seven of the longest time constants, 11.4 ms.
+    # Sample, where a number of time constants is rounded to samples.
+    assert settled == pytest.approx(80, abs=1)
     assert not np.any(derivatives[:settled])
-    assert known.rms(residual[settled:]) < FITTED * known.NOISE
+    # RMSE over the noise, which 2000 samples tell to 1.6 %.
+    assert known.rms(residual[settled:]) < 1.05 * known.NOISE
 
 
 def test_a_window_without_its_period_cannot_have_a_lag():
@@ -207,10 +191,12 @@ def test_the_extension_is_found_with_the_sixteen(found):
     assert got.model == "sigmoid_lag"
     errors = (got.values - TRUTH)[16:19] / got.standard_errors[16:19]
     assert np.max(np.abs(errors)) < STANDARD_ERRORS
-    np.testing.assert_allclose(got.values[16:18], TRUTH[16:18], rtol=DETERMINED)
+    # Relative: these runs determine lag and stiffness to this part, so that errors of 4 mean much.
+    np.testing.assert_allclose(got.values[16:18], TRUTH[16:18], rtol=0.2)
     windows = runs(TRUTH[16:], CURRENTS)
     left = [EXTENDED.window_force(w, found.parameter_set.values) - w.force for w in windows]
-    assert known.rms(np.concatenate(left)) < FITTED_RUNS * known.NOISE
+    # RMSE over the noise, which 9600 samples tell to 0.7 %.
+    assert known.rms(np.concatenate(left)) < 1.02 * known.NOISE
     assert found.parameter_set.observable[16:19].all()
     block = found.covariance[16:19, 16:19]
     np.testing.assert_allclose(np.sqrt(np.diag(block)), found.parameter_set.standard_errors[16:19])
@@ -230,7 +216,8 @@ def test_every_method_identifies_the_extended_law(method):
     fit = identify_global(EXTENDED, windows, start, QUICK, method=method)
     assert fit.parameter_set.values.shape == (20,)
     noise = np.median([known.NOISE / np.std(w.force) for w in windows])
-    assert fit.median_nrmse < FITTED_QUICKLY * noise
+    # Median NRMSE over that of the noise, after a search that is cut short.
+    assert fit.median_nrmse < 1.2 * noise
 
 
 @pytest.mark.parametrize("seed", [0, 1])

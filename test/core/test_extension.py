@@ -24,9 +24,6 @@ ROUNDING = 1e-9
 LARGEST = 1e3
 """Largest constant that is lagged; its rounding is as much larger."""
 
-BY_SMALL_DIFFERENCES = 1e-5
-"""Relative to the largest derivative: rounding over steps of a nanosecond."""
-
 
 CHANGING = 5e-3 + 4e-3 * np.abs(np.sin(np.arange(COUNT) / 50.0))
 
@@ -88,7 +85,8 @@ def test_the_derivative_is_that_of_differences(tau, periodic):
     lag = FirstOrderLag(tau, PERIOD, periodic=periodic)
     derivative = lag.derivative(values, lag(values), of_values.T, of_tau.T)
     expected = (above - below) / (2.0 * step)
-    allowed = BY_SMALL_DIFFERENCES * np.abs(expected).max()
+    # Relative to the largest derivative: rounding over steps of a nanosecond.
+    allowed = 1e-5 * np.abs(expected).max()
     np.testing.assert_allclose(derivative, expected, atol=allowed)
 
 

@@ -15,9 +15,6 @@ BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_0.5A"
 SYNTHETIC = "re-synthesised from the published parameter sets; not the original recordings"
 BEGINNINGS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
-GREY_APART = 0.25
-"""Difference of lightness, of 1, by which the two curves are told apart in a grey print."""
-
 
 def comparison(name: str = "run", provenance: str = "", gap: float = 0.0) -> Comparison:
     time = np.arange(400) * 0.01
@@ -63,7 +60,8 @@ def test_both_loops_force_residual_and_histogram_are_drawn() -> None:
 def test_the_curves_are_told_apart_without_colour() -> None:
     measured, predicted = panels(comparison_figure(comparison()))["velocity"].lines
     apart = lightness(measured.get_color()) - lightness(predicted.get_color())
-    assert abs(apart) > GREY_APART
+    # Difference of lightness, of 1, by which the two curves are told apart in a grey print.
+    assert abs(apart) > 0.25
     assert measured.get_linestyle() != predicted.get_linestyle()
 
 

@@ -28,15 +28,6 @@ from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scal
 
 COLD, HOT = 28.0, 71.0
 POINT = (0.0314, 1.5)
-STANDARD_ERRORS = 4.0
-"""By which an estimate may miss the truth: one in some ten thousand would by chance."""
-
-MODEL_ERROR = 0.1
-"""Kelvin by which a curve in ln s may differ from the emulated damper's straight line in F."""
-
-
-INVERTED = 1e-6
-"""Kelvin: rounding, of which the root of a nearly straight parabola makes more."""
 
 
 # -- the emulated damper -----------------------------------------------------------------------
@@ -84,7 +75,9 @@ def test_the_temperature_is_that_of_the_emulated_damper() -> None:
     maps = run.maps(every=2)
     for celsius, scale in list(zip(run.celsius, run.scales, strict=True))[1:-1:2]:
         found = maps.temperature(POINT, scale)
-        allowed = STANDARD_ERRORS * found.standard_error + MODEL_ERROR
+        # By which an estimate may miss the truth: one in some ten thousand would by chance.
+        # Kelvin by which a curve in ln s may differ from the emulated damper's straight line in F.
+        allowed = 4.0 * found.standard_error + 0.1
         assert abs(found.celsius - celsius) < allowed
 
 
@@ -92,12 +85,6 @@ def test_the_temperature_is_that_of_the_emulated_damper() -> None:
 
 ERROR = 2e-3
 """Relative standard error of the force scale of a window."""
-
-SPREAD_ERROR = 0.2
-"""Of a standard deviation of 1 that 200 draws tell: four of its standard errors of 5 %."""
-
-SAME_CURVE = 0.2
-"""Of the error of one window, by which a map of kept points may differ from one of all points."""
 
 
 def observed(
@@ -122,7 +109,8 @@ def test_the_inverse_is_the_inverse(rate: float, span: float, seed: int) -> None
     found = fitted(*observed(seed, rate=rate, span=span))
     for celsius in np.linspace(found.low, found.high, 7)[1:-1]:
         again = found.temperature(found.scale(celsius))
-        assert again.celsius == pytest.approx(celsius, abs=INVERTED)
+        # Kelvin: rounding, of which the root of a nearly straight parabola makes more.
+        assert again.celsius == pytest.approx(celsius, abs=1e-6)
 
 
 def test_the_standard_errors_are_true() -> None:
@@ -134,7 +122,8 @@ def test_the_standard_errors_are_true() -> None:
         value = math.exp(-7e-3 * 20.0) * (1.0 + noise)
         told = found.temperature(ForceScale(value, ERROR * value))
         deviations.append((told.celsius - 50.0) / told.standard_error)
-    assert np.std(deviations) == pytest.approx(1.0, abs=SPREAD_ERROR)
+    # Of a standard deviation of 1 that 200 draws tell: four of its standard errors of 5 %.
+    assert np.std(deviations) == pytest.approx(1.0, abs=0.2)
 
 
 def test_the_error_of_the_temperature_holds_the_scatter_about_the_map() -> None:
@@ -191,4 +180,5 @@ def test_what_is_kept_of_a_long_run_is_bounded_and_says_the_same() -> None:
     assert (kept.low, kept.high) == (whole.low, whole.high)
     middle = 0.5 * (whole.low + whole.high)
     expected = whole.scale(middle).value
-    assert kept.scale(middle).value == pytest.approx(expected, abs=SAME_CURVE * ERROR)
+    # Of the error of one window, by which a map of kept points may differ from one of all points.
+    assert kept.scale(middle).value == pytest.approx(expected, abs=0.2 * ERROR)

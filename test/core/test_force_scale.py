@@ -19,16 +19,6 @@ WEAKER = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0
 NOISELESS = 1e-12
 """Relative: what rounding leaves of the fit to a force without noise."""
 
-STANDARD_ERRORS = 4.0
-"""By which a scale may miss the truth: one normal number in 16 000 does."""
-
-SMALL_ERROR = 2e-4
-"""Relative: noise over force, over the root of 2000 samples, is a standard error of 1e-4."""
-
-
-SCATTER = 0.3
-"""Relative: a standard deviation from 60 draws is good for 9 %."""
-
 
 def fit_of(run: known.Run) -> WindowFit:
     return fit_window(SIGMOID, run.window, known.PLAUSIBLE, method="least_squares")
@@ -53,15 +43,18 @@ def test_a_weaker_damper_has_a_smaller_scale() -> None:
 def test_phase_and_noise_of_the_windows_play_no_part() -> None:
     value, error = scale_between(known.run(seed=1, phase=0.3), known.run(WEAKER, seed=2, phase=2.9))
     # Both fits have an error; the scale tells that of the second.
-    assert value == pytest.approx(0.9, abs=STANDARD_ERRORS * math.sqrt(2.0) * error)
-    assert error < SMALL_ERROR
+    # By which a scale may miss the truth: one normal number in 16 000 does.
+    assert value == pytest.approx(0.9, abs=4.0 * math.sqrt(2.0) * error)
+    # Relative: noise over force, over the root of 2000 samples, is a standard error of 1e-4.
+    assert error < 2e-4
 
 
 def test_the_standard_error_is_the_scatter() -> None:
     baseline = known.run(seed=None)
     scales = [scale_between(baseline, known.run(seed=seed)) for seed in range(60)]
     values, errors = np.array(scales).T
-    assert np.std(values) / np.mean(errors) == pytest.approx(1.0, rel=SCATTER)
+    # Relative: a standard deviation from 60 draws is good for 9 %.
+    assert np.std(values) / np.mean(errors) == pytest.approx(1.0, rel=0.3)
 
 
 def test_without_a_baseline_there_is_no_scale() -> None:

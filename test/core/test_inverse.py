@@ -23,12 +23,6 @@ LOWEST, HIGHEST = 0.0, 2.0
 ROUNDING = 1e-9
 """[N] for a force of one newton: where the current hardly changes the force, rounding counts."""
 
-SOME_SPAN = 1e-3
-"""[N]; where the current changes the force by less, whether it is met is a matter of rounding."""
-
-SAME_SLOPE = 1e-3
-"""Relative: a difference over 2 µA against the derivative, where the law does not bend sharply."""
-
 
 def random_motion(count: int, rng: np.random.Generator) -> Motion:
     """Samples that have nothing to do with each other."""
@@ -76,7 +70,9 @@ def test_a_hundred_thousand_forces_of_the_published_sets(first, block):
         assert current.max() <= HIGHEST
         force = law.force(values, motion, current, PERIOD)
         assert misses(force, wanted, least, most).max() <= 0.0
-        inside = (wanted > least) & (wanted < most) & (span > SOME_SPAN)
+        # [N]; where the current changes the force by less, whether it is met is a matter of
+        # rounding.
+        inside = (wanted > least) & (wanted < most) & (span > 1e-3)
         assert np.concatenate([part.attainable for part in found])[inside].all()
 
 
@@ -144,7 +140,8 @@ def test_the_slope_is_the_derivative_of_the_force(name):
         for side in (-step, step)
     )
     slope = inverse.slope(motion, current, period=PERIOD)[0]
-    assert slope == pytest.approx((high - low) / (2.0 * step), rel=SAME_SLOPE)
+    # Relative: a difference over 2 µA against the derivative, where the law does not bend sharply.
+    assert slope == pytest.approx((high - low) / (2.0 * step), rel=1e-3)
 
 
 def test_of_several_currents_the_lowest_or_the_nearest_to_the_last():

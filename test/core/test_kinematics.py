@@ -21,9 +21,6 @@ from mr_damper_ros.signals.arrays import Array
 EXACT = 1e-10
 """Relative, of a phase in rad: rounding of an offset of a thousand amplitudes, in half a cycle."""
 
-AT_THE_BOUND = 1.4
-"""Variance over the bound: four of the standard errors that one from 200 draws has."""
-
 
 PERIOD = 1e-3
 TIME = np.arange(2000) * PERIOD
@@ -85,7 +82,8 @@ def test_the_sine_fit_is_at_the_cramer_rao_bound() -> None:
         )
     )
     bound = noise**2 * np.diag(np.linalg.inv(columns.T @ columns))[:2]
-    np.testing.assert_array_less(np.mean(np.square(errors), axis=0) / bound, AT_THE_BOUND)
+    # Variance over the bound: four of the standard errors that one from 200 draws has.
+    np.testing.assert_array_less(np.mean(np.square(errors), axis=0) / bound, 1.4)
 
 
 @pytest.mark.parametrize("u", [np.zeros(100), np.full(100, 3.3e-3)], ids=["zero", "constant"])
@@ -225,22 +223,9 @@ def test_without_noise_the_derivatives_of_any_motion_are_right(name: str) -> Non
 
 # -- causal differentiator -------------------------------------------------------------------
 
-SETTLED = 5e-3
-"""Of the largest error: twelve time constants of four equal poles leave 3e-3 of it."""
-
-
-ROUNDING = 1e-11
-"""Relative to the largest value: sums taken in another order differ in their last digits."""
-
-CUBIC = 1e-11
-"""Of sizes at which every coefficient matters: what is left after 55 time constants is rounding."""
 
 BELOW_THE_BANDWIDTH = 1.2
 """Times the first term of the error of a sine, which others follow at a twentieth of the band."""
-
-
-FOLLOWED = 1e-5
-"""[m], of 5 mm: what the start, with the motion at its fastest, costs the narrowest observer."""
 
 
 def followed(u: Array, bandwidth: float = 40.0, period: float = PERIOD) -> tuple[Array, ...]:
@@ -270,7 +255,9 @@ def test_a_cubic_motion_is_followed_without_error(
     late = t > 55.0 * tau
     found = followed(u, bandwidth, period)
     for k, (estimate, truth) in enumerate(zip(found, (u, v, a), strict=True)):
-        assert np.max(np.abs(estimate - truth)[late]) < CUBIC * 1e-2 / tau**k
+        # Of sizes at which every coefficient matters: what is left after 55 time constants is
+        # rounding.
+        assert np.max(np.abs(estimate - truth)[late]) < 1e-11 * 1e-2 / tau**k
 
 
 def errors_until_settled() -> list[float]:
@@ -286,7 +273,8 @@ def errors_until_settled() -> list[float]:
 
 def test_the_start_has_died_away_where_the_observer_says_that_it_is_settled() -> None:
     errors = errors_until_settled()
-    assert errors[-1] < SETTLED * max(errors)
+    # Of the largest error: twelve time constants of four equal poles leave 3e-3 of it.
+    assert errors[-1] < 5e-3 * max(errors)
 
 
 @known.fixed(60)
@@ -300,7 +288,8 @@ def test_the_stream_does_not_depend_on_the_size_of_its_blocks(sizes: list[int]) 
         parts.append(observer.follow(u[first:last]))
         first, place = last, place + 1
     for name, complete, pieces in zip("uva", whole, zip(*parts, strict=True), strict=True):
-        allowed = ROUNDING * np.max(np.abs(complete))
+        # Relative to the largest value: sums taken in another order differ in their last digits.
+        allowed = 1e-11 * np.max(np.abs(complete))
         np.testing.assert_allclose(np.concatenate(pieces), complete, 0.0, allowed, err_msg=name)
 
 
@@ -335,4 +324,5 @@ def test_the_narrowest_band_at_a_high_rate_is_stable() -> None:
     narrowest, _ = possible_bandwidths(period)
     u = 5e-3 * np.sin(2.0 * np.pi * 0.01 * np.arange(300_000) * period)
     displacement, _, _ = followed(u, narrowest, period)
-    assert np.max(np.abs(displacement - u)) < FOLLOWED
+    # [m], of 5 mm: what the start, with the motion at its fastest, costs the narrowest observer.
+    assert np.max(np.abs(displacement - u)) < 1e-5

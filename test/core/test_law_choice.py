@@ -15,8 +15,6 @@ from mr_damper_ros.models.quantities import LoopReading
 from mr_damper_ros.signals.arrays import Array
 
 PERIOD = 2e-3
-NOISE = 5.0
-"""Standard deviation of the force's noise [N]."""
 
 CHEAP = ("bingham", "hyperbolic_tangent")
 
@@ -27,7 +25,8 @@ def run(values: Array, model: str, amplitude: float, seed: int = 0, samples: int
     displacement = amplitude * np.sin(2.0 * np.pi * time)
     still = Window.from_samples(displacement, displacement, np.ones(samples), PERIOD)
     force = MODELS[model].window_force(still, values)
-    force = force + np.random.default_rng(seed).normal(0.0, NOISE, samples)
+    # Standard deviation of the force's noise [N].
+    force = force + np.random.default_rng(seed).normal(0.0, 5.0, samples)
     return Window.from_samples(displacement, force, np.ones(samples), PERIOD)
 
 

@@ -20,17 +20,10 @@ from mr_damper_ros.signals.arrays import Array
 RUNNING = known.PLAUSIBLE
 RANDOM = BandLimitedRandom(rms=4e-3, low=0.2, high=2.0, seed=2)
 
-UNMOVED = 0.2
-"""Standard errors by which the running set may move what a window determines well."""
 
 AS_WELL = 1.001
 """Most that the RMSE may be of that of the fit to the window alone."""
 
-NEARLY_AS_WELL = 1.3
-"""The same of a window that refutes the running set, which may cost it a quarter."""
-
-BETTER = 0.5
-"""Most that the error elsewhere may be of that of the fit to a short window alone."""
 
 FAST = 0.3
 """Peak velocity [m/s] that the running set holds for."""
@@ -38,13 +31,6 @@ FAST = 0.3
 HARDLY = 0.2 * WANDER
 """Part of a fast motion's force that a window of slow motion may change: less than what wanders
 between two windows, and less than a third of what it changes where a fast motion does not count."""
-
-SPOILT = 0.1
-"""Least NRMSE in the usual motion of what a window of a small one has spoilt."""
-
-
-AFTERWARDS = 500
-"""Samples that go on after a window, so that its motion has no end."""
 
 
 def steady(parameters: Array = RUNNING) -> Window:
@@ -64,7 +50,8 @@ def random_window(
 
     ``unmodelled`` [1]: a slow part of the force that no law has.
     """
-    time = np.arange(first + samples + AFTERWARDS) * 1e-3
+    # Samples that go on after a window, so that its motion has no end.
+    time = np.arange(first + samples + 500) * 1e-3
     whole = size * RANDOM.at(time).displacement
     window = Window.from_samples(whole, np.zeros(whole.size), 1.0, 1e-3)
     clean = MODELS[name].window_force(window, known.EXAMPLES[name])
@@ -92,7 +79,8 @@ def test_a_steady_sine_is_fitted_as_without_a_running_set() -> None:
     alone = own(window)
     weighed = weigh(window, off)
     errors = np.sqrt(np.diag(alone.covariance))
-    assert np.max(np.abs(weighed.scales - alone.scales) / errors) < UNMOVED
+    # Standard errors by which the running set may move what a window determines well.
+    assert np.max(np.abs(weighed.scales - alone.scales) / errors) < 0.2
     assert weighed.rmse < AS_WELL * alone.rmse
 
 
@@ -110,7 +98,8 @@ def test_what_a_short_window_of_random_motion_leaves_open_stays() -> None:
             ]
         )
     alone_error, weighed_error = np.median(errors, axis=0)
-    assert weighed_error < BETTER * alone_error
+    # Most that the error elsewhere may be of that of the fit to a short window alone.
+    assert weighed_error < 0.5 * alone_error
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -148,7 +137,8 @@ def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it
     poor = own(window(0.3, 7.0)).parameters
     alone = own(cycle)
     weighed = weigh(cycle, poor)
-    assert weighed.rmse < NEARLY_AS_WELL * alone.rmse
+    # The same of a window that refutes the running set, which may cost it a quarter.
+    assert weighed.rmse < 1.3 * alone.rmse
 
 
 @pytest.mark.parametrize("fastest", [0.1, np.inf])
@@ -179,4 +169,5 @@ def test_a_motion_that_dies_away_spoils_no_law(name: str) -> None:
     window = random_window(1500, 1500, name=name, size=0.15, seed=1)
     weighed = weigh(window, running, name)
     error = known.rms(model.window_force(elsewhere, weighed.parameters) - elsewhere.force)
-    assert error < SPOILT * np.std(elsewhere.force)
+    # Least NRMSE in the usual motion of what a window of a small one has spoilt.
+    assert error < 0.1 * np.std(elsewhere.force)

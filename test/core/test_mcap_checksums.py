@@ -23,7 +23,6 @@ from mr_damper_ros.io.mcap_checksums import (
 )
 from mr_damper_ros.signals.recording import Recording
 
-START = 1_700_000_000_000_000_000
 ENOUGH = 100_000_000
 CHUNK = 0x06
 BAGS = Path(__file__).parents[2] / "bags"
@@ -34,7 +33,14 @@ def bag(tmp_path: Path) -> Path:
     time = np.arange(300) * 1e-3
     write_bag(
         tmp_path / "bag",
-        Recording("bag", START, 1e-3, 1e-3 * np.sin(20.0 * time), 1e3 * time, np.ones(300)),
+        Recording(
+            "bag",
+            1_700_000_000_000_000_000,
+            1e-3,
+            1e-3 * np.sin(20.0 * time),
+            1e3 * time,
+            np.ones(300),
+        ),
     )
     return tmp_path / "bag"
 

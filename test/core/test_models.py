@@ -19,20 +19,9 @@ PERIOD = 1e-3
 ROUNDING = 1e-9
 """[N]: the same sums in another order, of forces of a few kilonewtons."""
 
-SETTLED = 1e-3
-"""[N], 100 ms after a change: fifteen time constants leave a millionth of the step of force."""
-
-FIRST_SAMPLE = 0.2
-"""Part of a step that the lag may let through at once: tau is 2.4 ms, a sample 1 ms, so 0.19."""
-
-INTEGRATION = 2e-3
-"""RMSE of the integration at steps of 1 ms, relative to the spread of the force."""
 
 HALVED = 2.5
 """Least factor on the error where the step is halved: 4 in the limit, as it is of second order."""
-
-SAMPLED_SINE = 1e-4
-"""Of a sine of size 1: the straight lines between its samples miss it by up to 4e-5."""
 
 
 def motion(samples: int = 1000, period: float = PERIOD):
@@ -123,8 +112,10 @@ def test_a_lagging_force_does_not_jump_where_the_parameters_change():
     last, after, changed = changed_on_the_way("sigmoid_lag", "f0", 2.0)
     settled = MODELS["sigmoid_lag"].force(changed, motion(1000), 1.0, PERIOD)[400:]
     step = settled[0] - last
-    assert 0.0 < (after[0] - last) / step < FIRST_SAMPLE
-    np.testing.assert_allclose(after[100:], settled[100:], atol=SETTLED)
+    # Part of a step that the lag may let through at once: tau is 2.4 ms, a sample 1 ms, so 0.19.
+    assert 0.0 < (after[0] - last) / step < 0.2
+    # [N], 100 ms after a change: fifteen time constants leave a millionth of the step of force.
+    np.testing.assert_allclose(after[100:], settled[100:], atol=1e-3)
 
 
 AMPLITUDE, OMEGA = 5e-3, 2.0 * np.pi
@@ -193,7 +184,8 @@ def test_integration_converges_to_solve_ivp(name, reference):
         expected = reference(times)
         got = model.force(EXAMPLES[name], w, 0.0, period)
         errors.append(np.sqrt(np.mean((got - expected) ** 2)) / np.std(expected))
-    assert errors[1] < INTEGRATION
+    # RMSE of the integration at steps of 1 ms, relative to the spread of the force.
+    assert errors[1] < 2e-3
     assert errors[2] < errors[1] / HALVED < errors[0] / (2.0 * HALVED)
 
 
@@ -217,7 +209,8 @@ def test_lag_of_a_sine_has_the_amplitude_and_phase_of_theory():
     got = lagged(np.sin(omega * t), np.full(3000, tau), period)[1000:]
     ratio = 1.0 / np.sqrt(1.0 + (omega * tau) ** 2)
     expected = ratio * np.sin(omega * t - np.arctan(omega * tau))[1000:]
-    np.testing.assert_allclose(got, expected, atol=SAMPLED_SINE)
+    # Of a sine of size 1: the straight lines between its samples miss it by up to 4e-5.
+    np.testing.assert_allclose(got, expected, atol=1e-4)
 
 
 def test_the_time_constant_of_the_lag_is_the_compliance_times_the_damping_of_the_sigmoid():

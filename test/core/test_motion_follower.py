@@ -31,13 +31,6 @@ def predictor() -> ForcePredictor:
     return made
 
 
-ROUNDING = 1e-12
-"""[m/s]."""
-
-FITTED_LATER = 1e-9
-"""[m/s]; the samples that a sine without noise was fitted to do not matter."""
-
-
 def blocks(displacement: Array, *sizes: int) -> list[SampleBlock]:
     return known.blocks(displacement, np.zeros(displacement.size), sizes)
 
@@ -96,7 +89,8 @@ def test_what_comes_after_a_sine_is_followed_as_if_there_had_been_none(size: int
         follower.catch_up()
         was_steady += follower.steady
         if first > end and not follower.steady:
-            np.testing.assert_allclose(found.velocity, velocity, atol=ROUNDING)
+            # [m/s].
+            np.testing.assert_allclose(found.velocity, velocity, atol=1e-12)
     assert was_steady > 100 // size
     assert not follower.steady
 
@@ -110,7 +104,8 @@ def test_single_samples_are_followed_as_blocks_are() -> None:
         one = np.concatenate([getattr(motion, name) for motion in motions])
         other = np.concatenate([getattr(motion, name) for motion in blocks_of_20])
         # With single samples the sine may be found some samples sooner, but long before 2 s.
-        np.testing.assert_allclose(one[2000:], other[2000:], atol=FITTED_LATER)
+        # [m/s]; the samples that a sine without noise was fitted to do not matter.
+        np.testing.assert_allclose(one[2000:], other[2000:], atol=1e-9)
 
 
 def test_a_rest_is_one_for_as_long_as_it_lasts() -> None:

@@ -21,9 +21,6 @@ from mr_damper_ros.signals.moving_average import (
     undo_average_in_motion,
 )
 
-ROUNDING = 1e-9
-"""Of sums over the whole signal, relative to its size."""
-
 WRITTEN = 1e-4
 """[mm], [N]: twelve digits of numbers up to 1e4 are written, and thousands of roundings add up."""
 
@@ -46,7 +43,8 @@ def motion(seed: int = 0, samples: int = SAMPLES) -> Array:
 def test_undone_is_what_was_averaged(count: int, seed: int) -> None:
     values = motion(seed, 1000)
     size = np.abs(values).max()
-    assert np.allclose(undo_average(averaged(values, count), count), values, atol=ROUNDING * size)
+    # Of sums over the whole signal, relative to its size.
+    assert np.allclose(undo_average(averaged(values, count), count), values, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("part", [slice(777, 5777), slice(1500, 5000)])

@@ -32,10 +32,6 @@ OF_FEW = 0.02
 which they begin is not that at which they end."""
 
 
-RARE = 5.0
-"""Standard deviations of the noise of a velocity, which hardly any of 6000 samples exceeds."""
-
-
 ROUNDING = 1e-12
 """Relative: sums of other parts of the same samples."""
 
@@ -119,7 +115,8 @@ def test_noise_of_the_velocity_does_not_count_as_half_cycles() -> None:
     deviation = 1e-3
     noise = np.random.default_rng(1).normal(0.0, deviation, TIME.size)
     found = PeakVelocity(PERIOD).follow(velocity + noise, acceleration)
-    assert np.all(np.abs(found[TIME > 2.5] - 0.03) < RARE * deviation)
+    # Standard deviations of the noise of a velocity, which hardly any of 6000 samples exceeds.
+    assert np.all(np.abs(found[TIME > 2.5] - 0.03) < 5.0 * deviation)
 
 
 @pytest.mark.parametrize("memory", [MEMORY, 0.05])

@@ -17,8 +17,6 @@ from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 ROUNDING = 1e-9
 """Relative."""
 
-DIFFERENCES = 1e-4
-"""Relative error of a second difference of many samples a cycle."""
 
 SWEEP = PeriodicMotion(MotionKind.SWEEP, 0.008, 0.6, 3.4, 2.0)
 RANDOM = PeriodicMotion(MotionKind.RANDOM, 0.008, 0.6, 3.4, 2.0, 3)
@@ -51,7 +49,8 @@ def test_velocity_and_acceleration_are_derivatives(motion: PeriodicMotion) -> No
     displacement, velocity, acceleration = motion.at(time)
     for value, slope in ((displacement, velocity), (velocity, acceleration)):
         error = np.abs(np.gradient(value, time) - slope)[1:-1].max()
-        assert error < DIFFERENCES * np.abs(slope).max()
+        # Relative error of a second difference of many samples a cycle.
+        assert error < 1e-4 * np.abs(slope).max()
 
 
 def test_a_swept_sine_goes_from_the_lowest_frequency_to_the_highest_and_back() -> None:

@@ -32,21 +32,11 @@ PREDICTED = 0.02
 """NRMSE of a prediction from the right parameters on a motion well below the bandwidth."""
 
 
-SAME_FORCE = 1e-6
-"""[N]: of a kilonewton, where nothing differs but rounding and what a lag has forgotten."""
-
-
-SMALL_ERROR = 0.05
-"""Of the peak force: what is predicted of a motion across a gap is off by less."""
-
 CENTRE = 0.02
 """[m] that a motion is moved by."""
 
 STEADY_CENTRE = 1e-6
 """[m]: a sample a millisecond misses the reversals of 5 mm at 1 Hz by up to 25 nm."""
-
-MOVED_CENTRE = 1e-4
-"""[m]: half a percent of the way that the centre went."""
 
 
 def predictor(
@@ -108,7 +98,8 @@ def test_the_force_of_a_steady_motion_does_not_depend_on_the_size_of_the_blocks(
     # The centre is known after a cycle; from then on the blocks play no part.
     reference = forces(predicted(predictor(), stream(RUN.displacement[:3000], 50)))
     found = forces(predicted(predictor(), stream(RUN.displacement[:3000], *sizes)))
-    np.testing.assert_allclose(found[2000:], reference[2000:], atol=SAME_FORCE)
+    # [N]: of a kilonewton, where nothing differs but rounding and what a lag has forgotten.
+    np.testing.assert_allclose(found[2000:], reference[2000:], atol=1e-6)
 
 
 def test_a_current_step_inside_a_block_is_followed_at_its_sample() -> None:
@@ -310,7 +301,8 @@ def test_a_force_that_was_not_measured_says_nothing_of_the_parameters() -> None:
     run = known.run(current=1.0, frequency=1.0, samples=1200, period=5e-3, seed=None)
     blocks = known.blocks(run.displacement, run.clean, (10,), period=5e-3)
     turns = {61, 71, 81, 91, 101, 111}
-    made = predictor(maximum_error=SMALL_ERROR)
+    # Of the peak force: what is predicted of a motion across a gap is off by less.
+    made = predictor(maximum_error=0.05)
     kept = [block for block in blocks if block.sequence // 10 not in turns]
     doubts = {p.doubt.kind for p in predicted(made, kept)[55:]}
     assert made.sequence.bridged_samples == 10 * len(turns)
@@ -357,4 +349,5 @@ def test_the_centre_of_a_sine_is_found_within_a_cycle(size: int) -> None:
 )
 def test_a_centre_that_moves_is_followed_within_the_memory(size: int) -> None:
     moved = np.concatenate((RUN.displacement, RUN.displacement + CENTRE))
-    assert centres(moved, size, memory=2.0)[-1] == pytest.approx(CENTRE, abs=MOVED_CENTRE)
+    # [m]: half a percent of the way that the centre went.
+    assert centres(moved, size, memory=2.0)[-1] == pytest.approx(CENTRE, abs=1e-4)

@@ -23,17 +23,6 @@ from mr_damper_ros.models.sigmoid.law import (
 )
 from mr_damper_ros.signals.arrays import Array
 
-NORMAL_QUANTILE = 1.96
-NEARLY_LINEAR = 0.03
-"""Relative difference of an interval of the likelihood ratio and one of standard errors."""
-
-CENTRED = 0.1
-"""Of half the interval, by which its middle may lie off the estimate where the law is bent."""
-
-
-MADE_UP_FOR = 1e-4
-"""Relative error of coefficients that seven scales reproduce after a change of the shape."""
-
 MEMORY = 0.9
 """Lag-1 autocorrelation of the residual."""
 
@@ -81,10 +70,12 @@ def test_the_interval_is_that_of_the_covariance_where_the_law_is_nearly_linear(
     misfit, values = fit
     covariance = least_squares_covariance(misfit.jacobian(values), misfit.residual(values))
     place = known.index(name)
-    half = NORMAL_QUANTILE * math.sqrt(covariance[place, place])
+    half = 1.96 * math.sqrt(covariance[place, place])
     low, high = ProfileLikelihood(SIGMOID, misfit, values, ALL, RANGES).of(name).interval
-    assert (high - low) / (2.0 * half) == pytest.approx(1.0, abs=NEARLY_LINEAR)
-    assert 0.5 * (low + high) == pytest.approx(values[place], abs=CENTRED * half)
+    # Relative difference of an interval of the likelihood ratio and one of standard errors.
+    assert (high - low) / (2.0 * half) == pytest.approx(1.0, abs=0.03)
+    # Of half the interval, by which its middle may lie off the estimate where the law is bent.
+    assert 0.5 * (low + high) == pytest.approx(values[place], abs=0.1 * half)
 
 
 def test_where_one_current_was_seen_nothing_bounds_the_laws_over_current() -> None:
@@ -132,4 +123,5 @@ def test_at_one_operating_point_any_change_can_be_made_up_for(name: str, value: 
     )
     found = np.concatenate(operating_point_coefficients(values, run.top_speed, run.current))
     assert values[known.index(name)] == value
-    np.testing.assert_allclose(found, run.coefficients, rtol=MADE_UP_FOR)
+    # Relative error of coefficients that seven scales reproduce after a change of the shape.
+    np.testing.assert_allclose(found, run.coefficients, rtol=1e-4)

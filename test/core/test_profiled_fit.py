@@ -18,9 +18,6 @@ from mr_damper_ros.processes.process_pool import ProcessPool
 
 QUICK = EvolutionSettings(generations=20, population=6)
 
-SAME_MINIMUM = 1e-3
-"""Relative difference of costs at one minimum, searched with a tolerance."""
-
 
 @pytest.fixture(scope="module")
 def windows() -> list[Window]:
@@ -56,6 +53,7 @@ def test_a_profile_that_finds_a_lower_minimum_starts_the_fit_again(
         (before,) = profiles_of(off(good), windows, ["a0"], processes)
         fit, (profile,) = profiled(off(good), windows, ["a0"], QUICK, processes)
     assert not before.contains(off(good).parameter_set.as_dict()["a0"])
-    assert fit.cost == pytest.approx(good.cost, rel=SAME_MINIMUM)
+    # Relative difference of costs at one minimum, searched with a tolerance.
+    assert fit.cost == pytest.approx(good.cost, rel=1e-3)
     assert profile.contains(fit.parameter_set.as_dict()["a0"])
     assert np.isfinite(profile.lowest).all()

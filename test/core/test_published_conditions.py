@@ -21,12 +21,10 @@ from mr_damper_ros.models.published import (
 )
 from mr_damper_ros.models.sigmoid.law import sine_force
 
-PHASE = 1.0
-
 
 def steady_force(condition: Condition, method: str) -> np.ndarray:
     time = np.arange(1000) / 1000.0 / condition.frequency
-    motion = SineMotion(condition.amplitude, condition.frequency, phase=PHASE).at(time)
+    motion = SineMotion(condition.amplitude, condition.frequency, phase=1.0).at(time)
     return sine_force(parameters(condition, method), *motion, condition.current)
 
 

@@ -15,7 +15,6 @@ from mr_damper_ros.tracking.force_scale import ForceScale, ScaleScatter
 
 N, CYCLE = 2000, 800.0
 
-RUNS = 300
 
 SCATTER = (0.75, 1.3)
 """Of a standard deviation from so many runs, and an estimate that is good for a fifth."""
@@ -40,7 +39,7 @@ def repeated(memory: float, misfit: float) -> tuple[Array, Array, Array]:
     """Fits (r, 2) of windows that begin at any phase, and their errors of both kinds (r, 2)."""
     fits, repeatabilities, discrepancies = [], [], []
     rng = np.random.default_rng(9)
-    for seed in range(RUNS):
+    for seed in range(300):
         phase = rng.random()
         columns = design(phase)
         third = np.sin(6.0 * np.pi * (np.arange(N) / CYCLE + phase))

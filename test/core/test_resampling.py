@@ -10,12 +10,6 @@ from hypothesis import strategies as st
 from mr_damper_ros.signals.arrays import white_noise
 from mr_damper_ros.signals.uniform_grid import at_even_times
 
-ROUNDING = 1e-6
-"""Of values of the order of the cubes of the places."""
-
-SAME_NOISE = 0.1
-"""Part by which the white noise of a few thousand samples may seem to change."""
-
 
 def uneven(count: int, seed: int) -> np.ndarray:
     return np.arange(count) + np.random.default_rng(seed).uniform(-0.5, 0.5, count)
@@ -30,7 +24,8 @@ def test_a_cubic_is_found_at_even_times(seed: int, cubic: list[float], count: in
     places = uneven(count, seed)
     wanted = np.arange(count) - 0.5
     found = at_even_times(wanted, places, np.polyval(cubic, places))
-    np.testing.assert_allclose(found, np.polyval(cubic, wanted), atol=ROUNDING * count**3)
+    # Of values of the order of the cubes of the places.
+    np.testing.assert_allclose(found, np.polyval(cubic, wanted), atol=1e-6 * count**3)
 
 
 def test_white_noise_stays_white() -> None:
@@ -38,7 +33,8 @@ def test_white_noise_stays_white() -> None:
     count = 4000
     noise = np.random.default_rng(1).standard_normal(count)
     brought = at_even_times(np.arange(count) - 0.5, uneven(count, seed=2), noise)
-    assert white_noise(brought) == pytest.approx(white_noise(noise), rel=SAME_NOISE)
+    # Part by which the white noise of a few thousand samples may seem to change.
+    assert white_noise(brought) == pytest.approx(white_noise(noise), rel=0.1)
 
 
 @pytest.mark.parametrize("places", [[0.0], [0.0, 1.0], [2.0] * 20])

@@ -11,12 +11,11 @@ from mr_damper_ros.tracking.residual_monitor import ResidualMonitor
 
 PERIOD = 1e-3
 PEAK = 1000.0
-LIMIT = 0.2
 
 
 def watch_of(noise: float) -> tuple[ResidualMonitor, Array]:
     """One that has followed a second of a sine force, and the next samples of that."""
-    watch = ResidualMonitor(PERIOD, LIMIT)
+    watch = ResidualMonitor(PERIOD, 0.2)
     angle = 2.0 * np.pi * PERIOD * np.arange(3000)
     force = PEAK * np.sin(angle) + noise * np.random.default_rng(0).standard_normal(angle.size)
     for part in np.split(force, 300):

@@ -17,8 +17,6 @@ from mr_damper_ros.signals.arrays import Array
 
 PERIOD, CURRENT = 1e-3, 1.0
 
-ROUNDING = 1e-6
-
 
 def motion(amplitude: float = 5e-3, frequency: float = 1.0, cycles: float = 2.5) -> Motion:
     time = np.arange(round(cycles / frequency / PERIOD)) * PERIOD
@@ -52,7 +50,7 @@ def test_there_is_no_jump(model_name: str) -> None:
     exact, gradual = forces(model_name, sine)
     turns = np.diff(np.sign(sine.acceleration)) != 0.0
     usual = float(np.abs(np.diff(exact))[~turns].max())
-    assert np.abs(np.diff(gradual)).max() < (1.0 + ROUNDING) * usual
+    assert np.abs(np.diff(gradual)).max() < (1.0 + 1e-6) * usual
 
 
 def test_noise_of_the_acceleration_does_not_matter() -> None:

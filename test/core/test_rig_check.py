@@ -11,9 +11,6 @@ from benchmarks.rig_troubles import FAULTS, MOTIONS, RATE, record
 from mr_damper_ros.rig_check.checks import check_rig
 from mr_damper_ros.rig_check.record import RigRecord, Trouble, channel_lag
 
-SKEW = 1.2e-3
-"""[s]: three standard errors of the method."""
-
 
 def troubles(heard: RigRecord) -> list[Trouble]:
     return [finding.trouble for finding in check_rig(heard).findings]
@@ -92,7 +89,8 @@ def test_the_skew_is_told_with_an_error_that_holds(skew: float) -> None:
     fault = f"{'force' if skew > 0.0 else 'displacement'}_delay:{abs(skew)}" if skew else ""
     lag = channel_lag(*record(fault).stretch(), 1.0 / RATE)
     assert lag.determined
-    assert abs(lag.skew - skew) < min(3.0 * lag.standard_error, SKEW + 1e-4)
+    # [s]: three standard errors of the method.
+    assert abs(lag.skew - skew) < min(3.0 * lag.standard_error, 1.2e-3 + 1e-4)
 
 
 @pytest.mark.parametrize("motion", ["sine", "chirp", "random"])

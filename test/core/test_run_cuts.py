@@ -14,8 +14,6 @@ from mr_damper_ros.io.records import RunsOfFile, read_runs
 from mr_damper_ros.tools import import_record
 
 RATE = 200.0
-NOISE = 2e-6
-"""[m] of the displacement."""
 
 COLUMNS = "time:s,displacement:m,force:N"
 
@@ -39,7 +37,8 @@ def rest(seconds: float) -> np.ndarray:
 def write(path: Path, parts: Sequence[np.ndarray], *more: np.ndarray, pause: float = 0.0) -> Path:
     """A file of the parts one after the other, with a pause of the logger between them."""
     values = np.concatenate(parts, axis=1)
-    values = values + np.random.default_rng(0).normal(0.0, [[NOISE], [2.0]], values.shape)
+    # [m] of the displacement.
+    values = values + np.random.default_rng(0).normal(0.0, [[2e-6], [2.0]], values.shape)
     pauses = np.repeat(np.arange(len(parts)) * pause, [part.shape[1] for part in parts])
     time = np.arange(values.shape[1]) / RATE + pauses
     np.savetxt(path, np.stack([time, *values, *more], axis=1), fmt="%.9g", delimiter=",")

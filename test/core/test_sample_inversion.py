@@ -25,14 +25,10 @@ LOWEST, HIGHEST = 0.0, 2.0
 SAME = 1e-9
 """Relative: the same operations, in another order."""
 
-SAME_FORCE = 1e-8
-"""Of the span: each of the two searches ends where it is off by a tenth of that."""
 
 SAME_EXTREMUM = 2e-7
 """Of the span: an extremum that is a kink is found to a millionth of a cell of the nodes."""
 
-FLAT = 4e-7
-"""Of the span: by less a force does not tell two currents apart."""
 
 ROUNDING = 1e-9
 """[N] for a force of one newton."""
@@ -130,10 +126,12 @@ def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool)
         one = inverse.current(response, asked.wanted, asked.last)
         few = FoundCurrent(found.current[0], found.force[0], bool(found.attainable[0]))
         assert one.attainable == few.attainable
-        allowed = (SAME_FORCE if few.attainable else SAME_EXTREMUM) * span + ROUNDING * size
+        # Of the span: each of the two searches ends where it is off by a tenth of that.
+        allowed = (1e-8 if few.attainable else SAME_EXTREMUM) * span + ROUNDING * size
         assert one.force == pytest.approx(few.force, abs=allowed)
         between = [response.force(c) for c in np.linspace(one.current, few.current, 5).tolist()]
-        assert max(between) - min(between) <= FLAT * span + ROUNDING * size
+        # Of the span: by less a force does not tell two currents apart.
+        assert max(between) - min(between) <= 4e-7 * span + ROUNDING * size
 
     check()
 

@@ -26,18 +26,9 @@ EXAMPLE_AT_REST = np.zeros(len(LAW.parameters))
 """Without the gas, and the same at every current."""
 EXAMPLE_AT_REST[:6] = EXAMPLE[:6]
 
-MAXWELL = 0.002
-"""Relative: a step of 1 ms of a time constant of 20 ms, of second order."""
-
 
 SAME = 1e-9
 """Relative: rounding, and how far the search for a flow goes."""
-
-DERIVATIVES = 1e-4
-"""Relative to the largest: differences in steps of 1e-5 of a law that bends."""
-
-INITIAL = 0.02
-"""Relative to the span of the force: a start is forgotten to a hundredth, at both of its ends."""
 
 
 def moved(samples: int = 1500, period: float = 1e-3, seed: int = 3) -> Motion:
@@ -64,7 +55,8 @@ def test_a_spring_and_a_dashpot_are_maxwells() -> None:
     tau = dashpot / stiffness
     theory = dashpot * (velocity + omega * tau * np.sin(omega * time)) / (1.0 + (omega * tau) ** 2)
     force = LAW.force(values, motion, 0.0, 1e-3)
-    assert relative(force[1000:], theory[1000:]) < MAXWELL
+    # Relative: a step of 1 ms of a time constant of 20 ms, of second order.
+    assert relative(force[1000:], theory[1000:]) < 0.002
 
 
 @known.fixed(40)
@@ -127,8 +119,9 @@ def test_the_derivatives_are_those_of_differences(name: str, current: str, coil:
         expected = (pooled.residual(values + step) - pooled.residual(values - step)) / (
             2.0 * step[place]
         )
+        # Relative to the largest: differences in steps of 1e-5 of a law that bends.
         np.testing.assert_allclose(
-            every[:, place], expected, atol=DERIVATIVES * max(float(np.abs(expected).max()), 1e-9)
+            every[:, place], expected, atol=1e-4 * max(float(np.abs(expected).max()), 1e-9)
         )
 
 
@@ -146,4 +139,5 @@ def test_only_samples_that_have_forgotten_the_past_count(stiffening: float) -> N
     settled = LAW.settled(late, values)
     error = LAW.window_force(late, values) - late.force
     assert not settled.all()
-    assert np.max(np.abs(error[settled])) < INITIAL * np.ptp(late.force)
+    # Relative to the span of the force: a start is forgotten to a hundredth, at both of its ends.
+    assert np.max(np.abs(error[settled])) < 0.02 * np.ptp(late.force)

@@ -10,8 +10,6 @@ from known import SIGMOID
 from mr_damper_ros.estimation.global_fit import error_of_set
 from mr_damper_ros.models.parameter_set import ParameterSet
 
-ROUNDING = 1e-9
-
 
 def test_the_peak_velocity_is_held_within_the_range_of_the_set() -> None:
     run = known.run(seed=None)
@@ -19,5 +17,5 @@ def test_the_peak_velocity_is_held_within_the_range_of_the_set() -> None:
     held = run.window.held_within(0.0, 0.5 * run.top_speed)
     predicted = SIGMOID.window_force(held, known.PLAUSIBLE)
     error = error_of_set(narrow, [run.window])
-    assert error.rmse == pytest.approx(known.rms(predicted - run.force), rel=ROUNDING)
+    assert error.rmse == pytest.approx(known.rms(predicted - run.force), rel=1e-9)
     assert error.rmse > 0.01 * np.std(run.force)

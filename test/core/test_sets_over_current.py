@@ -35,8 +35,6 @@ STRONGER = 1.2
 NEAR = 0.05
 """NRMSE: what the observer leaves where the motion turns, the coil, and the factor."""
 
-FAR = 0.1
-"""NRMSE: less than what a set for another current leaves."""
 
 SIGMOID = replace(ParameterSet(known.PLAUSIBLE), set_id="sigmoid")
 TANH = DAMPERS["viscous_tanh"]
@@ -231,7 +229,8 @@ def test_a_wrong_set_for_all_is_not_called_valid() -> None:
     wrong = with_values(poor(SIGMOID), k2=-1.0)
     came = course([Said(5.0, window_of(SIGMOID, LOW, "low"))], whole=wrong)
     assert came.set_at(END - 0.1).startswith("whole")
-    assert came.nrmse() > FAR
+    # NRMSE: less than what a set for another current leaves.
+    assert came.nrmse() > 0.1
     assert came.predictions[-1].doubt.kind.grave
 
 

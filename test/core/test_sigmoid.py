@@ -38,8 +38,6 @@ from mr_damper_ros.signals.arrays import Array
 ROUNDING = 1e-9
 """Relative: the routine and the law round differently, no more."""
 
-PUBLISHED_PEAK = 0.02
-"""The sets of the temperature tables have two decimals: their peaks are right within this."""
 
 ROWS = [(c, m) for c in thesis.CONDITIONS for m in thesis.PUBLISHED_METHODS]
 ROW_IDS = [f"{c.name}-{m}" for c, m in ROWS]
@@ -176,9 +174,6 @@ def test_each_scale_parameter_scales_its_coefficient_alone(scale: str) -> None:
 
 # -- derivatives -----------------------------------------------------------------------------
 
-DERIVATIVE = 1e-5
-"""Agreement of analytic and numeric derivatives, relative to the largest of a column."""
-
 
 def assert_columns_agree(analytic: Array, numeric: Array, names: tuple[str, ...]) -> None:
     assert analytic.shape == numeric.shape
@@ -186,7 +181,8 @@ def assert_columns_agree(analytic: Array, numeric: Array, names: tuple[str, ...]
         exact, found = analytic[..., column], numeric[..., column]
         size = max(float(np.max(np.abs(exact))), float(np.max(np.abs(found))))
         error = float(np.max(np.abs(exact - found)))
-        assert error <= DERIVATIVE * size + 1e-5, f"derivative by {name}: off by {error:g}"
+        # Agreement of analytic and numeric derivatives, relative to the largest of a column.
+        assert error <= 1e-5 * size + 1e-5, f"derivative by {name}: off by {error:g}"
 
 
 def numeric_derivatives(function: object, x: Array) -> Array:
@@ -299,7 +295,8 @@ def test_peaks_of_the_temperature_sets(
     run = known.run(values, amplitude=5e-3, frequency=1.0, current=1.5, seed=None)
     assert round(run.clean.max()) == top
     assert round(run.clean.min()) == bottom
-    assert run.clean.max() == pytest.approx(published, rel=PUBLISHED_PEAK)
+    # The sets of the temperature tables have two decimals: their peaks are right within this.
+    assert run.clean.max() == pytest.approx(published, rel=0.02)
 
 
 def difference_of_methods(condition: Condition) -> float:

@@ -28,41 +28,24 @@ TIME = np.arange(40) * 0.01
 DISPLACEMENT_MM = 5.0 * np.sin(20.0 * TIME)
 FORCE = 900.0 * np.cos(20.0 * TIME) + 3.0
 
-WRITTEN_DISPLACEMENT = 1e-9
-"""[m]: six decimals of a millimetre are written."""
 
 WRITTEN_FORCE = 1e-6
 """[N]: six decimals are written."""
 
-ROUNDING = 1e-13
-"""Relative: a unit and a factor are one or two products."""
 
 ROUNDING_OF_TIMES = 1e-12
 """Relative: a period is a difference of times, of up to two thousand periods, over their number."""
 
-ROUNDING_OF_CURRENT = 1e-14
-"""[A]: milliamperes are one product."""
-
-ROUNDING_OF_KELVIN = 1e-11
-"""[degC]: a temperature is a difference from 273.15 K."""
 
 REACHED = (0.75, 1.05)
 """Of the stroke that the name of a record states: the fastest strokes were a fifth shorter."""
 
-SAME_STROKE = 0.01
-"""Relative: the press repeats its stroke, and the bounds stand here with three digits."""
 
 PEAK_FORCES = (100.0, 2000.0)
 """[N]: any unit but the right one would be off by a factor of ten or more."""
 
 PEAK_FORCES_OF_RAW_RECORDS = (1000.0, 2000.0)
 """[N]: both were made with a strong current."""
-
-INTEGRATION = 0.2
-"""Part of the amplitude: the straight line that is taken out leans with the ten cycles, too."""
-
-STATED_PEAKS = 1e-3
-"""[N]: the peaks stand here with three decimals."""
 
 
 def rows(separator: str = " ", decimal: str = ".") -> list[str]:
@@ -86,9 +69,8 @@ def write(tmp_path: Path) -> Any:
 
 def assert_is_the_run(path: Path, columns: str = COLUMNS, **options: Any) -> None:
     read = read_record(path, columns, **{"current": 0.5, **options})
-    np.testing.assert_allclose(
-        read.displacement, DISPLACEMENT_MM * 1e-3, rtol=0.0, atol=WRITTEN_DISPLACEMENT
-    )
+    # [m]: six decimals of a millimetre are written.
+    np.testing.assert_allclose(read.displacement, DISPLACEMENT_MM * 1e-3, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(read.force, FORCE, rtol=0.0, atol=WRITTEN_FORCE)
     np.testing.assert_array_equal(read.current, np.full(40, 0.5))
     assert read.period == pytest.approx(0.01, rel=ROUNDING_OF_TIMES, abs=0.0)
@@ -174,19 +156,18 @@ def test_a_velocity_alone_is_integrated_and_it_is_said(write: Any) -> None:
     read = read_record(path, "time:s,velocity:mm/s,force:kN", current=0.5)
     assert "the integral of the velocity" in read.details["note"]
     expected = 5e-3 / (2.0 * np.pi) * np.sin(angle)
-    assert np.max(np.abs(read.displacement - expected)) < INTEGRATION * np.max(expected)
+    # Part of the amplitude: the straight line that is taken out leans with the ten cycles, too.
+    assert np.max(np.abs(read.displacement - expected)) < 0.2 * np.max(expected)
 
 
 def test_current_and_temperature_columns(write: Any) -> None:
     lines = [f"{row} {k * 10} {300 + k}" for k, row in enumerate(rows())]
     read = read_record(write(lines), COLUMNS + ",current:mA,temperature:K")
-    np.testing.assert_allclose(
-        read.current, np.arange(40) * 0.01, rtol=0.0, atol=ROUNDING_OF_CURRENT
-    )
+    # [A]: milliamperes are one product.
+    np.testing.assert_allclose(read.current, np.arange(40) * 0.01, rtol=0.0, atol=1e-14)
     assert read.temperature is not None
-    np.testing.assert_allclose(
-        read.temperature, 26.85 + np.arange(40), rtol=0.0, atol=ROUNDING_OF_KELVIN
-    )
+    # [degC]: a temperature is a difference from 273.15 K.
+    np.testing.assert_allclose(read.temperature, 26.85 + np.arange(40), rtol=0.0, atol=1e-11)
 
 
 def test_a_part_is_cut_out_by_seconds_from_the_first_sample(write: Any) -> None:
@@ -224,8 +205,9 @@ def test_units_and_factors_multiply(
         if c.quantity == quantity
     )
     scale = UNITS[quantity][unit][0]
+    # Relative: a unit and a factor are one or two products.
     assert column.to_si(np.array([3.0]))[0] == pytest.approx(
-        3.0 * factor * scale, rel=ROUNDING, abs=0.0
+        3.0 * factor * scale, rel=1e-13, abs=0.0
     )
 
 
@@ -538,7 +520,8 @@ def test_raw_records_come_apart_into_their_five_runs(
     assert [run.current[0] for run in runs] == list(currents)
     assert {run.period for run in runs} == {0.005}
     reached = [np.ptp(run.displacement) / 2.0 for run in runs]
-    assert reached == pytest.approx([amplitude] * 5, rel=SAME_STROKE)
+    # Relative: the press repeats its stroke, and the bounds stand here with three digits.
+    assert reached == pytest.approx([amplitude] * 5, rel=0.01)
     assert np.all(np.diff([np.ptp(run.force) for run in runs]) > 0.0)
 
 
@@ -571,4 +554,5 @@ def test_the_earthquake_record_reads_unchanged(laboratory: Path) -> None:
         ).force.max()
         for k, current in enumerate((0.2, 0.6, 1.0))
     ]
-    assert peaks == pytest.approx([345.566, 907.709, 1211.784], abs=STATED_PEAKS)
+    # [N]: the peaks stand here with three decimals.
+    assert peaks == pytest.approx([345.566, 907.709, 1211.784], abs=1e-3)

@@ -24,9 +24,6 @@ from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerMemory, check, from_text, to_text
 
-SAMPLES = 1000
-"""A whole cycle: less does not determine the seven scales."""
-
 START = ParameterSet(known.PLAUSIBLE, set_id="start")
 
 
@@ -40,10 +37,11 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
     reports = []
     for number in range(first, last):
         weaker = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.97**number, 1)
+        # A whole cycle: less does not determine the seven scales.
         run = known.run(
             weaker,
             current=(1.0, 1.5)[number % 2],
-            samples=SAMPLES,
+            samples=1000,
             noise=known.NOISE * (20.0 if number == 6 else 1.0),
             seed=number,
         )

@@ -25,15 +25,6 @@ SAMPLES = 1000
 WARMING = 24
 """Windows from 28 to 71 °C."""
 
-STANDARD_ERRORS = 4.0
-"""By which an estimate may miss the truth: one in some ten thousand would by chance."""
-
-MODEL_ERROR = 0.1
-"""Kelvin by which a curve in ln s may differ from the known damper's straight line in F."""
-
-TOLD = 2.0
-"""Kelvin: a temperature that is known no better than this would say little of 43 K of warming."""
-
 
 def warmed(number: int, celsius: float, *, thermometer: bool) -> RawWindow:
     """Window of the thesis' damper at a temperature, with or without a thermometer."""
@@ -80,9 +71,13 @@ def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
     for number, celsius in enumerate((65.0, 50.0, 40.0, 32.0), start=WARMING):
         report = fed(tracked, warmed(number, celsius, thermometer=False))
         assert math.isnan(report.temperature)
-        allowed = STANDARD_ERRORS * report.fluid.standard_error + MODEL_ERROR
+        # By which an estimate may miss the truth: one in some ten thousand would by chance.
+        # Kelvin by which a curve in ln s may differ from the known damper's straight line in F.
+        allowed = 4.0 * report.fluid.standard_error + 0.1
         assert abs(report.fluid.celsius - celsius) < allowed
-        assert allowed < TOLD
+        # Kelvin: a temperature that is known no better than this would say little of 43 K of
+        # warming.
+        assert allowed < 2.0
 
 
 def test_a_thermometer_without_its_sensor_does_not_spoil_the_memory() -> None:

@@ -23,9 +23,6 @@ QUICK = EvolutionSettings(generations=40, population=8)
 POINTS = tuple(product((2.5e-3, 5e-3, 10e-3), (1.0, 3.0), (0.0, 0.25, 0.5, 0.75, 1.0, 1.5)))
 STARTS = {"literature": LITERATURE, "28 °C": THESIS_28_CELSIUS, "71 °C": THESIS_71_CELSIUS}
 
-AT_THE_NOISE = 1.2
-"""Cost, 1 = noise, that a fit of a few hundred samples with a prior value may have."""
-
 
 @cache
 def window(place: int) -> Window:
@@ -61,7 +58,8 @@ def test_what_is_not_observable_is_where_the_start_or_the_neutral_shape_has_it(
         assert value in (start[known.index(parameter)], neutral[known.index(parameter)]), parameter
     # At several currents the value at which a parameter is held may rule the windows out.
     if len({POINTS[place][2] for place in places}) == 1:
-        assert fit.cost < AT_THE_NOISE
+        # Cost, 1 = noise, that a fit of a few hundred samples with a prior value may have.
+        assert fit.cost < 1.2
 
 
 def shape_of(start: Array, **values: float) -> Array:

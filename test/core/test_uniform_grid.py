@@ -15,14 +15,9 @@ HOLD_BACK = 0.05
 
 AMPLITUDE, FREQUENCY = 5e-3, 1.0
 
-BRIDGED = 1e-3
-"""Of the amplitude: a bridge over a twentieth of a cycle, with a single sample behind it."""
 
 SMOOTHED_NS = 0.15 * PERIOD * NANOSECONDS
 """Some hundred stamps off by 0.29 periods (RMS) tell the time that well."""
-
-CORRECTED = 0.1
-"""Error of samples brought onto the grid, over that of those that are not."""
 
 
 def followed(*blocks: SampleBlock) -> UniformGrid:
@@ -184,7 +179,8 @@ def test_a_bridge_hits_what_was_lost(size: int) -> None:
     blocks = stream([size] * 40)
     rows = joined(placed_in(UniformGrid(), blocks[:20] + blocks[22:]))
     truth = at(rows[:, 0] * PERIOD)
-    assert np.max(np.abs(rows[:, 1] - truth)) < BRIDGED * AMPLITUDE
+    # Of the amplitude: a bridge over a twentieth of a cycle, with a single sample behind it.
+    assert np.max(np.abs(rows[:, 1] - truth)) < 1e-3 * AMPLITUDE
 
 
 def test_a_gap_longer_than_may_be_bridged_starts_anew() -> None:
@@ -231,7 +227,8 @@ def test_samples_that_were_taken_unevenly_are_brought_onto_the_grid(size: int) -
     )
     error = joined(settled)[:, 1] - at(times)
     without = late.std() * AMPLITUDE * 2.0 * np.pi * FREQUENCY / np.sqrt(2.0)
-    assert np.std(error) < CORRECTED * without
+    # Error of samples brought onto the grid, over that of those that are not.
+    assert np.std(error) < 0.1 * without
 
 
 def test_how_stamps_jitter_may_be_told() -> None:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from benchmarks.whole_loop import driven
 
-NEAR = 1.5
-"""The error may be so many times that of the exact set: a drive is short."""
-
 
 def test_an_identifier_that_starts_from_nothing_leaves_the_controller_its_set() -> None:
     """The controller has a parameter file; the identifier knows the damper at 0 A alone at first.
@@ -23,4 +20,5 @@ def test_windows_confirm_what_the_user_gave_and_do_not_narrow_it() -> None:
     came = driven("C", 0, 8.0)
     assert came.reversals > 1.0
     assert came.confirmed > 0.5
-    assert came.nrmse < NEAR * came.exact
+    # The error may be so many times that of the exact set: a drive is short.
+    assert came.nrmse < 1.5 * came.exact

@@ -22,8 +22,6 @@ from mr_damper_ros.nodes.command_topic import command_message, motion_of
 
 ROOT = Path(__file__).parents[2]
 
-RATE = 4.0
-"""The emulated rig goes so many times as fast as a real one."""
 
 MACHINE = {
     "model": "bingham",
@@ -40,9 +38,10 @@ MACHINE = {
 
 
 def rig(start: Any) -> Any:
+    # The emulated rig goes so many times as fast as a real one.
     return start(
         "bridge",
-        rate=RATE,
+        rate=4.0,
         **{
             "emulated.sample_rate": 500.0,
             "emulated.command_timeout": 2.0,

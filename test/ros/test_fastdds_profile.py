@@ -85,8 +85,6 @@ while heard[-1:] != [int(sys.argv[1]) - 1]:
 print(heard == list(range(heard[0], int(sys.argv[1]))))
 """
 
-OUTAGE = 11.0
-"""Seconds: longer than the lease was when all was lost that a depth of 5000 could have kept."""
 
 MESSAGES = 1500
 """One every ten milliseconds: they go on after the outage."""
@@ -102,7 +100,8 @@ def test_what_the_depth_holds_survives_an_outage() -> None:
     try:
         listener.wait_for_log("first")
         os.kill(listener.pid, signal.SIGSTOP)
-        time.sleep(OUTAGE)
+        # Seconds: longer than the lease was when all was lost that a depth of 5000 could have kept.
+        time.sleep(11.0)
         os.kill(listener.pid, signal.SIGCONT)
         assert listener.wait() == 0
         assert listener.output == "True\n"

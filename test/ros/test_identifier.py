@@ -36,7 +36,6 @@ from mr_damper_ros.tracking.state_directory import StateDirectory
 
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"
-NOISE = 5.53
 TEMPERATURE_TOLERANCE = 2.0
 """Kelvin: the noise of one cycle's force scale, over 0.5 % per kelvin, is a tenth of it."""
 WINDOWS = 6
@@ -162,7 +161,7 @@ def test_every_window_has_its_report_and_the_sets_fit(
         assert report.evaluations > 0
         assert report.duration > 0.0
         assert report.reason
-        assert report.nrmse_after == pytest.approx(NOISE / spread, rel=0.15)
+        assert report.nrmse_after == pytest.approx(5.53 / spread, rel=0.15)
         assert not report.accepted or report.nrmse_after < report.nrmse_before
         assert report.verdict == (FitReport.ACCEPTED if report.accepted else FitReport.NO_BETTER)
         assert report.confirms

@@ -20,7 +20,6 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
-RATE = 2.0
 
 
 class Client:
@@ -80,7 +79,7 @@ def test_the_page_has_what_the_nodes_say(client: Client, start: Any, listener: L
     )
     for topic in ("predicted_force", "signals", "identified"):
         listener.wait_for_publishers(f"damper/{topic}")
-    replay = start("replay", bag=BAG, rate=RATE, wait_for_subscribers=2)
+    replay = start("replay", bag=BAG, rate=2.0, wait_for_subscribers=2)
     listener.until(lambda: not replay.running, "the end of the bag")
     listener.until(lambda: sum(w["accepted"] for w in client.status()["windows"]), "a new set")
     listener.until(lambda: client.status()["tables"]["signals"]["next"] > 500, "the signals")

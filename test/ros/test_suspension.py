@@ -21,14 +21,6 @@ def floor(now):
 """
 
 
-SETTLED = 5.0
-"""Seconds of driving after which motion and peak velocity are known."""
-
-DRIVEN = 12.0
-
-MOST_OF_THE_TIME = 0.9
-
-
 def test_the_documented_loop_controls_a_car_while_its_damper_is_identified(
     start: Any, listener: Listener
 ) -> None:
@@ -47,13 +39,14 @@ def test_the_documented_loop_controls_a_car_while_its_damper_is_identified(
         listener.wait_for_publishers(topic)
     start("bridge", source="quarter_car", quarter_car__road="C", rate=0.3, wait_for_subscribers=4)
     listener.until(
-        lambda: sum(len(p.force) * p.period for p in predictions) > DRIVEN,
+        lambda: sum(len(p.force) * p.period for p in predictions) > 12.0,
         "a drive",
         patience=120.0,
     )
-    late = [p for p in predictions if seconds(p) > seconds(predictions[0]) + SETTLED]
+    # Seconds of driving after which motion and peak velocity are known.
+    late = [p for p in predictions if seconds(p) > seconds(predictions[0]) + 5.0]
     valid = np.concatenate([p.sample_doubts for p in late]) == PredictedForce.NONE
-    assert np.mean(valid) > MOST_OF_THE_TIME
+    assert np.mean(valid) > 0.9
     assert max(each.current for each in currents if seconds(each) > seconds(late[0])) > 0.05
     assert any(report.confirms for report in reports)
     motion = {seconds(m): m for m in motions}
