@@ -143,13 +143,13 @@ def test_an_interrupted_search_returns_the_best_so_far(tmp_path: Path) -> None:
     result = tmp_path / "result.json"
     program = (
         "import sys, os, signal\n"
-        "from mr_damper_ros.tools import identify, progress\n"
-        "shown = progress.ProgressLine.__call__\n"
+        "from mr_damper_ros.tools import console, identify\n"
+        "shown = console.ProgressLine.__call__\n"
         "def interrupted(self, told):\n"
         "    if told.generation > 0:\n"
         "        os.kill(os.getpid(), signal.SIGINT)\n"
         "    return shown(self, told)\n"
-        "progress.ProgressLine.__call__ = interrupted\n"
+        "console.ProgressLine.__call__ = interrupted\n"
         "sys.exit(identify.main(sys.argv[1:]))\n"
     )
     bags = [str(BAGS / name) for name in ("5.0mm_1Hz_0.5A", "7.5mm_1Hz_1.0A", "5.0mm_1Hz_1.5A")]
