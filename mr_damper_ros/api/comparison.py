@@ -335,10 +335,7 @@ def validate(
         parameters = read_parameter_file(Path(parameters))
     measured = measured_runs(
         runs,
-        displacement=displacement,
-        force=force,
-        current=current,
-        period=period,
+        (displacement, force, current, period),
         accept_doubtful=accept_doubtful,
     )
     return Validation(

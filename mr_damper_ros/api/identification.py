@@ -381,10 +381,7 @@ def identify(
     with ProcessPool(workers) as processes:
         measured = measured_runs(
             runs,
-            displacement=displacement,
-            force=force,
-            current=current,
-            period=period,
+            (displacement, force, current, period),
             accept_doubtful=accept_doubtful,
             processes=processes,
         )
@@ -558,10 +555,7 @@ def choose_law(
     with ProcessPool(workers) as processes:
         measured = measured_runs(
             runs,
-            displacement=displacement,
-            force=force,
-            current=current,
-            period=period,
+            (displacement, force, current, period),
             accept_doubtful=accept_doubtful,
             processes=processes,
         )

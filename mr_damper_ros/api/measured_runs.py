@@ -29,6 +29,9 @@ from mr_damper_ros.tracking.screening import (
 RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 """A bag's path, a recording, or any number of these."""
 
+RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | None]
+"""Displacement [m], force [N] and current [A] of a run, and the time between samples [s]."""
+
 _WAY_OUT = "accept_doubtful, --accept-doubtful: take it all the same"
 
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
@@ -102,22 +105,18 @@ def measured_run(
 
 def measured_runs(
     sources: Iterable[RunSource],
+    arrays: RunArrays = (None, None, None, None),
     *,
-    displacement: ArrayLike | None = None,
-    force: ArrayLike | None = None,
-    current: ArrayLike | None = None,
-    period: float | None = None,
     accept_doubtful: bool = False,
     processes: ProcessPool | None = None,
 ) -> tuple[MeasuredRun, ...]:
-    """All runs given, in their order; that of the four arrays, if they are given, is the last.
+    """All runs given, in their order; that of the ``arrays``, if they are given, is the last.
 
     Raises ValueError, in one sentence, where there are none or one cannot be used.
     """
     flat = _flat(sources)
-    arrays = (displacement, force, current, period)
     if any(given is not None for given in arrays):
-        flat.append(_from_arrays(displacement, force, current, period))
+        flat.append(_from_arrays(*arrays))
     if not flat:
         raise ValueError(
             "there are no runs: give paths of bags, recordings, or displacement, force, current "

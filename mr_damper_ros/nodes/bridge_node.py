@@ -10,6 +10,7 @@ import math
 import sys
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -19,7 +20,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState, Temperature
 
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.command_topic import CurrentCommands, MotionCommands
+from mr_damper_ros.nodes.command_topic import CommandTopic, CurrentCommands, MotionCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import (
     SUSPENSION_TOPIC,
@@ -346,16 +347,15 @@ class BridgeNode(ManagedNode):
             configured=lambda: self._source is not None,
         )
         self._stream: BridgeStream | None = None
-        self._commands: CurrentCommands | None = None
-        self._motion_commands: MotionCommands | None = None
+        self._commands: dict[str, CommandTopic] = {}
         self._pacer = Pacer(self.parameters.values.rate)
         self._sending: SendingThread | None = None
         self._diagnostics = Diagnostics(
             self,
             {
                 "source": self._find,
-                "current": self._find_current,
-                "motion": self._find_motion,
+                "current": partial(self._find_commands, "current"),
+                "motion": partial(self._find_commands, "motion"),
             },
         )
         if self.parameters.values.autostart:
@@ -389,9 +389,9 @@ class BridgeNode(ManagedNode):
         try:
             found = self._source.open()
             if self._source.commander is not None:
-                self._commands = CurrentCommands(self, self._source.commander)
+                self._commands["current"] = CurrentCommands(self, self._source.commander)
             if self._source.mover is not None:
-                self._motion_commands = MotionCommands(self, self._source.mover)
+                self._commands["motion"] = MotionCommands(self, self._source.mover)
             self._stream = BridgeStream(
                 self,
                 self._pacer,
@@ -428,34 +428,15 @@ class BridgeNode(ManagedNode):
         )
         return TransitionCallbackReturn.SUCCESS
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop streaming."""
-        self._stop()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the source and withdraw the topics."""
-        self._close()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop for good."""
-        self._stop()
-        self._close()
-        return TransitionCallbackReturn.SUCCESS
-
     def _stop(self) -> None:
         if self._sending is not None:
             self._sending.stop()
             self._sending = None
 
     def _close(self) -> None:
-        if self._commands is not None:
-            self._commands.close()
-            self._commands = None
-        if self._motion_commands is not None:
-            self._motion_commands.close()
-            self._motion_commands = None
+        for commands in self._commands.values():
+            commands.close()
+        self._commands = {}
         if self._source is not None:
             self._source.close()
             self._source = None
@@ -484,15 +465,10 @@ class BridgeNode(ManagedNode):
             return Finding(WARN, state.fault, figures)
         return Finding(OK, self._stream.state, figures)
 
-    def _find_current(self) -> Finding:
-        if self._commands is None:
-            return Finding(OK, "the source takes no commands of the current")
-        return self._commands.finding()
-
-    def _find_motion(self) -> Finding:
-        if self._motion_commands is None:
-            return Finding(OK, "the source takes no commands of the motion")
-        return self._motion_commands.finding()
+    def _find_commands(self, what: str) -> Finding:
+        if what not in self._commands:
+            return Finding(OK, f"the source takes no commands of the {what}")
+        return self._commands[what].finding()
 
 
 def _in_words(error: Exception) -> str:

@@ -25,7 +25,7 @@ from rclpy.exceptions import (
 )
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
@@ -42,7 +42,8 @@ class ManagedNode(LifecycleNode):
     """A lifecycle node that refuses what its state does not allow.
 
     rclpy raises out of the executor there, and the node would be gone: a manager may well ask a
-    node to deactivate that has just lost its device and is inactive.
+    node to deactivate that has just lost its device and is inactive. A node says how it configures
+    and activates, how it stops (:meth:`_stop`) and how it lets its device go (:meth:`_close`).
     """
 
     def __init__(self, name: str) -> None:
@@ -66,6 +67,30 @@ class ManagedNode(LifecycleNode):
         if not self._starting:
             self.get_logger().error(self._problem)
         return TransitionCallbackReturn.FAILURE
+
+    def _stop(self) -> None:
+        """Undo the activation, if there was one."""
+        raise NotImplementedError
+
+    def _close(self) -> None:
+        """Undo the configuration, if there was one."""
+        raise NotImplementedError
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop; rclpy calls it, as the two below."""
+        self._stop()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let the device go."""
+        self._close()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop for good."""
+        self._stop()
+        self._close()
+        return TransitionCallbackReturn.SUCCESS
 
     def _change_state_if_allowed(
         self, request: ChangeState.Request, response: ChangeState.Response

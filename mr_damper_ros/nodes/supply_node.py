@@ -153,13 +153,13 @@ class SupplyNode(ManagedNode):
             try:
                 self._start_by_itself()
             except ConfigurationError:
-                self._let_go()
+                self._close()
                 raise
 
     def destroy_node(self) -> None:
         """See that the supply is off before its node goes."""
         self._stop()
-        self._let_go()
+        self._close()
         super().destroy_node()
 
     def _apply(self, values: SupplyParameters, changed: Collection[str]) -> None:
@@ -229,22 +229,6 @@ class SupplyNode(ManagedNode):
             failure=failure,
         )
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Switch the output off."""
-        self._stop()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let the instrument go."""
-        self._let_go()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop for good."""
-        self._stop()
-        self._let_go()
-        return TransitionCallbackReturn.SUCCESS
-
     def _stop(self) -> None:
         if self._commands is not None:
             self._commands.close()
@@ -257,7 +241,7 @@ class SupplyNode(ManagedNode):
         else:
             self._tell(f"{drive.failure}; {_NOT_OFF}")
 
-    def _let_go(self) -> None:
+    def _close(self) -> None:
         drive, self._drive = self._drive, None
         if drive is not None and not drive.stop():
             drive.end()

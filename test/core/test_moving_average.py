@@ -122,9 +122,7 @@ def test_an_average_that_cannot_be_is_refused(tmp_path: Path, count: int) -> Non
 
 def test_what_was_averaged_is_said_of_a_run() -> None:
     displacement, force = averaged(motion(3), COUNT), averaged(motion(4), COUNT)
-    runs = measured_runs(
-        [], displacement=displacement, force=force, current=1.0, period=1e-3, accept_doubtful=True
-    )
+    runs = measured_runs([], (displacement, force, 1.0, 1e-3), accept_doubtful=True)
     assert any("moving average" in text and "50 samples" in text for text in remarks_on(runs))
 
 
