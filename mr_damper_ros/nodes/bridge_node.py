@@ -29,6 +29,7 @@ from mr_damper_ros.nodes.messages import (
     samples_message,
     suspension_message,
 )
+from mr_damper_ros.nodes.mirrors import JointMirror
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.pacing import (
     Outlet,
@@ -42,7 +43,7 @@ from mr_damper_ros.rig.blocks import Meter, Reading, aligned
 from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, groups, option
-from mr_damper_ros.signals.blocks import MOST_SAMPLES, NANOSECONDS, RigBlock
+from mr_damper_ros.signals.blocks import MOST_SAMPLES, RigBlock
 
 _TOPICS = {
     "mts/samples": MtsSamples,
@@ -112,7 +113,7 @@ class BridgeStream:
         self.state = "streams"
         supply = Meter(self._current_period, step=_CURRENT_STEP)
         thermometer = Meter(_TEMPERATURE_PERIOD)
-        mirror = _Mirror(self._mirror_rate, self._frame_id) if self._mirror_rate else None
+        mirror = JointMirror(self._mirror_rate, self._frame_id) if self._mirror_rate else None
         block = None
         for block in self._as_they_come(blocks) if live else self._paced(blocks):
             # What belongs to the samples goes first, so that it is known when they arrive.
@@ -168,32 +169,6 @@ class BridgeStream:
         self._outlets["supply/current"].publish(
             current_message(reading.stamp_ns, reading.value, self._frame_id)
         )
-
-
-class _Mirror:
-    """The samples as joint states, thinned out; velocity is the mean since the one before."""
-
-    def __init__(self, rate: float, joint: str) -> None:
-        self._rate = rate
-        self._joint = joint
-        self._last: tuple[int, float] | None = None
-
-    def messages(self, block: RigBlock, *, heard: bool) -> Iterator[JointState]:
-        """Those of a block, none where nobody hears them."""
-        every = max(round(1.0 / (self._rate * block.period)), 1)
-        for index in range(-block.sequence % every, block.force.size, every):
-            stamp_ns = block.stamp_ns(index)
-            position = float(block.displacement[index])
-            if heard and self._last is not None:
-                elapsed = (stamp_ns - self._last[0]) / NANOSECONDS
-                yield JointState(
-                    header=header(stamp_ns, self._joint),
-                    name=[self._joint],
-                    position=[position],
-                    velocity=[(position - self._last[1]) / elapsed],
-                    effort=[float(block.force[index])],
-                )
-            self._last = (stamp_ns, position)
 
 
 def _last_stamp(block: RigBlock) -> int:

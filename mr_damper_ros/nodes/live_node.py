@@ -20,8 +20,8 @@ from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowS
 from mr_damper_ros.live.page_server import PageServer, is_local
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
+from mr_damper_ros.nodes.mirrors import SIGNALS_TOPIC
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.signal_mirror import SIGNALS_TOPIC
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import NANOSECONDS

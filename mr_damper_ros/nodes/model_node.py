@@ -7,22 +7,21 @@ import time
 from dataclasses import dataclass
 from functools import partial
 
-from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
 from mr_damper_msgs.msg import PredictedForce
 from rclpy.node import Node
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
-from mr_damper_ros.nodes.messages import PredictionMessage, header
+from mr_damper_ros.nodes.messages import PredictionMessage
+from mr_damper_ros.nodes.mirrors import SignalMirror, WrenchMirror
 from mr_damper_ros.nodes.node_parameters import NodeParameters
 from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput, SetOptions
-from mr_damper_ros.nodes.signal_mirror import SignalMirror
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.processes.deferred import PostponedWork
 from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.settings.option_table import group, option
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.prediction import Prediction
@@ -89,13 +88,12 @@ class ModelNode(Node):
         self._error = RunningError(self._options.error_memory)
         self._message = PredictionMessage(self._options.frame_id)
         self._last: Prediction | None = None
-        self._next_wrench_ns: int | None = None
         self._slowest = 0.0
         self._oldest = math.nan
         self._skipped = 0
         self._rest = PostponedWork()
         self._force = quality.publisher(self, PredictedForce, "damper/predicted_force")
-        self._wrench = quality.publisher(self, WrenchStamped, "damper/predicted_wrench")
+        self._wrench = WrenchMirror(self, self._options.wrench_rate, self._options.frame_id)
         self._signals = SignalMirror(
             self,
             self._options.signals_rate,
@@ -156,8 +154,6 @@ class ModelNode(Node):
         self._last = prediction
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
-            self._next_wrench_ns = None
-            self._signals.restart()
         self._signals.publish(prediction, block)
         measured = prediction.at_its_samples(block.force)
         if prediction.valid:
@@ -165,24 +161,8 @@ class ModelNode(Node):
         elif (valid := prediction.valid_samples).any():
             self._error.add(prediction.force[valid], measured[valid], block.period)
         if not prediction.newest_doubt:
-            self._mirror(prediction)
+            self._wrench.publish(prediction)
         self._predictor.catch_up()
-
-    def _mirror(self, prediction: Prediction) -> None:
-        """Publish the last sample of the block as a wrench, where one is due and heard."""
-        if self._options.wrench_rate == 0.0 or not quality.heard(self._wrench):
-            return
-        offset = round((prediction.force.size - 1) * prediction.period * NANOSECONDS)
-        stamp_ns = prediction.start_ns + offset
-        if self._next_wrench_ns is not None and stamp_ns < self._next_wrench_ns:
-            return
-        self._next_wrench_ns = stamp_ns + round(NANOSECONDS / self._options.wrench_rate)
-        force = Vector3(x=float(prediction.force[-1]))
-        self._wrench.publish(
-            WrenchStamped(
-                header=header(stamp_ns, self._options.frame_id), wrench=Wrench(force=force)
-            )
-        )
 
     def _prediction_finding(self) -> Finding:
         nrmse = self._error.nrmse
