@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
 
 from mr_damper_ros.campaign.course import (
     CampaignCourse,
@@ -21,30 +20,13 @@ from mr_damper_ros.campaign.course import (
 )
 from mr_damper_ros.campaign.folder import CampaignFolder, CampaignStep
 from mr_damper_ros.campaign.runs import REST, DriveSettings, DriveStage, MachineCommand, RunDriver
-from mr_damper_ros.processes.worker import Done, Failed, Outcome
+from mr_damper_ros.processes.worker import Done, Failed, Outcome, TaskRunner
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings, UniformGrid
 
 _COLDEST, _HOTTEST = -60.0, 250.0
 """[°C]: a reading beyond comes from a thermometer without its sensor."""
-
-
-class Working(Protocol):
-    """What computes: a :class:`mr_damper_ros.processes.worker.Worker`."""
-
-    def submit(self, function: Any, *args: Any) -> int:
-        """Start a task."""
-
-    def poll(self) -> list[Outcome]:
-        """What has come of it."""
-
-    def cancel(self) -> None:
-        """Ask the task to end."""
-
-    @property
-    def busy(self) -> bool:
-        """Whether there is a task."""
 
 
 class CampaignStage(IntEnum):
@@ -104,7 +86,7 @@ class CampaignEnd:
 class CampaignConductor:
     """One campaign after the other, on one machine."""
 
-    def __init__(self, worker: Working, settings: ConductSettings) -> None:
+    def __init__(self, worker: TaskRunner, settings: ConductSettings) -> None:
         self._worker = worker
         self._settings = settings
         self._course: CampaignCourse | None = None

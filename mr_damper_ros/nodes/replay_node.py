@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -229,9 +230,12 @@ class ReplayNode(Node):  # type: ignore[misc]
         self._rounds = 0
         self._others: list[str] = []
         self._state = "waits for subscribers"
-        self.create_service(Trigger, "~/pause", self._pause)
-        self.create_service(Trigger, "~/resume", self._resume)
-        self.create_service(Trigger, "~/step", self._step)
+        for name, act, said in (
+            ("pause", self._pacer.pause, "paused"),
+            ("resume", self._pacer.resume, "playing"),
+            ("step", self._pacer.step, "one message more"),
+        ):
+            self.create_service(Trigger, f"~/{name}", partial(self._steer, act, said))
         self._diagnostics = Diagnostics(self, {"replay": self._find})
         self._sending = SendingThread(self, self._pacer, self._send)
 
@@ -294,25 +298,15 @@ class ReplayNode(Node):  # type: ignore[misc]
 
     # --- steering -----------------------------------------------------------------------------
 
-    def _pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._pacer.pause()
-        return self._answer(response, "paused")
-
-    def _resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._pacer.resume()
-        return self._answer(response, "playing")
-
-    def _step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if not self._pacer.paused:
-            response.success = False
+    def _steer(
+        self, act: Callable[[], None], said: str, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.success = act != self._pacer.step or self._pacer.paused
+        response.message = said
+        if response.success:
+            act()
+        else:
             response.message = "only a paused bag can be stepped: call ~/pause before"
-            return response
-        self._pacer.step()
-        return self._answer(response, "one message more")
-
-    def _answer(self, response: Trigger.Response, message: str) -> Trigger.Response:
-        response.success = True
-        response.message = message
         return response
 
     # --- state --------------------------------------------------------------------------------

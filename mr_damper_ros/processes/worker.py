@@ -89,6 +89,10 @@ Outcome = Progress | Done | Failed
 class TaskRunner(Protocol):
     """What runs one task at a time, here or elsewhere; see :class:`Worker`."""
 
+    @property
+    def busy(self) -> bool:
+        """Whether a task has been submitted and has not yet ended."""
+
     def submit(self, function: Callable[..., Any], *args: Any, budget: float = math.inf) -> int:
         """Start a task and return its number."""
 
