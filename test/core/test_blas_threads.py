@@ -5,17 +5,13 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pool_tasks
 import pytest
 from threadpoolctl import ThreadpoolController
 
-import mr_damper_ros as mr
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.processes.process_pool import LocalProcesses, ProcessPool
-
-BAGS = Path(__file__).parents[2] / "bags"
 
 PATIENCE = 60.0
 """Seconds after which what is waited for will not come."""
@@ -60,20 +56,6 @@ def test_of_several_that_compute_the_last_gives_the_threads_back() -> None:
     may_end.set()
     thread.join()
     assert pool_tasks.threads() == 2
-
-
-def test_identify_computes_with_one_thread_and_leaves_the_process_as_it_was() -> None:
-    before, seen = dict(os.environ), set()
-
-    def report(progress: object) -> bool:
-        seen.add(pool_tasks.threads())
-        return True
-
-    runs = BAGS / "5.0mm_1Hz_0.5A", BAGS / "5.0mm_1Hz_1.5A"
-    mr.identify(*runs, generations=3, report=report)
-    assert seen == {1}
-    assert pool_tasks.threads() == 2
-    assert dict(os.environ) == before
 
 
 def test_processes_of_pools_have_one_thread_and_the_environment_is_the_callers() -> None:

@@ -68,7 +68,7 @@ def commands(draw: st.DrawFn) -> Told:
     return found
 
 
-@known.fixed(60)
+@known.fixed(30)
 @given(commands())
 def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(
     told: Told,

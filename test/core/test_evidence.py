@@ -100,4 +100,4 @@ def test_a_set_that_is_right_here_alone_loses_elsewhere() -> None:
 
 @pytest.mark.parametrize("tracker", ["window", "recursive"])
 def test_a_constant_damper_keeps_its_set(tracker: str) -> None:
-    assert honest_errors.exchanges(tracker, windows=30) <= 1
+    assert honest_errors.exchanges(tracker, windows=15) <= 1

@@ -31,7 +31,7 @@ from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tools import export
 
-POINTS = 20_000
+POINTS = 5000
 
 SAME = 1e-9
 """Relative; of a force next to nothing, of a newton."""
@@ -120,7 +120,7 @@ def test_the_c_code_is_that_of_the_package(law: ExportedLaw, compiled: Compiled)
     coefficients, force = compiled.law(vectors.inputs)
     assert_same(coefficients, vectors.coefficients)
     assert_same(force, vectors.force)
-    inputs, wanted = wanted_forces(law, 4000)
+    inputs, wanted = wanted_forces(law, 1000)
     assert_gives(law, inputs, wanted, compiled.inverse(inputs, wanted)[0])
     time = np.arange(2500) * law.settings.period
     displacement = 0.02 + BandLimitedRandom(0.004, 0.5, 6.0, seed=2).at(time).displacement
@@ -238,7 +238,7 @@ def test_octave_finds_the_m_code_to_be_the_law(law: ExportedLaw, tmp_path: Path)
 
 @needs_octave
 def test_octave_finds_the_current_for_a_force(law: ExportedLaw, tmp_path: Path) -> None:
-    inputs, wanted = wanted_forces(law, 60)
+    inputs, wanted = wanted_forces(law, 25)
     inputs[:, 4] = 0.0  # the M-code knows nothing of how the motion turns
     v, v_m, _, s, _ = inputs.T
     np.savetxt(tmp_path / "wanted.csv", np.column_stack((wanted, v, v_m, s)), "%.17g", ",")

@@ -113,20 +113,6 @@ def test_the_jacobian_of_a_window_is_that_of_differences(frequency, most):
         )
 
 
-def test_the_begin_of_a_window_of_unknown_past_says_nothing():
-    whole = window(0.0)
-    lone = Window(whole.motion, whole.force, whole.current, PERIOD)
-    misfit = WindowProblem(EXTENDED, lone, TRUTH)
-    residual, derivatives = misfit.residual(misfit.start), misfit.jacobian(misfit.start)
-    settled = int(np.flatnonzero(residual)[0])
-    # Samples that say nothing for want of a past: seven of the longest time constants, 11.4 ms.
-    # Sample, where a number of time constants is rounded to samples.
-    assert settled == pytest.approx(80, abs=1)
-    assert not np.any(derivatives[:settled])
-    # RMSE over the noise, which 2000 samples tell to 1.6 %.
-    assert known.rms(residual[settled:]) < 1.05 * known.NOISE
-
-
 def test_a_window_without_its_period_cannot_have_a_lag():
     whole = window()
     lone = Window(whole.motion, whole.force, whole.current)

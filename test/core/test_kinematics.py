@@ -33,7 +33,7 @@ def relative(estimate: Array, truth: Array) -> float:
 # -- sine ------------------------------------------------------------------------------------
 
 
-@known.fixed(150)
+@known.fixed(60)
 @given(
     cycles=st.floats(0.6, 20.0),
     samples=st.integers(200, 3000),
@@ -277,7 +277,7 @@ def test_the_start_has_died_away_where_the_observer_says_that_it_is_settled() ->
     assert errors[-1] < 5e-3 * max(errors)
 
 
-@known.fixed(60)
+@known.fixed(25)
 @given(sizes=st.lists(st.integers(1, 97), min_size=1, max_size=8))
 def test_the_stream_does_not_depend_on_the_size_of_its_blocks(sizes: list[int]) -> None:
     u = RANDOM.at(np.arange(600) * PERIOD).displacement + 0.01

@@ -90,13 +90,6 @@ def test_the_simpler_law_is_taken_within_one_standard_error() -> None:
     assert choice.chosen.model == "bingham"
 
 
-def test_a_law_that_is_clearly_behind_is_not_taken() -> None:
-    choice = LawChoice(
-        (trial("sigmoid", [0.10, 0.14, 0.12]), trial("bingham", [0.15, 0.19, 0.175])), "motions"
-    )
-    assert choice.chosen.model == "sigmoid"
-
-
 def test_a_law_that_cannot_be_fitted_is_told_and_not_taken() -> None:
     choice = LawChoice(
         (trial("sigmoid", [0.1, 0.1, 0.1]), trial("bingham", [math.inf, 0.1, 0.1])), "motions"

@@ -111,18 +111,6 @@ def test_coefficients_have_a_column_for_each_and_for_its_error() -> None:
     assert rows.values.tolist() == [[0.0, T0, 500.0, 20.0, 50.0, 2.0]]
 
 
-def test_those_of_another_model_begin_a_table_of_their_own() -> None:
-    record = LiveRecord()
-    record.add_window(window(f_t=500.0))
-    first = record.rows("coefficients", -1, -1)
-    record.add_window(window(f_y=100.0, c_0=3.0))
-    second = record.rows("coefficients", -1, -1)
-    assert first is not None
-    assert second is not None
-    assert first.generation != second.generation
-    assert len(second.values) == 1
-
-
 def test_what_the_data_do_not_determine_has_no_error() -> None:
     record = LiveRecord()
     record.set_parameters(a_set("f0", observable=False))

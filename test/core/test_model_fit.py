@@ -150,17 +150,6 @@ def test_the_jacobian_is_that_of_differences(name: str) -> None:
         )
 
 
-def test_a_parameter_that_wants_to_leave_its_bounds_stays_on_them() -> None:
-    here = window("bingham", noise=0.0)
-    # A force against the velocity's sign: only a negative damping would explain it.
-    against = Window(here.motion, -here.force, here.current, here.period)
-    fit = fit_window(BINGHAM, against, BINGHAM.initial_values()[0])
-    low = MODELS["bingham"].bounds[0]
-    assert np.all(fit.parameters >= low)
-    # [N] and [N s/m], of the hundreds and thousands that a damper has.
-    np.testing.assert_allclose(fit.parameters[:2], 0.0, atol=1.0)
-
-
 def test_outliers_hardly_matter_to_a_robust_fit() -> None:
     here = window("bingham")
     force = here.force.copy()

@@ -53,7 +53,7 @@ def parameter_sets(draw: st.DrawFn) -> ParameterSet:
     )
 
 
-@known.fixed(60)
+@known.fixed(25)
 @given(parameter_sets())
 def test_text_and_back_is_exact(original: ParameterSet) -> None:
     read = ParameterSet.from_yaml(original.to_yaml())

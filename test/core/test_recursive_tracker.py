@@ -166,28 +166,6 @@ def test_it_follows_a_drift_and_knows_its_error(drifted: Drifted) -> None:
     assert np.max(np.abs(drifted.scales - drifted.truth) / errors) < 4.0
 
 
-def test_overlapping_windows_use_every_sample_once() -> None:
-    run = known.run(samples=4000)
-
-    def cut(first: int) -> RawWindow:
-        return RawWindow(
-            start_ns=known.T0 + first * 1_000_000,
-            period=1e-3,
-            displacement=run.displacement[first : first + 2000],
-            force=run.force[first : first + 2000],
-            current=np.full(2000, 1.0),
-        )
-
-    once, twice = tracker(drift_rate=STILL), tracker(drift_rate=STILL)
-    for tracked, starts in ((once, (0, 2000)), (twice, (0, 500, 1000, 1500, 2000))):
-        fed(tracked, *map(cut, starts))
-    results = [work(t.job_of(cut(2000))) for t in (once, twice)]
-    assert all(result.fit is not None for result in results)
-    errors = [known.rms(t.parameters.standard_errors[[0, 3]]) for t in (once, twice)]
-    # Relative: samples that counted for every window they are in would make the error 0.63 times.
-    assert errors[0] == pytest.approx(errors[1], rel=0.1)
-
-
 @pytest.mark.parametrize("spoil", ["noise", "clipped", "nan"])
 def test_a_bad_window_leaves_the_filter_where_it_was(spoil: str) -> None:
     tracked = tracker()

@@ -41,24 +41,6 @@ def relative(found: Array, expected: Array) -> float:
     return float(np.sqrt(np.mean((found - expected) ** 2)) / np.std(expected))
 
 
-def test_a_spring_and_a_dashpot_are_maxwells() -> None:
-    # dF/dt = k (v - F / c): theory of its force in a sine, once it is steady.
-    dashpot, stiffness, omega = 4e4, 2e6, 2.0 * np.pi
-    time = np.arange(3000) * 1e-3
-    values = np.zeros(len(LAW.parameters))
-    for name, value in (("w_y", 1e-3), ("c", dashpot), ("k1", stiffness), ("k2", 1e6)):
-        values[PLACE[name]] = value
-    velocity = np.cos(omega * time)
-    motion = Motion(
-        np.sin(omega * time) / omega, velocity, -omega * np.sin(omega * time), velocity, None
-    )
-    tau = dashpot / stiffness
-    theory = dashpot * (velocity + omega * tau * np.sin(omega * time)) / (1.0 + (omega * tau) ** 2)
-    force = LAW.force(values, motion, 0.0, 1e-3)
-    # Relative: a step of 1 ms of a time constant of 20 ms, of second order.
-    assert relative(force[1000:], theory[1000:]) < 0.002
-
-
 @known.fixed(40)
 @given(
     period=st.floats(1e-5, 1.0),

@@ -136,7 +136,7 @@ TINY = float(np.finfo(float).tiny)
 HARD = st.one_of(ANY, st.sampled_from([0.0, -0.0, 1.0, -1.0, HUGE, -HUGE, TINY, -TINY, 5e-324]))
 
 
-@known.fixed(500)
+@known.fixed(200)
 @given(st.lists(HARD, min_size=16, max_size=16), st.lists(HARD, min_size=4, max_size=4))
 @example([HUGE] * 16, [HUGE] * 4)
 @example([-HUGE] * 16, [HUGE] * 4)
@@ -200,7 +200,7 @@ def numeric_derivatives(function: object, x: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-@known.fixed(60)
+@known.fixed(25)
 @given(
     st.tuples(*[st.floats(0.3, 3.0)] * 16),
     st.lists(st.booleans(), min_size=16, max_size=16),
@@ -225,7 +225,7 @@ def test_derivatives_around_a_plausible_damper(
 COEFFICIENT_SIZES = np.array([1000.0, 200.0, 10.0, 10.0, 0.05, 0.01, 100.0])
 
 
-@known.fixed(60)
+@known.fixed(25)
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 7), st.integers(0, 2**31))
 def test_derivatives_by_the_seven_coefficients(x: tuple[float, ...], seed: int) -> None:
     values = np.array(x) * COEFFICIENT_SIZES
@@ -239,7 +239,7 @@ def test_derivatives_by_the_seven_coefficients(x: tuple[float, ...], seed: int) 
     assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
 
 
-@known.fixed(60)
+@known.fixed(25)
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 7), st.integers(0, 2**31))
 def test_derivatives_of_the_damping_by_the_seven_coefficients(
     x: tuple[float, ...], seed: int

@@ -88,16 +88,6 @@ def test_a_repair_is_seen() -> None:
     assert faults.good_since(result, 1.0) == pytest.approx(4.0)
 
 
-def test_a_repair_is_seen_where_the_force_is_never_right_all_the_time() -> None:
-    error = np.where(np.arange(6000) % 100 < 30, 90.0, 0.0)
-    error[2000:4000] = 90.0
-    result = made_up(np.ones(6000, dtype=bool), error)
-    usual = faults.usual_share(result, 2.0)
-    assert usual == pytest.approx(0.7)
-    # Of the first second after it, nine tenths of the usual part are enough.
-    assert faults.good_since(result, 2.5, usual) == pytest.approx(3.9, abs=0.1)
-
-
 @cache
 def outcome(text: str) -> faults.Outcome:
     """What comes of a fault of two seconds."""

@@ -147,7 +147,7 @@ def test_a_window_never_spans_a_break(name: str) -> None:
     assert all((np.diff(window.force) == 1.0).all() for window in found)
 
 
-@known.fixed(30)
+@known.fixed(12)
 @given(st.lists(st.sampled_from(sorted(set(FAULTS) - MENDED)), min_size=1, max_size=3))
 def test_predictor_and_windows_judge_a_stream_alike(names: list[str]) -> None:
     # Blocks that are out of order only the windows can wait for.

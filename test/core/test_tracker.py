@@ -271,16 +271,6 @@ def test_a_force_beyond_all_change_is_taken_after_a_reset_only() -> None:
     assert fed(tracked, window(15, strength=5.0))[0].accepted
 
 
-def test_a_known_set_limits_the_first_force_too_until_a_reset() -> None:
-    tracked = tracker()
-    tracked.replace(
-        ParameterSet(known.PLAUSIBLE, observable=np.ones(16, dtype=bool), set_id="loaded")
-    )
-    assert fed(tracked, window(0, strength=5.0))[0].verdict is Verdict.BEYOND_LIMITS
-    tracked.reset()
-    assert fed(tracked, window(1, strength=5.0))[0].accepted
-
-
 def test_a_force_that_comes_late_is_not_taken_by_repetition() -> None:
     tracked = tracker()
     fed(tracked, *(window(number, samples=2000) for number in range(6)))

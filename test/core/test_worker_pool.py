@@ -70,20 +70,6 @@ def endings(workers: list[Worker]) -> list[Outcome]:
     return [found[place] for place in range(len(workers))]
 
 
-def test_every_user_gets_its_own_results(
-    make_pool: Callable[[int], WorkerPool], tasks: Any
-) -> None:
-    pool = make_pool(2)
-    users = [pool.worker() for _ in range(6)]
-    numbers = [user.submit(tasks.say, place) for place, user in enumerate(users)]
-    ended = endings(users)
-    assert all(isinstance(one, Done) for one in ended)
-    assert [one.task for one in ended] == numbers
-    assert [one.result[0] for one in ended if isinstance(one, Done)] == list(range(6))
-    assert len({one.result[1] for one in ended if isinstance(one, Done)}) <= 2
-    assert not any(user.busy for user in users)
-
-
 def test_first_come_first_served(make_pool: Callable[[int], WorkerPool], tasks: Any) -> None:
     pool = make_pool(1)
     first, second, third = (pool.worker() for _ in range(3))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import signal
 from itertools import pairwise
 from pathlib import Path
@@ -100,34 +99,6 @@ def test_a_bag_as_fast_as_possible_loses_nothing_and_the_node_stays(
     assert (joined(samples, "force") == recording.force).all()
     assert {message.current for message in current} == {1.5}
     assert stamps(current)[-1] == stamps(samples)[-1], "the current is known to the last sample"
-
-
-def test_a_record_file_is_published_in_si_units(
-    start: Any, listener: Listener, tmp_path: Path
-) -> None:
-    time = np.arange(500) * 0.002
-    displacement = 4.0 * np.sin(2.0 * math.pi * time)
-    force = 0.9 * np.cos(2.0 * math.pi * time)
-    rows = zip(time, displacement, force, strict=True)
-    text = "time;displacement;force\n" + "".join(f"{t};{u};{f}\n" for t, u, f in rows)
-    record = tmp_path / "run.csv"
-    record.write_text(text, encoding="utf-8")
-    samples = listener.listen(MtsSamples, "mts/samples")
-    current = listener.listen(SupplyCurrent, "supply/current")
-    start(
-        "bridge",
-        source="record",
-        record__file=record,
-        record__columns=COLUMNS,
-        record__current=0.5,
-        rate=10.0,
-        wait_for_subscribers=1,
-    )
-    listener.until(lambda: len(samples) == 50, "all samples")
-    assert joined(samples, "displacement") == pytest.approx(1e-3 * displacement, abs=1e-12)
-    assert joined(samples, "force") == pytest.approx(1e3 * force, abs=1e-9)
-    assert samples[0].period == pytest.approx(0.002)
-    assert current[0].current == 0.5
 
 
 def test_a_loop_goes_on_in_count_and_stamps_and_leaves_a_second_out(
@@ -293,38 +264,13 @@ def test_a_source_that_cannot_be_opened_leaves_a_managed_node_alive(
     bridge.stop()
 
 
-def test_two_dampers_are_two_namespaces(start: Any, listener: Listener) -> None:
-    left = listener.listen(MtsSamples, "/left/mts/samples")
-    right = listener.listen(MtsSamples, "/right/mts/samples")
-    start("bridge", remap={"__ns": "/left"}, emulated__seed=1)
-    start("bridge", remap={"__ns": "/right"}, emulated__seed=2)
-    listener.until(lambda: len(left) >= 5 and len(right) >= 5, "samples of both")
-    assert (joined(left[:5], "force") != joined(right[:5], "force")).any()
-
-
-def test_a_sample_rate_that_gives_no_even_stamps_does_not_drift(
-    start: Any, listener: Listener
-) -> None:
-    samples = listener.listen(MtsSamples, "mts/samples")
-    start("bridge", emulated__sample_rate=1024.0 / 3.0, block_size=7, rate=20.0)
-    listener.until(lambda: len(samples) >= 300, "samples")
-    count = samples[-1].seq - samples[0].seq
-    elapsed = stamps(samples)[-1] - stamps(samples)[0]
-    assert abs(elapsed - count * 3.0 / 1024.0 * 1e9) <= 1.0
-
-
 @pytest.mark.parametrize(
     ("parameters", "part"),
     [
         ({"source": "tape"}, "source must be one of bag, record, quarter_car, emulated"),
         ({"sorce": "bag"}, "there is no parameter sorce: did you mean source?"),
-        ({"block_size": 0}, "block_size must be"),
         ({"block_size": "many"}, "block_size must be an integer"),
-        ({"rate": -1.0}, "rate must be"),
-        ({"rate": ".nan"}, "rate must be a finite number"),
         ({"rate": ".inf"}, "rate must be a finite number"),
-        ({"source": "bag"}, "no bag is given"),
-        ({"source": "record"}, "no file is given"),
         ({"source": "bag", "bag": "/nowhere/at/all"}, "there is no bag"),
         ({"source": "record", "record__file": "/nowhere.csv"}, "record.columns is empty"),
         (
@@ -337,7 +283,6 @@ def test_a_sample_rate_that_gives_no_even_stamps_does_not_drift(
             "/nowhere.csv",
         ),
         ({"emulated__damper": "5mm"}, "the thesis has no condition '5mm'"),
-        ({"emulated__damper": "/nowhere.yaml"}, "/nowhere.yaml"),
         ({"use_sim_time": 3}, "use_sim_time"),
     ],
 )
@@ -366,18 +311,3 @@ def test_an_unknown_argument_is_refused_and_help_lists_the_parameters(start: Any
     bridge = start("bridge", "--help")
     assert bridge.wait() == 0
     assert "emulated.hot_force" in bridge.output
-
-
-def test_a_block_with_bad_units_is_named_before_it_is_streamed(start: Any, tmp_path: Path) -> None:
-    record = tmp_path / "run.csv"
-    rows = (f"{k * 1e-3},{5.0 * math.sin(k * 0.01)},{k % 7}" for k in range(1000))
-    record.write_text("\n".join(rows), encoding="utf-8")
-    bridge = start(
-        "bridge",
-        source="record",
-        record__file=record,
-        record__columns="time:s,displacement:m,force:N",
-        record__current=0.0,
-    )
-    assert bridge.wait() == 2
-    assert "millimetres" in bridge.errors.strip().splitlines()[-1]

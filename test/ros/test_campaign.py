@@ -20,9 +20,6 @@ from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.nodes.command_topic import command_message, motion_of
 
-ROOT = Path(__file__).parents[2]
-
-
 MACHINE = {
     "model": "bingham",
     "machine.duration": 1.2,
@@ -127,14 +124,6 @@ def test_it_pauses_resumes_and_stops(start: Any, listener: Listener, tmp_path: P
     assert listener.call(Trigger, "campaign/stop").success
     listener.wait_for_finding("campaign: campaign", "it was stopped")
     assert not listener.call(Trigger, "campaign/pause").success
-
-
-def test_by_hand_nothing_is_commanded(start: Any, listener: Listener, tmp_path: Path) -> None:
-    motions = listener.listen(ExcitationCommand, "rig/excitation_command")
-    rig(start)
-    campaign(start, tmp_path, autostart=True, manual=True)
-    listener.wait_for_finding("campaign: campaign", "; set 10 mm at")
-    assert motions == []
 
 
 def test_without_a_folder_a_goal_is_told_so(start: Any, listener: Listener) -> None:

@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce
 from press import BLOCK, Press
 from rclpy.duration import Duration
-from support import Listener, assert_one_sentence
+from support import Listener
 
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
 from mr_damper_ros.io.bag_reader import read_bag
@@ -134,13 +134,6 @@ def test_it_says_what_it_lacks(start: Any, listener: Listener, recording: Record
     press.run(recording)
     status = listener.wait_for_finding("controller: command", "no parameters yet")
     assert {value.key: value.value for value in status.values}["doubt"] == DoubtKind.MISSING.name
-
-
-def test_limits_without_a_range_are_one_sentence(start: Any, known: Path) -> None:
-    controller = start("controller", parameter_file=known, highest_current=-1.0)
-    assert controller.wait() == 2
-    assert_one_sentence(controller.errors)
-    assert "highest_current" in controller.errors
 
 
 @pytest.mark.parametrize(("wanted", "said"), [(math.nan, "given"), (300.0, "could be had")])

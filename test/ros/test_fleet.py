@@ -37,9 +37,6 @@ def test_every_damper_has_a_bridge_and_a_place_at_identifier_and_model(
         places = hosting(host.arguments).places
         assert [place.namespace for place in places] == ["left", "right"]
         assert all(place.file.endswith(f"config/{name}.yaml") for place in places)
-
-
-def test_dampers_can_be_counted(description: list[Any]) -> None:
     started = launch_stand_in.nodes(description, {"dampers": "8"})
     assert [node.namespace for node in bridges(started)] == [f"damper_{k}" for k in range(1, 9)]
 

@@ -19,8 +19,6 @@ from mr_damper_msgs.msg import DamperParameters, FitReport
 from mr_damper_msgs.srv import LoadParameters, SaveParameters
 from press import BAD_BLOCKS, Press, block_message
 from rclpy.action import ActionClient
-from rclpy.duration import Duration
-from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
 
@@ -28,16 +26,12 @@ import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import parameter_set, parameters_message, report_message
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.state_directory import StateDirectory
 
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"
-TEMPERATURE_TOLERANCE = 2.0
-"""Kelvin: the noise of one cycle's force scale, over 0.5 % per kelvin, is a tenth of it."""
 WINDOWS = 6
 """Windows of 2 s, one every second, in the 7 s of a bag."""
 
@@ -184,40 +178,6 @@ def test_every_window_has_its_report_and_the_sets_fit(
     listener.wait_for_finding("identifier: parameters", f"running with {last.set_id}")
 
 
-def test_the_force_tells_the_temperature_where_it_was_learnt(
-    start: Any, listener: Listener, results: Results, recording: Recording
-) -> None:
-    estimates = listener.listen(Temperature, "damper/fluid_temperature")
-    thermometer = listener.node.create_publisher(Temperature, "temperature", quality.stream())
-    start("identifier", window=1.0, hop=1.0, method="least_squares", global_period=0)
-    results.wait_for_the_start()
-    listener.until(lambda: thermometer.get_subscription_count() > 0, "the thermometer's listener")
-    press = Press(listener)
-    # One cycle of the recorded sine, over and over, at the force of each temperature.
-    for number, celsius in enumerate((*np.linspace(30.0, 60.0, 10), 50.0)):
-        known = celsius if number < 10 else math.nan
-        thermometer.publish(Temperature(temperature=known))
-        assert thermometer.wait_for_all_acked(Duration(seconds=30))
-        press.run(heated_cycle(recording, number, celsius))
-        results.wait_for_reports(number + 1)
-    listener.until(lambda: bool(estimates), "an estimate of the temperature")
-    assert len(estimates) == 1
-    assert estimates[0].temperature == pytest.approx(50.0, abs=TEMPERATURE_TOLERANCE)
-    assert 0.0 < estimates[0].variance < TEMPERATURE_TOLERANCE**2
-
-
-def heated_cycle(recording: Recording, number: int, celsius: float) -> Recording:
-    """The first second again, ``number`` seconds later, with 0.5 % less force per kelvin."""
-    part = slice(0, 1000)
-    return replace(
-        recording,
-        start_ns=recording.start_ns + number * 10**9,
-        displacement=recording.displacement[part],
-        force=(1.0 - 0.005 * (celsius - 30.0)) * recording.force[part],
-        current=recording.current[part],
-    )
-
-
 def test_it_says_what_is_missing(start: Any, listener: Listener, recording: Recording) -> None:
     start("identifier")
     listener.wait_for_finding("identifier: input", "nobody publishes mts/samples")
@@ -349,39 +309,6 @@ def test_sets_are_saved_loaded_reset_and_survive_a_restart(
     listener.wait_for_finding("identifier: state", "kept in")
 
 
-@pytest.mark.parametrize(
-    ("content", "part"),
-    [
-        (
-            ParameterSet(np.array([1.0, 2.0, 3.0]), model="bingham").to_yaml(),
-            "those of model 'bingham'",
-        ),
-        (f"# mr_damper_ros parameters, version 9, sha256 {'0' * 64}\n", "a newer version"),
-    ],
-)
-def test_a_state_that_is_not_its_own_is_set_aside(
-    start: Any, listener: Listener, results: Results, tmp_path: Path, content: str, part: str
-) -> None:
-    (tmp_path / "identifier.yaml").write_text(content)
-    start("identifier", state_dir=tmp_path)
-    results.wait_for_the_start()
-    assert results.sets[-1].id == "literature"
-    listener.wait_for_finding("identifier: state", part)
-    assert (tmp_path / "identifier.aside").read_text() == content
-
-
-def test_a_memory_that_cannot_be_used_leaves_the_set(
-    start: Any, listener: Listener, results: Results, tmp_path: Path
-) -> None:
-    identified = ParameterSet(LITERATURE, set_id="identified")
-    StateDirectory(tmp_path).save("identifier", identified, '{"of": "another release"}')
-    start("identifier", state_dir=tmp_path)
-    results.wait_for_the_start()
-    assert results.sets[-1].id == "identified"
-    listener.wait_for_finding("identifier: state", "going on with identified alone; set aside as")
-    assert StateDirectory(tmp_path).load("identifier").set_id == "identified"
-
-
 def test_a_folder_and_a_name_are_of_one_identifier(
     start: Any, listener: Listener, results: Results, tmp_path: Path
 ) -> None:
@@ -399,27 +326,6 @@ def test_a_folder_and_a_name_are_of_one_identifier(
         )
         assert not refused.success
         assert "is the state of another node" in refused.message
-
-
-def test_a_state_that_cannot_be_a_dampers_is_set_aside(
-    start: Any, listener: Listener, results: Results, tmp_path: Path
-) -> None:
-    values = LITERATURE.copy()
-    values[PARAMETER_NAMES.index("f0")] = 1e9
-    content = ParameterSet(values).to_yaml()
-    (tmp_path / "identifier.yaml").write_text(content)
-    start("identifier", state_dir=tmp_path)
-    results.wait_for_the_start()
-    assert results.sets[-1].id == "literature"
-    listener.wait_for_finding("identifier: state", "beyond the 1e+06 N that are possible")
-    (tmp_path / "late.yaml").write_text(
-        ParameterSet(LITERATURE).to_yaml().replace("unnamed", r'"\ud800"')
-    )
-    refused = listener.call(
-        LoadParameters, "identifier/load_parameters", LoadParameters.Request(name="late")
-    )
-    assert not refused.success
-    assert refused.message
 
 
 @pytest.fixture
@@ -524,21 +430,6 @@ def test_a_global_identification_on_demand(
     assert best.result.success
     assert "best so far" in best.result.message
     assert len(best.result.parameters.values) == 16
-
-
-def test_a_global_identification_falls_due(
-    start: Any, listener: Listener, results: Results
-) -> None:
-    start("identifier", global_period=1, evolution__generations=5, hop=2.0)
-    results.wait_for_the_start()
-    press = Press(listener)
-    for round_, name in enumerate(("5.0mm_1Hz_0.0A", "5.0mm_1Hz_1.5A")):
-        run = read_bag(ROOT / "bags" / name)[0]
-        press.run(replace(run, start_ns=run.start_ns + round_ * 10**10))
-    listener.until(
-        lambda: any(r.method == "differential_evolution" for r in results.reports),
-        "the report of a global identification",
-    )
 
 
 def test_a_killed_worker_is_replaced_and_no_window_is_lost(

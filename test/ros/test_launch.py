@@ -38,54 +38,39 @@ def by_name(description: list[Any], **arguments: str) -> dict[str, Any]:
     return {node.name: node for node in launch_stand_in.nodes(description, arguments)}
 
 
-def test_its_arguments_are_described(description: list[Any]) -> None:
+def test_what_is_started_follows_the_arguments(description: list[Any]) -> None:
     arguments = [item for item in description if isinstance(item, launch_stand_in.Argument)]
     assert len(arguments) >= 10
     assert all(argument.description.endswith(".") for argument in arguments)
-
-
-def test_without_a_bag_the_bridge_gives_data_in_real_time(description: list[Any]) -> None:
     nodes = by_name(description)
     assert list(nodes) == ["bridge", "identifier", "model"]
     assert nodes["model"].parameters[1] == {"use_sim_time": False}
-
-
-def test_the_page_is_served_where_it_is_asked_for(description: list[Any]) -> None:
     assert list(by_name(description, live="true")) == ["bridge", "identifier", "model", "live"]
-
-
-def test_the_supply_is_commanded_where_that_is_asked_for(description: list[Any]) -> None:
     nodes = by_name(description, control="true")
     assert list(nodes) == ["bridge", "identifier", "model", "controller"]
     assert nodes["bridge"].parameters[1]["wait_for_subscribers"] == 3
-
-
-def test_what_is_known_of_the_damper_goes_to_all_that_use_it(description: list[Any]) -> None:
     file = str(ROOT / "config" / "invented_damper.yaml")
     nodes = by_name(description, control="true", parameters=file)
     assert "parameter_file" not in nodes["bridge"].parameters[1]
     assert nodes["identifier"].parameters[1]["initial_parameters"].value == file
     assert nodes["model"].parameters[1]["parameter_file"].value == file
     assert nodes["controller"].parameters[1]["parameter_file"].value == file
-
-
-def test_a_bag_is_played_with_its_time(description: list[Any]) -> None:
     nodes = by_name(description, bag=str(BAG))
     assert list(nodes) == ["replay", "identifier", "model"]
     assert nodes["replay"].parameters[1]["topics"].value == "inputs"
     assert nodes["identifier"].parameters[1] == {"use_sim_time": True}
+    for arguments, table in (({}, BridgeParameters), ({"bag": str(BAG)}, ReplayParameters)):
+        first = launch_stand_in.nodes(description, arguments)[0]
+        assert set(first.parameters[1]) <= {item.name for item in options(table)}
+    nodes = by_name(description, enclave="/left/")
+    for name, node in nodes.items():
+        assert node.ros_arguments == ["--enclave", f"/left/{name}"]
 
 
 @pytest.mark.parametrize("value", ["false", "False"])
 def test_the_time_can_be_chosen(description: list[Any], value: str) -> None:
     nodes = by_name(description, bag=str(BAG), use_sim_time=value)
     assert nodes["identifier"].parameters[1] == {"use_sim_time": False}
-
-
-def test_it_sets_only_parameters_that_exist(description: list[Any]) -> None:
-    for arguments, table in (({}, BridgeParameters), ({"bag": str(BAG)}, ReplayParameters)):
-        first = launch_stand_in.nodes(description, arguments)[0]
-        assert set(first.parameters[1]) <= {item.name for item in options(table)}
 
 
 @pytest.mark.parametrize(
@@ -109,25 +94,17 @@ def test_a_wrong_argument_is_refused_before_anything_starts(
         launch_stand_in.nodes(description, arguments)
 
 
-def test_every_node_has_its_enclave(description: list[Any]) -> None:
-    nodes = by_name(description, enclave="/left/")
-    for name, node in nodes.items():
-        assert node.ros_arguments == ["--enclave", f"/left/{name}"]
-
-
 def end(node: Any, code: int, *, is_shutdown: bool = False) -> Any:
     """What follows when a node has ended."""
     return node.on_exit(SimpleNamespace(returncode=code), SimpleNamespace(is_shutdown=is_shutdown))
 
 
-def test_it_ends_after_the_bag(description: list[Any]) -> None:
+def test_it_ends_after_the_bag_unless_it_shall_stay(description: list[Any]) -> None:
     (timer,) = end(by_name(description, bag=str(BAG))["replay"], 0)
     assert timer.period > 0.0
     assert len(timer.actions) == 1
-
-
-def test_it_stays_after_the_bag_where_that_is_asked_for(description: list[Any]) -> None:
     assert end(by_name(description, bag=str(BAG), at_end="stay")["replay"], 0) is None
+    assert end(by_name(description)["model"], -15, is_shutdown=True) is None
 
 
 @pytest.mark.parametrize("name", ["bridge", "identifier", "model"])
@@ -135,10 +112,6 @@ def test_it_fails_with_any_node(description: list[Any], name: str) -> None:
     node = by_name(description)[name]
     with pytest.raises(RuntimeError, match=f"{name} has ended with exit code 2"):
         end(node, 2)
-
-
-def test_what_ends_while_it_ends_is_no_failure(description: list[Any]) -> None:
-    assert end(by_name(description)["model"], -15, is_shutdown=True) is None
 
 
 def test_two_bags_in_two_namespaces_have_a_clock_each(

@@ -21,7 +21,6 @@ from support import Listener, assert_one_sentence
 
 import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models import Model as ForceModel
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -31,13 +30,11 @@ from mr_damper_ros.nodes.messages import (
     from_field,
     parameter_set,
     parameters_message,
-    sample_block,
     to_nanoseconds,
     to_stamp,
 )
 from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "bags" / "5.0mm_1Hz_1.5A"
@@ -165,26 +162,6 @@ def test_it_predicts_what_a_replay_predicts(rig: Rig, recording: Recording) -> N
     np.testing.assert_array_equal(doubts, replayed.doubts)
 
 
-def test_another_model_is_predicted_with_as_well(
-    start: Any, listener: Listener, recording: Recording, tmp_path: Path
-) -> None:
-    values = [4000.0, 3000.0, -20.0, 900.0, 3e-4, 0.4, 1.5]
-    hysteresis = ParameterSet(np.array(values), model="bouc_wen", set_id="hysteresis")
-    path = tmp_path / "hysteresis.yaml"
-    path.write_text(hysteresis.to_yaml())
-    # The recording is of another damper.
-    rig = Rig(start, listener, parameter_file=path, maximum_error=0.0)
-    forces = rig.run(recording)
-    assert forces[-1].valid, forces[-1].reason
-
-    alone = ForcePredictor(PredictorSettings(maximum_error=0.0))
-    alone.set_parameters(hysteresis)
-    alone.add_current(recording.start_ns, 1.5)
-    for message in forces:
-        expected = alone.predict(sample_block(block_message(recording, message.seq)))
-        np.testing.assert_array_equal(from_field(message.force), expected.force)
-
-
 def test_what_is_missing_makes_the_force_invalid_with_the_reason(
     start: Any, listener: Listener, recording: Recording
 ) -> None:
@@ -230,14 +207,6 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
     assert not any(f.valid for f in outside)
     # Beyond its speeds a force is judged by the measured one, and this one is wrong.
     assert outside[-1].doubt in (PredictedForce.OUT_OF_RANGE, PredictedForce.WRONG)
-
-
-def test_without_a_current_the_force_is_invalid(
-    rig: Rig, listener: Listener, recording: Recording
-) -> None:
-    predicted = rig.run(recording, with_current=False)
-    assert not any(f.valid for f in predicted)
-    assert "no supply current yet" in predicted[-1].reason
 
 
 def test_parameters_that_cannot_be_used_are_refused(
@@ -459,56 +428,6 @@ def test_it_predicts_with_what_the_identifier_finds(
     second = rig.run(later)
     assert second[-1].valid
     assert second[-1].parameter_set.startswith("window-")
-
-
-EXTENDED = MODELS["sigmoid_lag"].completed(np.array([*parameters(CONDITION), 3e-8, 4000.0, 60.0]))
-HYSTERETIC = MODELS["bouc_wen"].completed(np.array([4000.0, 3000.0, -20.0, 900.0, 3e-4, 0.4, 1.5]))
-
-
-@pytest.mark.parametrize(("model", "truth"), [("sigmoid_lag", EXTENDED), ("bouc_wen", HYSTERETIC)])
-def test_identifier_and_model_follow_a_damper_of_another_model(
-    start: Any,
-    listener: Listener,
-    recording: Recording,
-    tmp_path: Path,
-    model: str,
-    truth: np.ndarray,
-) -> None:
-    motion = window_motion(recording.displacement, recording.period)
-    clean = MODELS[model].force(truth, motion, 1.5, recording.period)
-    noise = np.random.default_rng(0).normal(0.0, 5.0, clean.size)
-    made = replace(recording, force=clean + noise)
-    options = {"model": model, "method": "least_squares"}
-    if model == "sigmoid_lag":
-        # One run says nothing of the shape, and the lag comes from a global identification.
-        weaker = truth * np.where(np.arange(truth.size) == 0, 0.8, 1.0)
-        path = tmp_path / "weaker.yaml"
-        path.write_text(ParameterSet(weaker, model=model, set_id="weaker").to_yaml())
-        options["initial_parameters"] = str(path)
-    sets = listener.listen(DamperParameters, "damper/parameters", quality.latched())
-    reports = listener.listen(FitReport, "damper/fit_report")
-    start("identifier", **options)
-    rig = Rig(start, listener, listeners=2)
-    listener.until(lambda: sets, "the initial set")
-    rig.run(made)
-    # The first window of a hysteresis says little of it: all must have been fitted.
-    end = made.stamp_ns(made.sample_count - BLOCK)
-    listener.until(
-        lambda: any(to_nanoseconds(r.header.stamp) >= end for r in reports), "the last window"
-    )
-    assert any(r.accepted for r in reports)
-    listener.wait_for_finding("model: parameters", f"predicting with {sets[-1].id}")
-    newest = sets[-1]
-    assert (newest.model, newest.names) == (model, list(MODELS[model].parameter_names))
-    assert reports[0].coefficient_names == list(MODELS[model].coefficient_names)
-    assert np.isfinite(reports[0].coefficients).all()
-
-    again = rig.run(replace(made, start_ns=made.start_ns + 10**10))
-    assert again[-1].valid, again[-1].reason
-    late = int(SETTLED / made.period) // BLOCK * BLOCK
-    predicted = np.concatenate([from_field(f.force) for f in again])[late:]
-    nrmse = np.sqrt(np.mean((predicted - clean[late:]) ** 2)) / np.std(clean[late:])
-    assert nrmse < 0.02
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from bag_contents import messages
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
-from rclpy.serialization import deserialize_message
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -167,20 +166,6 @@ def test_it_can_be_stopped_at_any_time(
     replay.stop(number)
 
 
-def test_topics_are_remapped_as_usual(start: Any, listener: Listener) -> None:
-    samples = listener.listen(MtsSamples, "/left/mts/samples", quality.lossless())
-    start("replay", bag=BAG, rate=0.0, remap={SAMPLES: "/left/mts/samples"})
-    listener.until(lambda: len(samples) == len(recorded(BAG, SAMPLES)), "all samples")
-
-
-def test_only_the_chosen_topics_are_played(start: Any, listener: Listener) -> None:
-    current = listener.listen(SupplyCurrent, CURRENT)
-    replay = start("replay", bag=BAG, rate=0.0, topics=CURRENT)
-    listener.until(lambda: not replay.running, "the end of the bag")
-    assert len(current) == len(recorded(BAG, CURRENT))
-    assert not listener.node.get_publishers_info_by_topic(SAMPLES)
-
-
 def test_it_plays_to_nobody_after_the_timeout_and_says_so(start: Any) -> None:
     replay = start("replay", bag=BAG, rate=0.0, wait_timeout=0.2)
     assert replay.wait() == 0
@@ -249,13 +234,7 @@ def test_a_bad_configuration_is_one_sentence_and_an_exit_code(
     assert_one_sentence(replay.errors)
 
 
-def test_a_folder_that_is_no_bag_is_refused(start: Any, tmp_path: Path) -> None:
-    replay = start("replay", bag=tmp_path)
-    assert replay.wait() == 2
-    assert_one_sentence(replay.errors)
-
-
-@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
+@pytest.mark.parametrize("kept", [0.1, 0.99])
 def test_a_truncated_bag_ends_in_words(start: Any, tmp_path: Path, kept: float) -> None:
     bag = tmp_path / "bag"
     shutil.copytree(BAG, bag)
@@ -266,12 +245,6 @@ def test_a_truncated_bag_ends_in_words(start: Any, tmp_path: Path, kept: float) 
     assert replay.wait() in (1, 2)
     assert "Traceback" not in replay.errors
     assert str(bag) in replay.errors
-
-
-def test_messages_of_the_bag_are_those_of_the_installed_definitions() -> None:
-    message = deserialize_message(recorded(BAG, SAMPLES)[0], MtsSamples)
-    assert message.period == pytest.approx(0.001)
-    assert len(message.displacement) == len(message.force) > 0
 
 
 def test_a_bag_that_was_changed_is_not_played(start: Any, tmp_path: Path) -> None:
