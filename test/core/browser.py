@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import json
 import os
@@ -11,7 +10,6 @@ import signal
 import subprocess
 import tempfile
 import time
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -170,12 +168,3 @@ class Browser:
         """Let the system prefer "light" or "dark"."""
         feature = {"name": "prefers-color-scheme", "value": scheme}
         self.send("Emulation.setEmulatedMedia", features=[feature])
-
-    def see_no_colour(self) -> None:
-        """Show what somebody sees who sees no colours."""
-        self.send("Emulation.setEmulatedVisionDeficiency", type="achromatopsia")
-
-    def screenshot(self, path: Path, *, whole: bool = False) -> None:
-        """Take a picture of what is seen, or of the whole page."""
-        answer = self.send("Page.captureScreenshot", captureBeyondViewport=whole, format="png")
-        path.write_bytes(base64.b64decode(answer["data"]))

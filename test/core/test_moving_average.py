@@ -103,18 +103,19 @@ def test_a_record_that_begins_in_motion_is_undone_where_that_is_said(tmp_path: P
     assert np.std(found.force - force[late]) < LOST * np.std(force)
 
 
-def test_a_record_that_begins_in_motion_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path, motion(3)[2000:], motion(4)[2000:])
-    with pytest.raises(RecordError, match="does not rest in the first 50 samples"):
-        mr.read_record(
-            path, "displacement:mm,force:N", current=1.0, period=1e-3, moving_average=COUNT
-        )
-
-
-@pytest.mark.parametrize("count", [1, SAMPLES])
-def test_an_average_that_cannot_be_is_refused(tmp_path: Path, count: int) -> None:
-    path = written(tmp_path, motion(3), motion(4))
-    with pytest.raises(RecordError, match="cannot be undone in a record of 6000"):
+@pytest.mark.parametrize(
+    ("begin", "count", "reason"),
+    [
+        (2000, COUNT, "does not rest in the first 50 samples"),
+        (0, 1, "cannot be undone in a record of 6000"),
+        (0, SAMPLES, "cannot be undone in a record of 6000"),
+    ],
+)
+def test_what_cannot_be_undone_is_refused(
+    tmp_path: Path, begin: int, count: int, reason: str
+) -> None:
+    path = written(tmp_path, motion(3)[begin:], motion(4)[begin:])
+    with pytest.raises(RecordError, match=reason):
         mr.read_record(
             path, "displacement:mm,force:N", current=1.0, period=1e-3, moving_average=count
         )

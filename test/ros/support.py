@@ -96,10 +96,6 @@ class Listener(Observer):
         """Spin until the condition holds; fails after the deadline."""
         super().until(condition, what, patience, tick)
 
-    def spin_while(self, condition: Callable[[], bool]) -> None:
-        """Spin as long as the condition holds, and until nothing more comes."""
-        self.until(lambda: not condition(), "the end of it")
-
     def call(self, service_type: type, name: str, request: Any = None) -> Any:
         """Call a service and return its response."""
         client = self.node.create_client(service_type, name)
