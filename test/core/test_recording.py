@@ -83,6 +83,15 @@ def test_a_damper_in_its_units_is_plausible() -> None:
     recording(temperature=np.full(100, 28.0)).check_plausible()
 
 
+def test_a_recording_cannot_be_changed_afterwards() -> None:
+    displacement = 0.005 * np.sin(60.0 * TIME)
+    made = recording(displacement=displacement)
+    displacement[:] = 0.0
+    assert np.ptp(made.displacement) > 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        made.force[0] = 0.0
+
+
 def test_stamps_follow_the_period_to_the_nanosecond() -> None:
     made = recording(period=1.0 / 3.0, start_ns=17)
     assert made.stamp_ns(3) == 17 + 1_000_000_000
