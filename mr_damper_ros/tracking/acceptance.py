@@ -29,7 +29,7 @@ _WORTH_WHILE = 0.97
 where it was seen may be worse where it was not."""
 
 _STILL_GOOD = 0.3
-"""Where the running set leaves no more than this part of the force, it is good elsewhere, too."""
+"""Where the running set leaves no more than this part of the force, there is something to lose."""
 
 _SAME_FORCE = 0.05
 _FAR_BETTER = 1.5
@@ -318,7 +318,7 @@ class Gatekeeper:
             return Judgement(
                 Verdict.NO_BETTER, "the running set predicts the held-back samples as well"
             )
-        if evidence.loss > 1.0 and evidence.nrmse_before <= _STILL_GOOD:
+        if evidence.loss > 1.0 and evidence.nrmse_elsewhere <= _STILL_GOOD:
             return Judgement(
                 Verdict.NO_BETTER,
                 "the running set predicts the other operating points of late better than the new "

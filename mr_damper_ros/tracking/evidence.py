@@ -35,8 +35,9 @@ class Evidence:
     ``nrmse_before`` and ``nrmse_after``: RMSE/std; ``rmse_after`` [N]; ``force_change``: relative
     change of the force from the running to the new set over the window's motion; ``lead``: how far
     the new set is ahead on samples that no set was fitted to, in standard errors of chance.
-    ``loss``: what the mean square error rises by at other operating points of late, over what it
-    falls by here [1]. ``recent``: of a search, NRMSE of both sets at the operating points of late.
+    ``loss``: what the mean square errors at the other operating points of late rise by in sum, over
+    what that here falls by [1], and ``nrmse_elsewhere``: what the running set leaves there.
+    ``recent``: of a search, NRMSE of both sets at the operating points of late.
     """
 
     nrmse_before: float
@@ -45,6 +46,7 @@ class Evidence:
     force_change: float = math.nan
     lead: float = math.inf
     loss: float = 0.0
+    nrmse_elsewhere: float = math.inf
     recent: tuple[float, float] = (math.inf, 0.0)
 
     @property
@@ -149,7 +151,7 @@ def evidence_of(
     change = math.inf
     if 0.0 < power < math.inf:
         change = float(new[settled] @ old[settled]) / power - 1.0
-    lead, loss = math.inf, 0.0
+    lead, loss, left_elsewhere = math.inf, 0.0, math.inf
     if known:
         noise = NoiseModel.of((new - window.force)[settled])
         one = Lead.of(old, new, window.force, judged, noise)
@@ -157,8 +159,18 @@ def evidence_of(
         gain = rmse_before**2 - rmse_after**2
         if elsewhere and gain > 0.0:
             before, after = (_mean_square(each, elsewhere) for each in (running, found))
-            loss = (after - before) / gain
-    return Evidence(rmse_before / spread, rmse_after / spread, rmse_after, change, lead, loss)
+            loss = len(elsewhere) * (after - before) / gain
+            variance = float(np.mean([np.var(each.force) for each in elsewhere]))
+            left_elsewhere = math.sqrt(before / variance) if variance > 0.0 else math.inf
+    return Evidence(
+        rmse_before / spread,
+        rmse_after / spread,
+        rmse_after,
+        change,
+        lead,
+        loss,
+        left_elsewhere,
+    )
 
 
 def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:

@@ -265,8 +265,15 @@ def test_a_set_that_nobody_could_use_is_refused() -> None:
     assert found.verdict is Verdict.POOR_FIT
 
 
-@pytest.mark.parametrize(("loss", "accepted"), [(0.5, True), (2.0, False)])
-def test_a_set_may_lose_no_more_elsewhere_than_it_gains_here(loss: float, accepted: bool) -> None:
-    here = dataclasses.replace(evidence(50.0, 20.0), loss=loss)
+@pytest.mark.parametrize(
+    ("loss", "left_elsewhere", "accepted"),
+    [(0.5, 0.1, True), (2.0, 0.1, False), (2.0, 0.8, True)],
+    ids=["little", "much", "nothing good there"],
+)
+def test_a_set_may_lose_no_more_elsewhere_than_it_gains_here(
+    loss: float, left_elsewhere: float, accepted: bool
+) -> None:
+    here = evidence(50.0, 20.0)
+    here = dataclasses.replace(here, loss=loss, nrmse_elsewhere=left_elsewhere)
     judgement = Gatekeeper(AcceptanceSettings()).judge(here)
     assert judgement.verdict is (Verdict.ACCEPTED if accepted else Verdict.NO_BETTER)
