@@ -432,4 +432,6 @@ class ExtendedSigmoidModel(SigmoidModel):
 
 def _over(part: Array, whole: Array) -> Array:
     """The quotient, 0 where the divisor is."""
+    if whole.ndim == 0:  # asked for at every step of a search
+        return np.asarray(part / whole if whole else 0.0 * part)
     return np.asarray(part / np.where(whole != 0.0, whole, np.inf))

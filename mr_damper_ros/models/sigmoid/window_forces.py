@@ -66,7 +66,7 @@ class SigmoidForces(WindowForces):
 
     def __init__(self, model: Model, windows: Sequence[Window]) -> None:
         super().__init__(model, windows)
-        self._latest: tuple[Array, list[LateForce]] | None = None
+        self._latest: tuple[bytes, list[LateForce]] | None = None
         self._in_coil: tuple[float, SigmoidForces] | None = None
 
     def forces(self, parameters: Array) -> list[Array]:
@@ -127,14 +127,14 @@ class SigmoidForces(WindowForces):
     def _late_forces(self, parameters: Array) -> list[LateForce]:
         """What the compliance makes of the force of each window, for parameters (20,)."""
         # A search asks for the Jacobian where it has just asked for the residual.
-        if self._latest is None or not np.array_equal(self._latest[0], parameters):
+        if self._latest is None or self._latest[0] != parameters.tobytes():
             past = self._histories.along(parameters[:SIGMOID_COUNT])
             extension = extension_of(parameters)
             lates = [
                 LateForce(window.history, along, extension)
                 for window, along in zip(self.windows, past, strict=True)
             ]
-            self._latest = parameters.copy(), lates
+            self._latest = parameters.tobytes(), lates
         return self._latest[1]
 
     def longest_lag(self, parameters: Array) -> float:
@@ -191,7 +191,7 @@ class _Motions:
         current = np.concatenate([np.empty(0), *currents])
         # One value stands for all where none differs.
         self._current = current[:1] if np.all(current == current[:1]) else current
-        self._kept: tuple[Array, Array] | None = None
+        self._kept: tuple[bytes, Array] | None = None
 
     def forces(self, parameters: Array) -> list[Array]:
         """Force [N] along each motion, shape (..., n), for parameters of shape (..., 16)."""
@@ -237,11 +237,11 @@ class _Motions:
     def _base(self, parameters: Array) -> Array:
         """Coefficients (7, m) for scales of 1 and the shape of these parameters (16,)."""
         shape = parameters[_SHAPE_INDICES]
-        if self._kept is None or not np.array_equal(self._kept[0], shape):
+        if self._kept is None or self._kept[0] != shape.tobytes():
             unit = parameters.copy()
             unit[SCALE_INDICES] = 1.0
             base = operating_point_coefficients(unit, self._peak_velocity, self._current)
-            self._kept = shape, np.stack(np.broadcast_arrays(*base))
+            self._kept = shape.tobytes(), np.stack(np.broadcast_arrays(*base))
         return self._kept[1]
 
     def _inner(self, parameters: Array, columns: Sequence[int]) -> _Inner:
