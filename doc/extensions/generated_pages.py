@@ -18,7 +18,7 @@ from law_figures import coefficient_figure, shape_figure
 from sphinx.ext.autodoc.mock import mock
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.settings.option_table import ParameterTable, options
+from mr_damper_ros.settings.option_table import options
 
 ROOT = Path(__file__).resolve().parents[2]
 MESSAGES = ROOT / "msg_defs"
@@ -246,9 +246,9 @@ def _parameter_tables() -> dict[str, list[tuple[str, ...]]]:
     """Rows of the parameters of each node, from the tables that declare them."""
     with mock(ROS):
         package = importlib.import_module("mr_damper_ros.nodes")
+        by_name: dict[str, Any] = {}
         for module in pkgutil.iter_modules(package.__path__, "mr_damper_ros.nodes."):
-            importlib.import_module(module.name)
-        by_name = {kind.__name__: kind for kind in ParameterTable.__subclasses__()}
+            by_name.update(vars(importlib.import_module(module.name)))
         return {
             node: [_row(item) for item in options(by_name[f"{node.capitalize()}Parameters"])]
             for node in NODES
