@@ -71,15 +71,3 @@ def fit_percent(record: Recording, force: Array) -> float:
     measured = record.force[counted]
     error = force[counted] - measured
     return 100.0 * (1.0 - float(np.sqrt(np.mean(error**2)) / np.std(measured)))
-
-
-def fits(utfsm: Path, model: str, *, identify: bool) -> list[float]:
-    """Fit [%] of each record, its smoothing undone, with the sinusoid set of a model to start from.
-
-    As delivered, displacement and force are averages, between which no law can hold.
-    """
-    start = sinusoid_set(utfsm, model)
-    return [
-        fit_percent(record, predicted(record, start, identify=identify))
-        for record in unsmoothed_records(utfsm)
-    ]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mr_damper_ros.processes.files import write_text
 from mr_damper_ros.processes.process_pool import ProcessPool
 from mr_damper_ros.report.document import Chapter, styled, write_report
 from studies.control import buildings, car_chapters
@@ -19,7 +21,9 @@ from studies.control.car_drives import (
     CONTROLLERS,
     LAG,
     OFF,
+    ON,
     ROADS,
+    SPEEDS,
     STRATEGIES,
     Drive,
     drive,
@@ -63,22 +67,29 @@ QUICK = Extent(drive=4.0, heated=40.0, earthquake=6.0, hybrid=6.0)
 
 
 def build_report(options: argparse.Namespace, say: Say) -> Path:
-    """Simulate what the parts need and write the report; returns its page."""
+    """Simulate what the parts need, write ``report.html`` and ``control.json``; return the page."""
     extent = QUICK if options.quick else FULL
     chapters: list[Chapter] = []
     headlines: list[str] = []
+    document: dict[str, object] = {"quick": extent != FULL}
     with ProcessPool(options.workers) as pool, styled():
         for part in PARTS:
             if part in options.only:
                 say(f"{part} ...")
-                found, told = _PARTS[part](pool, extent, say)
+                found, told, document[part] = _PARTS[part](pool, extent, say)
                 chapters += found
                 headlines += told
         short = "" if extent == FULL else " Quick variant: drives and earthquakes are cut short."
-        return write_report(options.output, _TITLE, _NOTICE + short, headlines, chapters)
+        page = write_report(options.output, _TITLE, _NOTICE + short, headlines, chapters)
+    write_text(options.output / "control.json", json.dumps(document, indent=2) + "\n")
+    return page
 
 
-def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+Part = tuple[list[Chapter], list[str], dict[str, object]]
+"""Chapters, a sentence for each, and the figures for the document."""
+
+
+def _roads(pool: ProcessPool, extent: Extent, say: Say) -> Part:
     tasks = [(strategy, road, LAG) for road in ROADS for strategy in STRATEGIES]
     tasks += [(strategy, road, 0.0) for road in ("A", "C", "E") for strategy in CONTROLLERS]
     tasks += [(name, "C", 0.0) for name in (*STRATEGIES[:2], *CONSTANTS)]
@@ -101,7 +112,7 @@ def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], 
         car_chapters.bump_chapter(drives),
         car_chapters.lag_chapter(drives),
     ]
-    return chapters, [
+    told = [
         "an invented damper whose truth is known, in a quarter car.",
         f"on road C {best}, the best by comfort and holding together, gives {here.comfort:.2f} "
         f"m/s² and {here.holding:.0%} of the tyre's load; passive-off {off.comfort:.2f} and "
@@ -111,48 +122,70 @@ def _roads(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], 
         "with passive-off.",
         f"a coil that lags by 10 ms costs at most {worst - 1.0:.0%} of comfort on road C.",
     ]
+    return chapters, told, _against_passive(drives)
 
 
-def _heated(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+def _against_passive(drives: Drives) -> dict[str, object]:
+    """The best controller of each road, and its worst road against the passive dampers."""
+    best = {road: car_chapters.best_on(drives, road) for road in SPEEDS}
+    worst = {
+        f"car_{quantity}_over_{against.replace('-', '_')}": max(
+            getattr(drives.of(best[road], road, LAG), quantity)
+            / getattr(drives.of(against, road, LAG), quantity)
+            for road in SPEEDS
+        )
+        for quantity in ("comfort", "holding")
+        for against in (OFF, ON)
+    }
+    return {"best": best, "worst": worst}
+
+
+def _heated(pool: ProcessPool, extent: Extent, say: Say) -> Part:
     tasks = [HeatedDrive(learns, duration=extent.heated) for learns in (False, True)]
     results = each_result(pool, drive_heated, tasks, "heated drives", say)
     found = {task.learns: result for task, result in results.items()}
     chapter = heated_chapter(found, tasks[0])
-    return [chapter], [
+    told = [
         f"the force is missed by {growth(found[False]):.2f} times as much at the end as at the "
         f"beginning with the set of 28 °C, {growth(found[True]):.2f} times with the set identified "
         "on line."
     ]
+    return [chapter], told, {"fixed": growth(found[False]), "identified": growth(found[True])}
 
 
-def _buildings(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+def _buildings(pool: ProcessPool, extent: Extent, say: Say) -> Part:
     longest = extent.earthquake
     results = each_result(pool, simulate, buildings.tasks(longest), "earthquakes", say)
     found = buildings.Buildings(results, longest)
     won = buildings.cases_won(found)
     fastest = max(found.of(WEIGHTED, case, buildings.LAG).reversals for case in buildings.CASES)
     chapter = buildings.building_chapter(found)
-    return [chapter], [
-        f"the weighted inverse is better than passive-on and bang-bang in both RMS criteria in "
-        f"{won} of {len(buildings.CASES)} cases, with at most {fastest:.0f} reversals of "
-        "the current a second."
-    ]
+    return (
+        [chapter],
+        [
+            f"the weighted inverse is better than passive-on and bang-bang in both RMS criteria in "
+            f"{won} of {len(buildings.CASES)} cases, with at most {fastest:.0f} reversals of "
+            "the current a second."
+        ],
+        {"cases": len(buildings.CASES), "won": won, "reversals_per_second": fastest},
+    )
 
 
-def _hybrid(pool: ProcessPool, extent: Extent, say: Say) -> tuple[list[Chapter], list[str]]:
+def _hybrid(pool: ProcessPool, extent: Extent, say: Say) -> Part:
     tasks = [replace(task, duration=extent.hybrid) for task in TASKS]
     results = each_result(pool, hybrid, tasks, "hybrid simulations", say)
     found = dict(zip(TASKS, results.values(), strict=True))
     reference = found[REFERENCE]
     late, ahead = (missed(found[task].roof, reference.roof) for task in (LATE, COMPENSATED))
     chapter = hybrid_chapter(found)
-    return [chapter], [
+    told = [
         f"with the damper in an emulated machine that is late the roof is off by {late:.0%}, with "
         f"a command that runs ahead by {ahead:.0%}."
     ]
+    return [chapter], told, {"late": late, "compensated": ahead}
 
 
-_PARTS: dict[str, Callable[[ProcessPool, Extent, Say], tuple[list[Chapter], list[str]]]] = {
+_PARTS: dict[str, Callable[[ProcessPool, Extent, Say], Part]] = {
     "roads": _roads,
     "heated": _heated,
     "buildings": _buildings,
