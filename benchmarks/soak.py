@@ -12,14 +12,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks import (
-    campaign_kills,
     endurance,
     fuzz,
     hostile_recordings,
     interrupts,
     kills,
-    many_kills,
     poisoned_starts,
+    program_kills,
 )
 from benchmarks.figure import Figure, table, write
 from mr_damper_ros.processes.blas_threads import keep_one_thread
@@ -35,8 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "fuzz": lambda: fuzz.figures(options.cases, options.seed),
         "recordings": lambda: hostile_recordings.figures(options.recordings, options.seed),
         "kills": lambda: kills.figures(options.kills, options.kills, options.seed),
-        "many_kills": lambda: many_kills.figures(seed=options.seed),
-        "campaign_kills": lambda: campaign_kills.figures(seed=options.seed),
+        "many_kills": lambda: program_kills.many_kills(seed=options.seed),
+        "campaign_kills": lambda: program_kills.campaign_kills(seed=options.seed),
         "starts": lambda: poisoned_starts.figures(options.starts, seed=options.seed),
         "interrupts": lambda: interrupts.figures(options.interrupts, options.seed),
         "soak": lambda: endurance.figures(options.hours, min(1.0, 0.25 * options.hours)),

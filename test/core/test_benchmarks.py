@@ -18,7 +18,6 @@ from benchmarks import (
     force_step,
     noise_limit,
     rig_troubles,
-    topic_pairing,
     whole_damper,
     window_refit,
 )
@@ -130,14 +129,6 @@ def test_a_fault_that_is_not_named_and_one_that_is_invented_are_counted() -> Non
     named, invented = rig_troubles.figures(wrong, (0,), ())
     assert (named.value, invented.value) == (0.0, 1.0)
     assert "force_hum:20 (seed 0)" in named.note
-
-
-def test_topics_are_paired_and_their_losses_counted() -> None:
-    figures = {figure.key: figure for figure in topic_pairing.figures(4.0)}
-    assert figures["pairing_error_ms"].reached == "yes"
-    assert figures["pairing_invented"].reached == "yes"
-    assert figures["pairing_miscounted"].reached == "yes"
-    assert figures["pairing_joined"].value == pytest.approx(0.97, abs=0.02)
 
 
 # -- what is measured ------------------------------------------------------------------------
