@@ -1,4 +1,4 @@
-"""An emulated rig whose damper changes, and a tracker that follows it as the identifier does."""
+"""A damper that heats from 28 to 71 °C or loses a tenth of its force, followed by the engine."""
 
 from __future__ import annotations
 
@@ -7,12 +7,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
-from mr_damper_ros.emulation.emulator import Damper, EmulatedRig, RigSettings, ThermalModel
-from mr_damper_ros.emulation.faults import Fault
+from benchmarks.figure import Figure
+from mr_damper_ros.emulation.emulator import (
+    ConstantDamper,
+    Damper,
+    EmulatedRig,
+    RigSettings,
+    TemperatureDependentDamper,
+    ThermalModel,
+    scaled,
+)
+from mr_damper_ros.emulation.faults import Fault, fault_of
 from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.published import LITERATURE
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording, stream_of
@@ -36,11 +48,6 @@ class Step:
     parameters: Array
 
 
-def excitation() -> SineMotion:
-    """The motion of all these recordings."""
-    return SineMotion(AMPLITUDE, FREQUENCY)
-
-
 def recording(
     damper: Damper,
     duration: float,
@@ -52,7 +59,7 @@ def recording(
     """Recording of a damper that heats up or breaks, with the noise of the thesis."""
     rig = EmulatedRig(
         damper,
-        excitation(),
+        SineMotion(AMPLITUDE, FREQUENCY),
         CURRENT,
         settings=RigSettings(displacement_noise=1e-6, seed=seed),
         thermal=thermal,
@@ -101,7 +108,7 @@ def sample_of(run: Recording, stamp_ns: int) -> int:
 def one_cycle() -> tuple[Array, Array, Array]:
     """Displacement [m], velocity [m/s] and acceleration [m/s²] over one cycle, shape (256,)."""
     time = np.arange(256) / (256.0 * FREQUENCY)
-    motion = excitation().at(time)
+    motion = SineMotion(AMPLITUDE, FREQUENCY).at(time)
     return motion.displacement, motion.velocity, motion.acceleration
 
 
@@ -109,3 +116,191 @@ def scale_of(present: Array, reference: Array) -> float:
     """Factor on ``reference`` (n,) that comes nearest to ``present`` (n,)."""
     power = float(reference @ reference)
     return float(present @ reference) / power if power > 0.0 else math.nan
+
+
+# -- a damper that heats ------------------------------------------------------------------
+
+DURATION = 600.0
+COLD, HOT = 28.0, 71.0
+CONDUCTANCE = 0.2
+"""Convection [W/K]; the heat capacity follows from the duration."""
+
+DAMPER = TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS)
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """Errors of the reported force scales (k,) [1], and NRMSE of the forces predicted and fitted.
+
+    ``predicted`` (m,): by the set in use on the window that follows; ``fitted`` (m,): by a fresh
+    least-squares fit of that window itself.
+    """
+
+    scale_errors: Array
+    predicted: Array
+    fitted: Array
+
+    @property
+    def scale_error_p95(self) -> float:
+        """95th percentile of the absolute errors of the force scale [1]."""
+        return float(np.quantile(np.abs(self.scale_errors), 0.95))
+
+    @property
+    def nrmse_ratio(self) -> float:
+        """Root mean square of the predictions' NRMSE over that of the fresh fits'."""
+        return float(np.sqrt(np.mean(self.predicted**2) / np.mean(self.fitted**2)))
+
+
+def thermal_model(duration: float) -> ThermalModel:
+    """Thermal model that takes the damper of this test from 28 to 71 °C in ``duration`` [s]."""
+    cycle = one_cycle()
+    powers = [
+        float(np.mean(sine_force(values, *cycle, CURRENT) * cycle[1]))
+        for values in (THESIS_28_CELSIUS, THESIS_71_CELSIUS)
+    ]
+
+    def excess(capacity: float) -> float:
+        model = ThermalModel(capacity=capacity, conductance=CONDUCTANCE)
+        celsius, steps = model.initial, 1000
+        for _ in range(steps):
+            warm = (celsius - COLD) / (HOT - COLD)
+            power = powers[0] + warm * (powers[1] - powers[0])
+            celsius = model.after(celsius, power, duration / steps)
+        return celsius - HOT
+
+    return ThermalModel(capacity=brentq(excess, 1e-3, 1e5), conductance=CONDUCTANCE)
+
+
+def heated_run(duration: float = DURATION, seed: int = 1) -> Recording:
+    """The recording of the drift."""
+    return recording(DAMPER, duration, seed=seed, thermal=thermal_model(duration))
+
+
+def drift_of(run: Recording, settings: TrackerSettings) -> Drift:
+    """Follow the drift, and compare with what was true when each report was published."""
+    steps = follow(run, settings)
+    length = round(WINDOW / run.period)
+    first = next(step.report for step in steps if step.report.accepted)
+    baseline_end = sample_of(run, first.stamp_ns) + 1
+    baseline = _true_loop(run, slice(baseline_end - length, baseline_end))
+    errors, predicted, fitted = [], [], []
+    for step in steps:
+        end = sample_of(run, step.report.stamp_ns) + 1
+        if np.isfinite(step.report.scale.value):
+            truth = scale_of(_true_loop(run, slice(end - 1, end)), baseline)
+            errors.append(step.report.scale.value / truth - 1.0)
+        if end >= baseline_end and end + length <= run.force.size:
+            ahead = window_between(run, end, end + length)
+            predicted.append(nrmse(step.parameters, ahead))
+            fitted.append(
+                fit_window(MODELS["sigmoid"], ahead, step.parameters, method="least_squares").nrmse
+            )
+    return Drift(np.array(errors), np.array(predicted), np.array(fitted))
+
+
+def _true_loop(run: Recording, part: slice) -> Array:
+    """Force (n,) of the true damper over one cycle, at the mean temperature of a part."""
+    assert run.temperature is not None
+    warm = (float(np.mean(run.temperature[part])) - COLD) / (HOT - COLD)
+    cycle = one_cycle()
+    cold, hot = (sine_force(p, *cycle, CURRENT) for p in (THESIS_28_CELSIUS, THESIS_71_CELSIUS))
+    return np.asarray(cold + min(max(warm, 0.0), 1.0) * (hot - cold))
+
+
+def drift_figures(duration: float = DURATION) -> list[Figure]:
+    """``drift_scale_error_p95_percent``, ``drift_nrmse_ratio``, ``ukf_drift_...`` of the first."""
+    run = heated_run(duration)
+    window, recursive = (
+        drift_of(run, TrackerSettings(tracker=name)) for name in ("window", "recursive")
+    )
+    assert run.temperature is not None
+    shared = (
+        f"Emulated rig heating from 28 to {float(run.temperature[-1]):.1f} °C in {duration:.0f} s, "
+        f"force interpolated between the published sets, windows of {WINDOW:g} s every "
+        f"{HOP:g} s:"
+    )
+    return [
+        Figure(
+            "drift_scale_error_p95_percent",
+            100.0 * window.scale_error_p95,
+            f"{shared} 95th percentile of the reported force scale's error against the truth at "
+            "the end of the window [%].",
+            (0.0, 1.0),
+        ),
+        Figure(
+            "drift_nrmse_ratio",
+            window.nrmse_ratio,
+            f"{shared} NRMSE of the set in use on the window that follows, over that of a fresh "
+            "fit of that very window (root mean squares).",
+            (0.0, 1.1),
+            f"95th percentile of the single ratios: "
+            f"{float(np.quantile(window.predicted / window.fitted, 0.95)):.3f}.",
+        ),
+        Figure(
+            "ukf_drift_scale_error_p95_percent",
+            100.0 * recursive.scale_error_p95,
+            "The force scale's error on the same recording by the recursive Kalman filter [%].",
+            note=f"Its NRMSE ratio: {recursive.nrmse_ratio:.3f}.",
+        ),
+    ]
+
+
+# -- a sudden loss of force ------------------------------------------------------------------
+
+FACTOR = 0.9
+WITHIN = 0.01
+OFFSETS = tuple(place / 8.0 for place in range(8))
+"""When the step comes, in parts of a hop after the end of a window."""
+
+_BEFORE, _AFTER = 8.0, 10.0
+
+
+def windows_until_right(offset: float, settings: TrackerSettings) -> float:
+    """Time from the step until the set in use is within 1 %, in lengths of a window.
+
+    Within 1 % is the norm of the error of the force over a cycle against that of the force.
+    Infinite where that never happens; a set that becomes wrong again does not count.
+    """
+    time = _BEFORE + offset * HOP
+    run = recording(
+        ConstantDamper(THESIS_28_CELSIUS),
+        time + _AFTER,
+        seed=round(100 * offset),
+        faults=[fault_of(f"force_loss:{FACTOR}@{time}")],
+    )
+    cycle = one_cycle()
+    truth = sine_force(scaled(THESIS_28_CELSIUS, FACTOR), *cycle, CURRENT)
+    right_since = np.inf
+    for step in follow(run, settings):
+        elapsed = (sample_of(run, step.report.stamp_ns) + 1) * run.period - time
+        if elapsed <= 0.0:
+            continue
+        error = sine_force(step.parameters, *cycle, CURRENT) - truth
+        right = bool(np.linalg.norm(error) <= WITHIN * np.linalg.norm(truth))
+        right_since = min(right_since, elapsed) if right else np.inf
+    return float(right_since) / WINDOW
+
+
+def step_figures(offsets: Sequence[float] = OFFSETS) -> list[Figure]:
+    """``step_windows`` and ``ukf_step_windows``."""
+    found, recursive = (
+        [windows_until_right(offset, TrackerSettings(tracker=name)) for offset in offsets]
+        for name in ("window", "recursive")
+    )
+    return [
+        Figure(
+            "step_windows",
+            max(found),
+            f"Step of -10 % in force: time until the set in use is right within 1 % for good, in "
+            f"windows of {WINDOW:g} s (a window every {HOP:g} s); the longest "
+            f"of {len(found)} steps at different times within a hop.",
+            (0.0, 2.0),
+            f"Mean: {float(np.mean(found)):.2f}.",
+        ),
+        Figure(
+            "ukf_step_windows",
+            max(recursive),
+            "The same by the recursive Kalman filter.",
+            note=f"Mean: {float(np.mean(recursive)):.2f}.",
+        ),
+    ]

@@ -6,7 +6,6 @@ The rig runs meanwhile. A node is deaf as long as it leaves a service call unans
 from __future__ import annotations
 
 import math
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
 from benchmarks.figure import Figure
-from benchmarks.three_nodes import ThreeNodes
+from benchmarks.node_soak import ThreeNodes, three_nodes
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES
 from mr_damper_ros.nodes import quality
@@ -40,7 +39,6 @@ from mr_damper_ros.nodes.messages import to_field
 from mr_damper_ros.processes.programs import PATIENCE, resident_bytes
 from mr_damper_ros.signals.blocks import MOST_SAMPLES
 
-_BUILD = Path("build")
 _MB = 1e6
 _SIZE = 1_000_000
 """Of the largest messages [B]."""
@@ -121,11 +119,7 @@ def campaign(
     repetitions: int = 1, chosen: Callable[[HostileMessage], bool] = lambda _: True
 ) -> tuple[list[Harm], bool]:
     """What each message did, and whether both nodes still ran at the end."""
-    _BUILD.mkdir(exist_ok=True)
-    with (
-        tempfile.TemporaryDirectory(dir=_BUILD, prefix="hostile-") as folder,
-        ThreeNodes(Path(folder).absolute(), _OPTIONS) as rig,
-    ):
+    with three_nodes(_OPTIONS) as rig:
         rig.observer.until(lambda: rig.sets and rig.reports[-1].accepted, "the first set")
         sender = _Sender(rig)
         harms: list[Harm] = []

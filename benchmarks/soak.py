@@ -12,11 +12,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from benchmarks import (
-    endurance,
     fuzz,
     hostile_recordings,
-    interrupts,
-    kills,
+    node_soak,
     poisoned_starts,
     program_kills,
 )
@@ -33,12 +31,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parts: dict[str, Callable[[], list[Figure]]] = {
         "fuzz": lambda: fuzz.figures(options.cases, options.seed),
         "recordings": lambda: hostile_recordings.figures(options.recordings, options.seed),
-        "kills": lambda: kills.figures(options.kills, options.kills, options.seed),
+        "kills": lambda: node_soak.kill_figures(options.kills, options.kills, options.seed),
         "many_kills": lambda: program_kills.many_kills(seed=options.seed),
         "campaign_kills": lambda: program_kills.campaign_kills(seed=options.seed),
         "starts": lambda: poisoned_starts.figures(options.starts, seed=options.seed),
-        "interrupts": lambda: interrupts.figures(options.interrupts, options.seed),
-        "soak": lambda: endurance.figures(options.hours, min(1.0, 0.25 * options.hours)),
+        "interrupts": lambda: node_soak.interrupt_figures(options.interrupts, options.seed),
+        "soak": lambda: node_soak.stream_figures(options.hours, min(1.0, 0.25 * options.hours)),
     }
     figures: list[Figure] = []
     for name in options.only or parts:

@@ -13,9 +13,7 @@ import pytest
 
 from benchmarks import (
     bench,
-    drift,
     following,
-    force_step,
     noise_limit,
     rig_troubles,
     whole_damper,
@@ -69,7 +67,7 @@ thirty_windows = cache(clean_windows)
 @cache
 def heated() -> Recording:
     """A minute in which the damper heats from 28 to 71 degrees."""
-    return drift.bag(60.0)
+    return following.heated_run(60.0)
 
 
 # -- figures and the program -----------------------------------------------------------------
@@ -180,7 +178,7 @@ def test_the_thermal_model_reaches_71_degrees_in_the_time_given() -> None:
 @pytest.mark.parametrize("tracker", ["window", "recursive"])
 def test_a_drift_is_followed_and_compared_with_the_truth(tracker: str) -> None:
     settings = TrackerSettings(tracker=tracker, method="least_squares", global_period=0)
-    found = drift.measure(heated(), settings)
+    found = following.drift_of(heated(), settings)
     assert found.scale_errors.size > 40
     assert found.scale_error_p95 < FOLLOWED
     assert found.predicted.shape == found.fitted.shape
@@ -189,13 +187,13 @@ def test_a_drift_is_followed_and_compared_with_the_truth(tracker: str) -> None:
 
 
 def test_a_step_is_counted_in_windows_from_when_it_comes() -> None:
-    assert 0.0 < force_step.windows_until_right(0.5, FAST) < SOON
+    assert 0.0 < following.windows_until_right(0.5, FAST) < SOON
 
 
 def test_a_step_that_is_never_followed_counts_as_infinite(monkeypatch: pytest.MonkeyPatch) -> None:
-    wrong = following.follow(following.recording(drift.DAMPER, 4.0, seed=0), FAST)[:1]
+    wrong = following.follow(following.recording(following.DAMPER, 4.0, seed=0), FAST)[:1]
     monkeypatch.setattr(following, "follow", lambda run, settings: wrong)
-    assert force_step.windows_until_right(0.0, FAST) == math.inf
+    assert following.windows_until_right(0.0, FAST) == math.inf
 
 
 def test_scale_of_a_loop_against_another() -> None:

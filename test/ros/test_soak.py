@@ -6,12 +6,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="these tests need ROS")
 
-from benchmarks import endurance, interrupts, kills, poisoned_starts
+from benchmarks import node_soak, poisoned_starts
 from mr_damper_ros.tracking import state_directory
 
 
 def test_whatever_is_killed_the_state_stays() -> None:
-    carried_out = kills.campaign(nodes=3, workers=1, seed=2)
+    carried_out = node_soak.kill_all(nodes=3, workers=1, seed=2)
     assert sorted(kill.victim for kill in carried_out) == [
         *("bridge", "identifier", "model", "worker")
     ]
@@ -32,16 +32,16 @@ def test_a_start_that_fails_would_be_noticed(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_node_ends_cleanly_whenever_it_is_interrupted() -> None:
-    pressed = interrupts.campaign(count=5, seed=3)
-    assert {one.node for one in pressed} == set(interrupts.NODES)
+    pressed = node_soak.interrupt_all(count=5, seed=3)
+    assert {one.node for one in pressed} == set(node_soak.INTERRUPTED)
     assert {one.signals for one in pressed} == {1, 2}
-    assert any(one.age < interrupts.START for one in pressed)
+    assert any(one.age < node_soak.START for one in pressed)
     assert [one for one in pressed if one.fault] == []
 
 
 def test_a_stream_at_speed_leaves_no_errors_and_no_leak() -> None:
-    data_hours = 50.0 * endurance.RATE / 3600.0
-    growth, errors = endurance.soak(data_hours, 0.4 * data_hours)
+    data_hours = 50.0 * node_soak.RATE / 3600.0
+    growth, errors = node_soak.soak(data_hours, 0.4 * data_hours)
     assert errors == []
     assert sorted(growth) == ["bridge", "identifier", "model", "worker"]
     # MB that a node may grow by in the second half of a minute; a leak of the blocks would be 8.
