@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mr_damper_ros.models import MODELS
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
 
@@ -84,6 +85,18 @@ WINDOWS = (
     *("amplitude", "frequency", "fit_duration", "verdict", "accepted"),
 )
 """Columns of the table ``windows``; ``accepted`` is 1 or 0."""
+
+UNITS = {
+    "time": "s",
+    **dict.fromkeys(("displacement", "amplitude"), "m"),
+    **dict.fromkeys(("velocity", "peak_velocity"), "m/s"),
+    "current": "A",
+    **dict.fromkeys(("measured_force", "predicted_force", "force_error"), "N"),
+    **dict.fromkeys(("temperature", "fluid_temperature", "fluid_temperature_error"), "°C"),
+    "frequency": "Hz",
+    "fit_duration": "s",
+}
+"""Of the columns of both; those that are not here have none."""
 
 SIGNALS_KEPT = 6000
 WINDOWS_KEPT = 2000
@@ -320,6 +333,7 @@ class LiveRecord:
             seen, events = self.parameters, list(self._events)
         parts = {
             "tables": _json(tables),
+            "units": _json(_units(seen)),
             "set": _json(None if seen is None else vars(seen)),
             "concerns": _json(
                 [{**vars(concern), "silence": silence} for concern, silence in self.concerns]
@@ -331,6 +345,19 @@ class LiveRecord:
             "windows": b"[" + b",".join(sentences) + b"]",
         }
         return b"{" + b",".join(b'"%s":%s' % (k.encode(), v) for k, v in parts.items()) + b"}"
+
+
+def _units(seen: SetSeen | None) -> dict[str, str]:
+    """Units of all columns by name, also of the parameters and coefficients of a set."""
+    if seen is None:
+        return UNITS
+    law = MODELS.get(seen.model)
+    coefficients = law.coefficient_quantities if law else ()
+    return {
+        **UNITS,
+        **{quantity.name: quantity.unit for quantity in coefficients},
+        **dict(zip(seen.names, seen.units, strict=True)),
+    }
 
 
 def _json(value: object) -> bytes:

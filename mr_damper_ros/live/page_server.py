@@ -24,6 +24,7 @@ from typing import Any
 from urllib.parse import parse_qs
 
 from mr_damper_ros.live.live_record import LiveRecord
+from mr_damper_ros.tracking.acceptance import Verdict
 
 PAGE = Path(__file__).parent / "page"
 
@@ -60,6 +61,9 @@ _ANY = frozenset({"0.0.0.0", "::"})
 
 _NETLOC = re.compile(r"(?:\[([0-9A-Fa-f:.]+(?:%[\w.-]+)?)\]|([\w.-]+))(?::[0-9]{1,5})?", re.ASCII)
 _WHOLE_NUMBER = re.compile(r"-?[0-9]{1,15}", re.ASCII)
+
+_VERDICTS = {int(verdict): verdict.name.lower().replace("_", " ") for verdict in Verdict}
+"""In words, by their numbers in the table ``windows``."""
 
 _SECURITY = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; "
@@ -268,7 +272,11 @@ class _Handler(BaseHTTPRequestHandler):
             content, kind = self.served.files[path]
             self._answer(HTTPStatus.OK, content, kind)
         elif path == "/status":
-            fixed = {"title": self.served.title, "commands": self.served.commands}
+            fixed = {
+                "title": self.served.title,
+                "commands": self.served.commands,
+                "verdicts": _VERDICTS,
+            }
             status = record.status(_number(query, "windows", 0))
             content = json.dumps(fixed).encode()[:-1] + b"," + status[1:]
             self._answer(HTTPStatus.OK, content, "application/json")

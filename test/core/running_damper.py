@@ -47,7 +47,7 @@ def show_window(record: LiveRecord, number: int, *, accepted: bool = True) -> No
                 "amplitude": 5e-3,
                 "frequency": 1.5,
                 "fit_duration": 0.012,
-                "verdict": 1.0 if accepted else 3.0,
+                "verdict": 1.0 if accepted else 6.0,
             },
             verdict="ACCEPTED" if accepted else "DISTURBED",
             reason="it predicts better than the set before" if accepted else "a hammer blow",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 import time
@@ -103,7 +104,7 @@ def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
             }})()"""
         )
         assert min(colours) > 50, f"{chart}: measured and predicted are drawn"
-    assert "valid; NRMSE 4.1%" in page.text("#tile-prediction")
+    assert page.text("#tile-prediction").split() == ["✓", "valid"], "one error, in its own tile"
     assert page.text("#tile-scale").split() == ["0.952", "±", "0.003"]
     assert "5 mm, 1.5 Hz" in page.text("#tile-motion")
     assert page.text("#tile-current") == "0.5 A"
@@ -112,7 +113,7 @@ def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     assert page.text("#tile-lost").startswith("3")
     assert page.text("#tile-error").split()[1] == "%"
     assert page.text('#coefficients [data-name="f_t"] figcaption').split() == [
-        *("f_t", "590.2", "±", "12")
+        *("f_t", "590.2", "±", "12", "N")
     ]
     determined = page.text('#parameters [data-name="f0"] figcaption')
     assert "±" in determined
@@ -127,6 +128,42 @@ def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     assert "✕ error: the state cannot be kept" in shown
     assert "▲ warning: 3 samples were lost" in shown
     assert "✓ good: window 40% full" in shown
+
+
+def point_at(page: Browser, chart: str) -> None:
+    """Move the pointer to the middle of a figure."""
+    at = page.evaluate(
+        f"""(() => {{
+          const over = document.querySelector('{chart} .u-over');
+          over.scrollIntoView({{ block: 'center', behavior: 'instant' }});
+          const box = over.getBoundingClientRect();
+          return [box.x + box.width / 2, box.y + box.height / 2];
+        }})()"""
+    )
+    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at[0] - 3, y=at[1])
+    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at[0], y=at[1])
+
+
+@pytest.mark.parametrize(
+    ("chart", "shown"),
+    [("force-time", r"-?[\d.]+ / -?[\d.]+ N at .* s"), ("force-velocity", r"\S+ N at \S+ m/s")],
+)
+def test_a_figure_says_the_values_under_the_pointer(page: Browser, chart: str, shown: str) -> None:
+    figure = f"[data-chart={chart}]"
+    point_at(page, figure)
+    pattern = f"new RegExp({json.dumps(f'^{shown}$')})"
+    page.until(f"{pattern}.test(document.querySelector('{figure} output').value)")
+
+
+def test_an_outlier_does_not_flatten_a_figure(browser: Browser) -> None:
+    record = running_damper.running(3)
+    record.add_signals(running_damper.START + 3.0, 0.0, 0.0, 0.5, 1e6, 0.0, valid=True)
+    running_damper.show_signals(record, 3.01, 1.0)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        output = "document.querySelector('[data-chart=force-time] output')"
+        browser.until(f"{output}?.value === '1 outside the view'")
+        leave(browser)
 
 
 def ink_at_rest(page: Browser, chart: str) -> str:
@@ -205,9 +242,22 @@ def test_figures_and_tables_are_saved(page: Browser, tmp_path: Path) -> None:
         assert time.monotonic() < deadline
         time.sleep(0.05)
     assert found[".png"].read_bytes().startswith(b"\x89PNG")
-    lines = found[".csv"].read_text(encoding="utf-8").splitlines()
-    assert lines[0].startswith("index,time,displacement,velocity,current,measured_force")
+    lines = found[".csv"].read_text(encoding="utf-8-sig").splitlines()
+    assert lines[0].startswith(
+        "index,time [s],displacement [m],velocity [m/s],current [A],measured_force [N]"
+    )
+    assert lines[-1].endswith(",yes"), "whether the force is valid, in words"
     assert len(lines) > 100 * SECONDS
+    for path in found.values():
+        path.unlink()
+    page.press("2")
+    page.until("document.querySelector('nav [aria-current]').hash === '#drift'")
+    page.press("c")
+    while not (windows := list(tmp_path.glob("damper-drift-*.csv"))):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    rows = windows[0].read_text(encoding="utf-8-sig").splitlines()
+    assert rows[-1].endswith(",disturbed,no")
 
 
 def test_it_finds_the_node_again(browser: Browser, record: LiveRecord) -> None:

@@ -31,33 +31,61 @@ export function short(value, digits = 4) {
     : text.includes(".") ? text.replace(/\.?0+$/, "") : text;
 }
 
-function padded(low, high, log = false) {
+function padded({ low, high }, log = false) {
   if (!(low <= high) || (log && low <= 0)) return log ? [1, 10] : [0, 1];
   if (log) return [low / 1.3, high * 1.3];
   const room = high > low ? 0.06 * (high - low) : Math.max(0.05 * Math.abs(low), 1e-9);
   return [low - room, high + room];
 }
 
-/** The least and the largest of these lists, of those besides that are not `clipped`. */
+const OUTLIERS = 0.01; // the largest share of values that may lie outside the view on each side
+const ROOM = 0.5; // of the range of the others, in which a value is no outlier
+
+/**
+ * The range to show of these lists, and how many values lie outside it. A few values far from the
+ * others do not flatten a chart; the newest of each list is always in view. Lists that are
+ * `clipped` count only where the others are empty.
+ */
 function extent(lists, lines = []) {
-  let low = Infinity, high = -Infinity;
-  for (const [k, list] of lists.entries()) {
-    if (lines[k]?.clipped && low < Infinity) continue;
-    for (const value of list) {
-      if (value !== null && value < low) low = value;
-      if (value !== null && value > high) high = value;
-    }
-  }
-  return [low, high];
+  const counted = lists.filter((list, k) => !lines[k]?.clipped && list.some((value) => value !== null));
+  const values = (counted.length ? counted : lists).flatMap((list) => list.filter((value) => value !== null));
+  if (!values.length) return { low: Infinity, high: -Infinity, outside: 0 };
+  const sorted = Float64Array.from(values).sort();
+  const few = Math.max(Math.floor(OUTLIERS * sorted.length), sorted.length > 9 ? 1 : 0);
+  const inner = [sorted[few], sorted.at(-1 - few)], room = ROOM * (inner[1] - inner[0]);
+  const last = counted.map((list) => list.findLast((value) => value !== null));
+  const low = Math.min(Math.max(sorted[0], inner[0] - room), ...last);
+  const high = Math.max(Math.min(sorted.at(-1), inner[1] + room), ...last);
+  return { low, high, outside: sorted.filter((value) => value < low || value > high).length };
 }
 
-/** What both kinds have: a plot that fills its place and is made anew in other colours. */
+/** What both kinds have: a plot that fills its place, says values, and is made anew in other colours. */
 class Chart {
   constructor(place, options) {
     this.place = place;
     this.options = options;
     this.data = null;
+    this.output = place.previousElementSibling.appendChild(document.createElement("output"));
     new ResizeObserver(() => this.resize()).observe(place);
+  }
+
+  /** What the caption says while no pointer is on the chart. */
+  rest() {
+    const outside = this.outside ? `${this.outside} outside the view` : "";
+    return [this.resting, outside].filter(Boolean).join(" · ");
+  }
+
+  /** The range of an axis; remembers how many values lie outside it. */
+  range(lists, lines, log) {
+    const found = extent(lists, lines);
+    this.outside = found.outside;
+    if (!this.pointed) this.output.value = this.rest();
+    return padded(found, log);
+  }
+
+  say(text) {
+    this.pointed = Boolean(text);
+    this.output.value = text || this.rest();
   }
 
   resize() {
@@ -87,17 +115,26 @@ export class LoopChart extends Chart {
 
   described() {
     const { x, y, lines } = this.options;
-    const range = (k) => () => padded(...extent(this.data.map((pair) => pair[k]), lines));
+    const range = (k) => () => this.range(this.data.map((pair) => pair[k]), lines);
     return {
-      ...this.size(), mode: 2, legend: { show: false }, cursor: { show: false },
+      ...this.size(), mode: 2, legend: { show: false },
+      cursor: { drag: { x: false, y: false }, points: { show: false }, dataIdx: () => null },
       scales: { x: { time: false, range: range(0) }, y: { range: range(1) } },
       axes: [axis(x, 30), axis(y, beside)],
-      hooks: { drawClear: [(u) => u.series.forEach((s, i) => { if (i) s._paths = null; })] },
+      hooks: { drawClear: [(u) => u.series.forEach((s, i) => { if (i) s._paths = null; })],
+        setCursor: [(u) => this.tell(u)] },
       series: [{}, ...lines.map((line) => ({
         facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }],
         stroke: style(line.colour), paths: (u, i) => this.draw(u, i, line),
       }))],
     };
+  }
+
+  /** Say in the caption where the pointer is. */
+  tell(u) {
+    const { left, top } = u.cursor, { x, y } = this.options;
+    const at = (label, value) => `${short(value)} ${label.match(/\[(.*)\]/)[1]}`;
+    this.say(left < 0 ? "" : `${at(y, u.posToVal(top, "y"))} at ${at(x, u.posToVal(left, "x"))}`);
   }
 
   draw(u, index, line) {
@@ -156,7 +193,7 @@ export class TimeChart extends Chart {
       cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
       scales: {
         x: { time: false, range: (_, low, high) => (low < high ? [low, high] : [low - 1, high + 1]) },
-        y: { distr: log ? 3 : 1, range: () => padded(...extent(this.data.slice(1), lines), log) },
+        y: { distr: log ? 3 : 1, range: () => this.range(this.data.slice(1), lines, log) },
       },
       axes: [{ ...axis("", 24), values: (_, marks) => marks.map(time) }, axis(y, beside)],
       series: [{ label: "time", value: (_, value) => time(value) }, ...series],
@@ -166,11 +203,11 @@ export class TimeChart extends Chart {
 
   /** Say in the caption what lies under the pointer. */
   tell(u) {
-    const caption = this.place.parentElement.querySelector("output");
     const k = u.cursor.idx;
-    if (!caption) return;
-    if (k === null || k === undefined) { caption.value = this.resting ?? ""; return; }
-    const values = this.options.lines.map((line, n) => short(u.data[n + 1][k]));
-    caption.value = `${values.join(" / ")} at ${this.options.time(u.data[0][k])}`;
+    if (k === null || k === undefined) { this.say(""); return; }
+    const values = this.options.lines.map((line, n) => u.data[n + 1][k]);
+    const told = this.options.points ? values : values.filter((value) => value !== null);
+    const unit = this.options.y.match(/\[(.*)\]/)?.[1].replace(/^1$/, "") ?? "";
+    this.say(`${told.map((value) => short(value)).join(" / ")} ${unit} at ${this.options.time(u.data[0][k])}`);
   }
 }

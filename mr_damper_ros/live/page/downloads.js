@@ -14,11 +14,17 @@ function fileName(section, ending) {
   return `damper-${section}-${day}-${two(now.getHours())}${two(now.getMinutes())}${two(now.getSeconds())}.${ending}`;
 }
 
-/** The table as comma-separated values, the units of the signals in SI. */
-export function saveTable(section, columns, rows) {
-  const lines = [columns.join(",")];
-  for (const row of rows) lines.push(Array.from(row, (v) => (Number.isNaN(v) ? "" : v)).join(","));
-  save(new Blob([lines.join("\n") + "\n"], { type: "text/csv" }), fileName(section, "csv"));
+const YES_OR_NO = { 0: "no", 1: "yes" };
+
+/** The table as comma-separated values, with units and in words: `status` has both. */
+export function saveTable(section, { columns, rows }, { units, verdicts }) {
+  const unit = (name) => units[name] ?? units[name.replace(/_error$/, "")];
+  const words = columns.map((name) => ({ verdict: verdicts, accepted: YES_OR_NO, valid: YES_OR_NO })[name]);
+  const lines = [columns.map((name) => (unit(name) ? `${name} [${unit(name)}]` : name)).join(",")];
+  for (const row of rows) {
+    lines.push(Array.from(row, (v, k) => (Number.isNaN(v) ? "" : words[k]?.[v] ?? v)).join(","));
+  }
+  save(new Blob(["\ufeff", lines.join("\n"), "\n"], { type: "text/csv" }), fileName(section, "csv"));
 }
 
 /** All figures of a section as they lie on the page, with their captions. */

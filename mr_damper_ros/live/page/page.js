@@ -222,6 +222,7 @@ function showTraces(section) {
       const figure = document.createElement("figure");
       figure.dataset.name = name;
       figure.append(document.createElement("figcaption"), document.createElement("div"));
+      figure.firstChild.append(name);
       home.append(figure);
       const lines = [line(name, DATA, "solid", 1.5, true)];
       known[name] = new TimeChart(figure.lastChild, { y: "", lines, points: true, time: clock });
@@ -230,15 +231,12 @@ function showTraces(section) {
   const time = timesOf(table, table.rows);
   for (const name of names) {
     const values = column(table, table.rows, name), errors = column(table, table.rows, `${name}_error`);
-    const caption = known[name].place.previousSibling, output = document.createElement("output");
     const parameter = section === "parameters" ? status.set.names.indexOf(name) : -1;
-    const unit = parameter < 0 ? "" : status.set.units[parameter].replace(/^1$/, "");
+    const unit = (status.units[name] ?? "").replace(/^1$/, "");
     const hidden = parameter >= 0 && !status.set.observable[parameter];
     const error = errors.at(-1);
     known[name].resting = hidden ? `${short(values.at(-1))} ${unit} · not determined`
       : `${short(values.at(-1))}${error === null ? "" : ` ± ${short(error, 2)}`} ${unit}`;
-    output.value = known[name].resting;
-    caption.replaceChildren(name, output);
     known[name].show([time, values, ...withBand(values, errors)]);
   }
 }
@@ -311,7 +309,8 @@ function showTiles() {
   const prediction = concern("model: prediction");
   if (prediction) {
     const [mark, word, colour] = LEVELS[prediction.level] ?? LEVELS[2];
-    tile("prediction", prediction.message, "", `sentence ${colour}`, `${mark} `);
+    // The error tile says how large the error is: two figures of two spans would only differ.
+    tile("prediction", prediction.message.split("; NRMSE")[0], "", `sentence ${colour}`, `${mark} `);
     byId("tile-prediction").title = word;
   }
   const latency = concern("model: latency");
@@ -494,7 +493,7 @@ function savePng(section) {
 
 function saveCsv(section) {
   const table = tables[section.dataset.table ?? "windows"];
-  if (table) saveTable(section.id, table.columns, table.rows);
+  if (table) saveTable(section.id, table, status);
 }
 
 for (const section of sections) {
