@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -15,8 +14,8 @@ import numpy as np
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce, MtsSamples, SupplyCurrent
 from rclpy.serialization import deserialize_message
 
-from benchmarks import command_relay, relay
 from benchmarks.figure import Figure
+from benchmarks.helper_programs import RELAY_COMMAND, RELAY_SAMPLES, start_helper
 from benchmarks.processes import ProfiledDomain, driver_node, start_node
 from benchmarks.side_by_side import CURRENT
 from benchmarks.streaming_load import LATENCY_DURATION, SETTLED, Latencies, sine_blocks
@@ -25,7 +24,7 @@ from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import current_message, header, samples_message
 from mr_damper_ros.nodes.spinning import make_executor
-from mr_damper_ros.processes.programs import PATIENCE, Program
+from mr_damper_ros.processes.programs import PATIENCE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 
@@ -109,8 +108,7 @@ def measure_latency(duration: float) -> Latencies:
             THESIS_28_CELSIUS, peak_velocity_range=(0.0, 0.1), current_range=(0.0, 2.0)
         )
         file.write_text(known.to_yaml(), encoding="utf-8")
-        command = [sys.executable, "-m", command_relay.__name__]
-        stack.callback(Program(command, domain.environment).close)
+        stack.callback(start_helper("command-relay", environment=domain.environment).close)
         # Where this computer is busy, blocks wait for the commands of those before.
         patient = {"samples_timeout": _SILENT, "max_age": 0.0}
         stack.callback(start_node("controller", domain, parameter_file=file, **patient).close)
@@ -119,7 +117,7 @@ def measure_latency(duration: float) -> Latencies:
         executor.add_node(node)
         stack.callback(executor.shutdown)
         controller = CommandRoute(node, "mts/samples", "supply/current_command")
-        bare = CommandRoute(node, relay.SAMPLES_TOPIC, command_relay.COMMAND_TOPIC)
+        bare = CommandRoute(node, RELAY_SAMPLES, RELAY_COMMAND)
         sender = _LatencyDriver(
             node.create_publisher(SupplyCurrent, "supply/current", quality.stream()),
             node.create_publisher(DesiredForce, "damper/desired_force", quality.stream()),

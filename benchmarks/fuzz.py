@@ -7,21 +7,429 @@ law's. The same seed gives the same cases.
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import random
 import signal
+import struct
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
-from benchmarks import hostile_files as files
+import numpy as np
+from scipy.io import savemat
+
 from benchmarks.figure import Figure
-from benchmarks.hostile_blocks import HostileStream
-from benchmarks.hostile_input import spoilt
-from benchmarks.hostile_state import HostileState
+from mr_damper_ros.io.bag_files import BagError
+from mr_damper_ros.io.bag_reader import read_bag
+from mr_damper_ros.io.bag_writer import write_bag
+from mr_damper_ros.io.columns import ColumnError, RecordError
+from mr_damper_ros.io.records import read_record
+from mr_damper_ros.models import MODELS
+from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
+from mr_damper_ros.models.sigmoid.law import sine_force
+from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, SampleBlock
+from mr_damper_ros.signals.recording import Recording, RecordingError
+from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
+from mr_damper_ros.tracking.tracker import TrackerMemory
+from mr_damper_ros.tracking.tracker_state import from_text, to_text
+from mr_damper_ros.tracking.window_assembler import WindowAssembler
+
+PERIOD = 1e-3
+AMPLITUDE, FREQUENCY, CURRENT = 5e-3, 2.0, 1.5
+T0 = 1_700_000_000 * NANOSECONDS
+
+NUMBERS = (
+    *(0.0, -0.0, -1.0, 1e-320, 1e300, -1e300, 1e18, 2.0**53, 0.1),
+    *(math.nan, math.inf, -math.inf),
+)
+WORDS = (
+    *(b"nan", b"inf", b"-1", b"1e999", b"0x10", b"1,5", b";", b",", b"\t", b"\n", b"\r", b"\0"),
+    *(b"\xff\xfe", b"\xef\xbb\xbf", b"\xc3\xa4", b"'", b'"', b"#", b"---", b"&a [*a]", b"!!python"),
+    *(b"{", b"[" * 50, b"[" * 5000, b"2001-02-31", b"!!int ''", b"]", b": ", b"? ", b"1" * 400),
+    *(b"null", b"~", b"<<: *a", b"!!binary ="),
+)
+
+
+def spoilt(chance: random.Random, good: bytes) -> bytes:
+    """The bytes with a few of them changed, left out, doubled, or words put in between."""
+    data = bytearray(good)
+    for _ in range(chance.choice((1, 1, 1, 2, 5))):
+        first = chance.randrange(len(data) + 1)
+        last = min(first + chance.choice((1, 1, 4, 16, len(data))), len(data))
+        change = chance.randrange(5)
+        if change == 0:
+            data[first:last] = b""
+        elif change == 1:
+            data[first:first] = data[first:last][:4000]
+        elif change == 2:
+            data[first:first] = chance.choice(WORDS)
+        elif change == 3:
+            data[first:last] = chance.choice(WORDS)
+        elif first < len(data):
+            data[first] ^= 1 << chance.randrange(8)
+    return bytes(data)
+
+
+def motion(time_: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Displacement [m], velocity [m/s] and acceleration [m/s²] of the sine that all input is of."""
+    rate = 2.0 * math.pi * FREQUENCY
+    # With a phase, so that no sample lies where the law jumps from one branch to the other.
+    angle = rate * time_ + 0.3
+    return (
+        AMPLITUDE * np.sin(angle),
+        AMPLITUDE * rate * np.cos(angle),
+        -AMPLITUDE * rate**2 * np.sin(angle),
+    )
+
+
+# -- blocks ------------------------------------------------------------
+
+_BLOCK = 20
+
+_RIGHT = 0.03
+"""Part of the peak force by which a valid block may differ from the law's force (RMS)."""
+
+_SETTLED = 2.0
+"""Seconds of good samples after which the motion must be followed that well."""
+
+_FOLLOWING, _LONG, _NEW_STREAM = 2, 0.02, 0.2
+"""Good blocks after a bad one; part of the cases in which they go on until all has settled, and
+in which the stream is a new one."""
+
+_BLIND = 0.25
+"""Seconds after a new start in which nothing can be known of the motion: half a cycle."""
+
+_PEAK = float(
+    np.max(
+        np.abs(
+            sine_force(
+                THESIS_28_CELSIUS, *motion(np.linspace(0.0, 0.5, 500)), np.full(500, CURRENT)
+            )
+        )
+    )
+)
+
+
+class HostileStream:
+    """A good stream with bad blocks in between, predicted with the right parameters."""
+
+    def __init__(self, chance: random.Random) -> None:
+        self._chance = chance
+        self._begin()
+
+    def _begin(self) -> None:
+        self._predictor = ForcePredictor(PredictorSettings())
+        self._predictor.set_parameters(
+            ParameterSet(
+                THESIS_28_CELSIUS,
+                peak_velocity_range=(0.05, 0.08),
+                current_range=(CURRENT, CURRENT),
+            )
+        )
+        self._assembler = WindowAssembler(0.5, 0.25, 1)
+        self._sample = 0
+        self._good = 0
+
+    def try_block(self) -> str:
+        """One spoilt block, after which the stream is good again, for a while or for longer."""
+        if self._chance.random() < _NEW_STREAM:
+            self._begin()
+        long = self._chance.random() < _LONG
+        following = round(2.0 * _SETTLED / PERIOD / _BLOCK) if long else _FOLLOWING
+        for number in range(1 + following):
+            fault = self._follow(spoil=number == 0)
+            if fault:
+                return fault
+        return ""
+
+    def _follow(self, *, spoil: bool) -> str:
+        values = self._next()
+        if spoil:
+            self._spoil(values)
+        try:
+            block = SampleBlock(**values)
+        except BlockError:
+            self._good = 0
+            return ""
+        prediction = self._predictor.predict(block)
+        self._predictor.catch_up()
+        for window in self._assembler.add_block(block):
+            if window.force.size != window.current.size:
+                return "a window of unequal lengths"
+        self._assembler.take_events()
+        if prediction.force.size != block.sample_count:
+            return "a prediction of another length"
+        if prediction.valid == bool(prediction.reason):
+            return "not valid without a reason, or valid with one"
+        self._good = 0 if spoil else self._good + block.sample_count
+        return self._judge(block, prediction.force) if prediction.valid else ""
+
+    def _judge(self, block: SampleBlock, predicted: np.ndarray) -> str:
+        if not np.isfinite(predicted).all():
+            return "a force that is not finite is valid"
+        good = self._good * PERIOD
+        if good < _BLIND and self._sample * PERIOD < _BLIND:
+            return "valid before anything can be known"
+        if good < _SETTLED:
+            return ""
+        time_ = (block.sequence + np.arange(block.sample_count)) * PERIOD
+        u, v, a = motion(time_)
+        truth = sine_force(THESIS_28_CELSIUS, u, v, a, np.full(time_.size, CURRENT))
+        error = math.sqrt(float(np.mean((predicted - truth) ** 2)))
+        return f"a force that is wrong by {error:.0f} N is valid" if error > _RIGHT * _PEAK else ""
+
+    def _next(self) -> dict[str, Any]:
+        """The next block as it should be, and its current."""
+        first = self._sample
+        self._sample += _BLOCK
+        stamp = T0 + round(first * PERIOD * NANOSECONDS)
+        self._predictor.add_current(stamp, CURRENT)
+        self._assembler.add_current(stamp, CURRENT)
+        time_ = (first + np.arange(_BLOCK)) * PERIOD
+        u, _, _ = motion(time_)
+        return {
+            "start_ns": stamp,
+            "sequence": first,
+            "period": PERIOD,
+            "displacement": u,
+            "force": 1e4 * u,
+        }
+
+    def _spoil(self, values: dict[str, Any]) -> None:
+        chance = self._chance
+        number = chance.choice(NUMBERS)
+        what = chance.randrange(9)
+        if what == 0:
+            name = chance.choice(("displacement", "force"))
+            array = np.array(values[name])
+            array[chance.randrange(array.size)] = number
+            values[name] = array
+        elif what == 1:
+            values["displacement"] = np.full(_BLOCK, number)
+        elif what == 2:
+            values["force"] = np.zeros(chance.choice((0, 1, 1000)))
+        elif what == 3:
+            values["period"] = number
+        elif what == 4:
+            shift = chance.choice((-(10**18), -(10**8), -1, 1, 10**8, 10**18, 2**62))
+            values["start_ns"] = int(values["start_ns"]) + shift
+        elif what == 5:
+            values["sequence"] = chance.choice((0, -1, 2**63, 2**64 - 1))
+        elif what == 6:
+            count = chance.choice((0, 1, 5000))
+            values["displacement"] = values["force"] = np.zeros(count)
+        elif what == 7:
+            stamp = int(values["start_ns"]) + chance.choice((-(10**12), 10**12, 0))
+            current = number if math.isfinite(number) else 1.0
+            self._predictor.add_current(stamp, current)
+            self._assembler.add_current(stamp, current)
+        else:
+            values["displacement"] = 1e3 * np.asarray(values["displacement"])
+
+
+# -- records, bags and parameter files ------------------------------------------------------------
+
+_COLUMNS = (
+    *("time:s,displacement:mm,force:N,current:A", "time:s,displacement:mm,force:kN,-"),
+    *("displacement,force", "", "a:b:c", "time:s,time:s,force:N", ",,,", "force:N*1e400", "\0:s"),
+    "time:s," + "-," * 500 + "force:N",
+)
+
+YAML = b"""model: bingham
+id: a
+nrmse: 0.1
+current_range: [0, 1.5]
+parameters:
+  f_y: {value: 1.0, standard_error: 0.1}
+  c0: 2e3
+  f0: 0
+"""
+
+
+def _table() -> np.ndarray:
+    time_ = np.arange(30) * PERIOD
+    return np.column_stack((time_, 1e3 * motion(time_)[0], 1e4 * time_, np.ones(30)))
+
+
+def record_text() -> bytes:
+    """A sound text record."""
+    rows = "\n".join(",".join(f"{value:.6g}" for value in row) for row in _table())
+    return f"t,u,F,i\n{rows}\n".encode()
+
+
+def record_mat() -> bytes:
+    """A sound MAT file."""
+    stored = BytesIO()
+    savemat(stored, {"data": _table(), "name": "x"})
+    return stored.getvalue()
+
+
+def record_bag(folder: Path) -> bytes:
+    """A sound bag, without the checksums that would tell of every change."""
+    time_ = np.arange(200) * PERIOD
+    u = motion(time_)[0]
+    write_bag(folder / "good", Recording("good", T0, PERIOD, u, 1e4 * u, np.ones(200)))
+    whole = bytearray(next((folder / "good").glob("*.mcap")).read_bytes())
+    for place in checksum_places(whole):
+        whole[place : place + 4] = bytes(4)
+    return bytes(whole)
+
+
+def checksum_places(whole: bytes | bytearray) -> list[int]:
+    """Where an MCAP file has the checksums of its chunks, its data section and its summary."""
+    places, position = [], 8
+    while position < len(whole) - 8:
+        operation, length = struct.unpack_from("<BQ", whole, position)
+        offset = {0x06: 24, 0x0F: 0, 0x02: 16}.get(operation)
+        if offset is not None:
+            places.append(position + 9 + offset)
+        position += 9 + length
+    return places
+
+
+def try_record(chance: random.Random, path: Path, data: bytes) -> str:
+    """Read spoilt bytes as a record; what is wrong with what came out, or nothing."""
+    path.write_bytes(data)
+    columns = _COLUMNS[0] if chance.random() < 0.7 else chance.choice(_COLUMNS)
+    options: dict[str, Any] = {}
+    if chance.random() < 0.2:
+        options = {"current": chance.choice(NUMBERS), "period": chance.choice(NUMBERS)}
+    try:
+        recording = read_record(path, columns, **options)
+        recording.check_plausible()
+    except (RecordError, ColumnError, RecordingError, OSError):
+        return ""
+    return _fault_of(recording)
+
+
+def try_bag(path: Path, data: bytes) -> str:
+    """Read spoilt bytes as a bag; what is wrong with what came out, or nothing."""
+    path.write_bytes(data)
+    try:
+        recordings = read_bag(path)
+        for recording in recordings:
+            recording.check_plausible()
+    except (BagError, RecordingError, OSError):
+        return ""
+    return next(filter(None, map(_fault_of, recordings)), "")
+
+
+def _fault_of(recording: Recording) -> str:
+    for values in (recording.displacement, recording.force, recording.current):
+        if values.shape != (recording.sample_count,) or not np.isfinite(values).all():
+            return "a recording with values that are not finite, or missing"
+    return "" if recording.period > 0.0 else "a recording without a period"
+
+
+def try_yaml(data: bytes) -> str:
+    """Read spoilt bytes as a parameter file; what is wrong with what came out, or nothing."""
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        return ""
+    try:
+        parameters = ParameterSet.from_yaml(text)
+    except ParameterError:
+        return ""
+    return "" if np.isfinite(parameters.values).all() else "a parameter that is not finite"
+
+
+# -- state files and their names ------------------------------------------------------------
+
+
+class HostileState:
+    """Files and names in a state folder, next to a file that nobody may touch."""
+
+    _PARTS = (
+        *("..", "/", "\\", "a", "identifier", ".yaml", "~", "\0", "\n", " ", "ä"),
+        *("\u202e", "\ud800"),
+        *("x" * 300, "-", "%2e", "*", "$HOME", ":", "link", "loop", "pipe", "folder"),
+    )
+
+    def __init__(self, chance: random.Random, folder: Path) -> None:
+        self._chance = chance
+        folder.mkdir(parents=True)
+        self._outside = folder.parent / "outside.yaml"
+        self._outside.write_text("untouched")
+        (folder / "link.yaml").symlink_to(self._outside)
+        (folder / "loop.yaml").symlink_to(folder / "loop.yaml")
+        os.mkfifo(folder / "pipe.yaml")
+        (folder / "folder.yaml").mkdir()
+        self._around = sorted(os.listdir(folder.parent))
+        self._state = StateDirectory(folder)
+        self._set = ParameterSet(THESIS_28_CELSIUS, set_id="good")
+        self._memory = to_text(TrackerMemory(windows=3))
+        self._path = self._state.save("identifier", self._set, self._memory)
+        self._good = self._path.read_bytes()
+
+    def try_out(self) -> str:
+        """One spoilt file, memory or name; what is wrong with what came of it, or nothing."""
+        if self._chance.random() < 0.5:
+            return self._try_name()
+        if self._chance.random() < 0.5:
+            return self._try_memory()
+        return self._try_file()
+
+    def _try_file(self) -> str:
+        data = spoilt(self._chance, self._good)
+        self._path.write_bytes(data)
+        try:
+            kept, memory = self._state.load_with_memory("identifier")
+        except StateError:
+            return ""
+        # Line ends of other systems are the same lines.
+        lines = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        if b"sha256" in lines.partition(b"\n")[0] and lines != self._good:
+            return "a damaged file was believed"
+        if not np.isfinite(kept.values).all():
+            return "a parameter that is not finite"
+        return "" if not memory or memory == self._memory else "a damaged memory was believed"
+
+    def _try_memory(self) -> str:
+        data = spoilt(self._chance, self._memory.encode()).decode(errors="replace")
+        if self._chance.random() < 0.3:
+            document = json.loads(self._memory)
+            name = self._chance.choice(list(document))
+            document[name] = self._chance.choice((*NUMBERS, "x", [], {}, [[]], -1, 10**40, None))
+            data = json.dumps(document)
+        try:
+            memory = from_text(data, MODELS["sigmoid"])
+        except StateError:
+            return ""
+        return "" if memory.windows >= 0 <= memory.accepted else "a negative count was believed"
+
+    def _try_name(self) -> str:
+        parts = self._chance.choices(self._PARTS, k=self._chance.choice((1, 1, 2, 3)))
+        name = "".join(parts)
+        action = self._chance.choice((self._state.load, self._save, self._state.file))
+        try:
+            result = action(name)
+        except StateError:
+            result = None
+        if sorted(os.listdir(self._outside.parent)) != self._around:
+            return f"the name {name!r} has made a file outside"
+        if self._outside.read_text() != "untouched":
+            return f"the name {name!r} has reached a file outside"
+        if isinstance(result, Path) and result.parent != self._path.parent:
+            return f"the name {name!r} means {result}"
+        return ""
+
+    def _save(self, name: str) -> Path:
+        if name.removesuffix(".yaml") in ("link", "loop", "pipe"):
+            raise StateError("these are needed as they are")
+        return self._state.save(name, self._set)
+
+
+# -- all of them ------------------------------------------------------------
 
 TIME_LIMIT = 10.0
 """Seconds after which a case counts as hanging."""
@@ -97,13 +505,13 @@ def _limited(seconds: float | None) -> Iterator[None]:
 
 
 def _tries(chance: random.Random, folder: Path) -> dict[str, Callable[[], str]]:
-    text, mat, bag = files.record_text(), files.record_mat(), files.record_bag(folder)
+    text, mat, bag = record_text(), record_mat(), record_bag(folder)
     state = HostileState(chance, folder / "states" / "state")
     return {
         "blocks": HostileStream(chance).try_block,
-        "text": lambda: files.try_record(chance, folder / "record.csv", spoilt(chance, text)),
-        "mat": lambda: files.try_record(chance, folder / "record.mat", spoilt(chance, mat)),
-        "bag": lambda: files.try_bag(folder / "record.mcap", spoilt(chance, bag)),
-        "yaml": lambda: files.try_yaml(spoilt(chance, files.YAML)),
+        "text": lambda: try_record(chance, folder / "record.csv", spoilt(chance, text)),
+        "mat": lambda: try_record(chance, folder / "record.mat", spoilt(chance, mat)),
+        "bag": lambda: try_bag(folder / "record.mcap", spoilt(chance, bag)),
+        "yaml": lambda: try_yaml(spoilt(chance, YAML)),
         "state": state.try_out,
     }

@@ -6,7 +6,6 @@ import http.client
 import json
 import math
 import socket
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -16,8 +15,8 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from benchmarks import page_viewers
 from benchmarks.figure import Figure
+from benchmarks.helper_programs import Viewer, start_helper
 from benchmarks.processes import ProfiledDomain, start_node
 from benchmarks.side_by_side import SideBySide
 from benchmarks.streaming_load import SETTLED, sine_blocks
@@ -60,7 +59,7 @@ def watched(domain: RosDomain) -> Iterator[Program]:
     with ExitStack() as stack:
         live = start_node("live", domain, port=0)
         stack.callback(live.close)
-        viewers = Program([sys.executable, page_viewers.__file__, page_of(live), str(VIEWERS)])
+        viewers = start_helper("view", page_of(live), str(VIEWERS))
         stack.callback(viewers.close)
         yield live
 
@@ -88,7 +87,7 @@ def measure_cost(duration: float, warm: float = WARM, siege: float = SIEGE) -> P
         used = (live.cpu_seconds - before) / (time.monotonic() - began)
         growth = live.resident_bytes - memory
         page = page_of(live)
-        windows = page_viewers.Viewer(page).windows()
+        windows = Viewer(page).windows()
         return PageCost(used, growth, windows, _besieged(page, siege), _grey(page, nodes))
 
 

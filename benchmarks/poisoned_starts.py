@@ -24,7 +24,7 @@ from mr_damper_msgs.msg import DamperParameters
 from rclpy.serialization import serialize_message
 
 from benchmarks.figure import Figure
-from benchmarks.hostile_input import CURRENT, NUMBERS, PERIOD, T0, motion, spoilt
+from benchmarks.fuzz import CURRENT, NUMBERS, PERIOD, T0, motion, spoilt
 from benchmarks.processes import ProfiledDomain, start_node
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import check_plausible

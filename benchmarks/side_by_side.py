@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import struct
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,15 +16,20 @@ from mr_damper_msgs.msg import MtsSamples, PredictedForce, SupplyCurrent
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
-from benchmarks import relay
-from benchmarks.busy_loop import start_busy_loop
+from benchmarks.helper_programs import (
+    PARAMETER_SET,
+    RELAY_FORCE,
+    RELAY_SAMPLES,
+    start_busy_loop,
+    start_helper,
+)
 from benchmarks.processes import ProfiledDomain, driver_node, start_node
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import current_message, samples_message, to_nanoseconds
 from mr_damper_ros.nodes.spinning import make_executor
-from mr_damper_ros.processes.programs import PATIENCE, Program
+from mr_damper_ros.processes.programs import PATIENCE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 
@@ -161,13 +165,13 @@ class SideBySide:
             file = Path(folder) / "parameters.yaml"
             known = ParameterSet(
                 THESIS_28_CELSIUS,
-                set_id=relay.PARAMETER_SET,
+                set_id=PARAMETER_SET,
                 peak_velocity_range=(0.0, 0.1),
                 current_range=(0.0, 2.0),
             )
             file.write_text(known.to_yaml(), encoding="utf-8")
             with on_cores(cores):
-                self._relay = Program([sys.executable, relay.__file__], domain.environment)
+                self._relay = start_helper("relay", environment=domain.environment)
                 stack.callback(self._relay.close)
                 self._model = start_node("model", domain, parameter_file=file)
                 stack.callback(self._model.close)
@@ -181,7 +185,7 @@ class SideBySide:
             stack.callback(self._executor.shutdown)
             self._supply = node.create_publisher(SupplyCurrent, "supply/current", quality.stream())
             self.model = Route(node, "mts/samples", "damper/predicted_force", dated=dated)
-            self.relay = Route(node, relay.SAMPLES_TOPIC, relay.FORCE_TOPIC, dated=dated)
+            self.relay = Route(node, RELAY_SAMPLES, RELAY_FORCE, dated=dated)
             self._wait_for(2 if identifier else 1)
             with on_cores(cores):
                 for _ in range(busy):

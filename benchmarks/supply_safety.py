@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ import numpy as np
 from ament_index_python.packages import get_package_prefix
 
 from benchmarks.figure import Figure
+from benchmarks.helper_programs import start_helper
 from benchmarks.instrument_server import InstrumentServer
 from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain, node_arguments
 from mr_damper_ros.rig.supplies.scpi_link import EmulatedInstrument
@@ -68,8 +68,7 @@ class _Rig:
         return Program([str(self._path), *node_arguments(given)], self._environment)
 
     def _start_commander(self) -> Program:
-        module = ["-m", "benchmarks.current_sender", str(_CURRENT)]
-        return Program([sys.executable, *module], self._environment)
+        return start_helper("send-current", str(_CURRENT), environment=self._environment)
 
     def until(self, condition: Callable[[float], bool], what: str) -> float:
         """Seconds until the current in the coil is as wanted."""

@@ -6,7 +6,6 @@ identified, and the error that is left is held against the noise in the bag.
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +15,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import MtsSamples
 
 import mr_damper_ros as mr
-from benchmarks import joint_state_sender
 from benchmarks.figure import Figure
+from benchmarks.helper_programs import JOINT, JOINT_TOPIC, start_helper
 from benchmarks.processes import ProfiledDomain, start_node
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field
 from mr_damper_ros.nodes.observer import Observer
-from mr_damper_ros.processes.programs import Program
 from mr_damper_ros.signals.arrays import Array
 
 BAGS = tuple(
@@ -51,7 +49,7 @@ class Taken:
 
 
 def taken(*arguments: str, duration: float = 0.0) -> Taken:
-    """Let a sender publish to the bridge; see :mod:`benchmarks.joint_state_sender`."""
+    """Let a sender publish to the bridge; see :mod:`benchmarks.helper_programs`."""
     found: list[MtsSamples] = []
     counts: dict[str, str] = {}
 
@@ -69,16 +67,15 @@ def taken(*arguments: str, duration: float = 0.0) -> Taken:
             source="topics",
             mirror_rate=0.0,
             wait_for_subscribers=1,
-            topics__displacement_topic=joint_state_sender.TOPIC,
-            topics__displacement_field=f"position[{joint_state_sender.JOINT}]",
-            topics__force_field=f"effort[{joint_state_sender.JOINT}]",
+            topics__displacement_topic=JOINT_TOPIC,
+            topics__displacement_field=f"position[{JOINT}]",
+            topics__force_field=f"effort[{JOINT}]",
         )
         with closing(bridge):
             # Its first samples are to find it streaming.
             observer.wait_for_publishers("mts/samples")
             observer.spin_for(1.0)
-            module = ["-m", "benchmarks.joint_state_sender", *arguments]
-            with closing(Program([sys.executable, *module], domain.environment)) as sender:
+            with closing(start_helper(*arguments, environment=domain.environment)) as sender:
                 observer.until(
                     lambda: "all sent" in sender.errors, "the sender", duration + _PATIENCE
                 )
@@ -100,7 +97,7 @@ def taken(*arguments: str, duration: float = 0.0) -> Taken:
 def lost(duration: float) -> tuple[int, int, int]:
     """Samples lost inside the bridge, lost by DDS, and sent, at 1 kHz for ``duration`` [s]."""
     sent = round(duration * RATE)
-    came = taken(str(sent), str(RATE), duration=duration)
+    came = taken("send-count", str(sent), str(RATE), duration=duration)
     # The force is the number of the sample.
     between = int(came.force[-1] - came.force[0]) + 1 - came.force.size
     by_dds = sent - int(came.counts["force received"])
@@ -110,7 +107,7 @@ def lost(duration: float) -> tuple[int, int, int]:
 def ratios(bag: Path) -> tuple[float, float]:
     """RMSE over the noise of what came by topics, and of the bag itself."""
     (run,) = mr.read_bag(bag)
-    return ratio(taken(str(bag)), float(run.current[0])), mr.identify(run).rmse / NOISE
+    return ratio(taken("send-bag", str(bag)), float(run.current[0])), mr.identify(run).rmse / NOISE
 
 
 def ratio(came: Taken, current: float) -> float:

@@ -107,7 +107,7 @@ def test_it_dies_with_its_parent() -> None:
 def test_a_busy_loop_does_not_outlive_a_test_run() -> None:
     parent = (
         f"import sys; sys.path[:] = {sys.path!r}; "
-        "from benchmarks.busy_loop import start_busy_loop; "
+        "from benchmarks.helper_programs import start_busy_loop; "
         "print(start_busy_loop().pid, flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", parent]

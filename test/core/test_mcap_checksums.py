@@ -11,7 +11,7 @@ import pytest
 from backports import zstd
 from lz4 import frame as lz4
 
-from benchmarks.hostile_files import checksum_places
+from benchmarks.fuzz import checksum_places
 from mr_damper_ros.io.bag_files import BagError, check_bag_files
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag

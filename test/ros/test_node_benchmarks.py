@@ -1,4 +1,4 @@
-"""The figures of the nodes under load, in runs so short that only the measuring is shown."""
+"""What the figures of the nodes rest on: counted blocks, and a link that loses packets."""
 
 from __future__ import annotations
 
@@ -10,75 +10,12 @@ from contextlib import closing
 
 import pytest
 
-from benchmarks import (
-    command_latency,
-    eight_rigs,
-    live_page,
-    lossy_link,
-    single_sample,
-    streaming_load,
-    topic_samples,
-)
+from benchmarks import lossy_link
 from benchmarks.network import LossyLink, NetworkError
 from benchmarks.streaming_load import Counter
 
 PATIENCE = 30.0
 RIGHT = "10.199.0.2"
-
-
-def test_every_key_of_the_load_is_measured_once() -> None:
-    figures = streaming_load.figures(duration=2.0, latency_duration=4.0)
-    assert [figure.key for figure in figures] == [
-        *("lost_1khz", "lost_5khz", "latency_ratio_p50", "latency_ratio_p99"),
-        *("cpu_model_percent", "cpu_identifier_percent"),
-    ]
-    assert all(isinstance(figure.value, (int, float)) for figure in figures)
-
-
-def test_every_key_of_the_commands_is_measured_once() -> None:
-    figures = command_latency.figures(duration=4.0)
-    assert [figure.key for figure in figures] == [
-        *("command_latency_ratio_p50", "command_latency_ratio_p99")
-    ]
-    assert all(isinstance(figure.value, float) for figure in figures)
-
-
-def test_every_key_of_single_samples_is_measured_once() -> None:
-    figures = single_sample.figures(duration=4.0, overload_duration=1.0)
-    assert [figure.key for figure in figures] == [
-        *("single_sample_lost", "single_sample_p99_ratio", "single_sample_cpu_ratio"),
-        "stale_valid",
-    ]
-    assert all(figure.note for figure in figures)
-
-
-def test_every_key_of_the_page_is_measured_once() -> None:
-    figures = live_page.figures(duration=2.0, segment=4.0, segments=1, warm=1.0, siege=1.0)
-    assert [figure.key for figure in figures] == [
-        *("live_cpu_percent", "live_memory_growth_mb", "live_grey_s", "live_besieged_answer_s"),
-        "live_p99_ratio",
-    ]
-    assert all(isinstance(figure.value, float) for figure in figures)
-
-
-def test_every_key_of_samples_from_topics_is_measured_once() -> None:
-    figures = topic_samples.figures(duration=1.0, bags=())
-    assert [figure.key for figure in figures] == [
-        *("topics_lost_inside", "topics_lost_by_dds", "topics_rmse_ratio")
-    ]
-    assert figures[0].reached == "yes"
-
-
-def test_every_key_of_many_rigs_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, short in (("_SETTLED", 0.0), ("_QUIET", 1.5)):
-        monkeypatch.setattr(eight_rigs, name, short)
-    figures = eight_rigs.figures(duration=2.0, rigs=2)
-    assert [figure.key for figure in figures] == [
-        *("eight_rigs_lost", "eight_rigs_unfitted"),
-        *("eight_rigs_cpu_identifiers_percent", "eight_rigs_cpu_workers_percent"),
-        *("eight_rigs_cpu_models_percent", "eight_rigs_cpu_bridges_percent"),
-    ]
-    assert figures[1].reached == "yes"
 
 
 def test_a_missing_block_is_counted() -> None:

@@ -1,0 +1,243 @@
+"""Programs that benchmarks start beside the nodes: ``python -m benchmarks.helper_programs NAME``.
+
+relay            publishes each block's force again as a predicted force
+command-relay    publishes a command of no current for each block
+send-current A   commands a current for ever, twenty times a second
+send-bag BAG     publishes the samples of a bag as joint states, as fast as they are taken
+send-count N HZ  publishes N joint states at a rate, each with its number as position [um]
+view URL N       asks a page as often as N browsers do
+
+The relays are the least that a node can do: the scale for the latency of the model and of the
+controller, with the same messages and quality of service, on rclpy's default executor. Another
+program is always busy, and ends with the one that has started it (:func:`start_busy_loop`).
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from mr_damper_ros.processes import child_process
+from mr_damper_ros.processes.programs import Program
+from mr_damper_ros.signals.recording import Recording
+
+RELAY_SAMPLES, RELAY_FORCE, RELAY_COMMAND = "relay/samples", "relay/force", "relay/current_command"
+PARAMETER_SET = "relay"
+
+JOINT_TOPIC = "press/joint_states"
+JOINT = "rod"
+_AT_ONCE = 100
+"""Joint states of a bag that may be on their way."""
+
+_SIGNALS_EVERY, _STATUS_EVERY = 0.1, 0.5
+
+
+def start_helper(name: str, *arguments: str, environment: dict[str, str] | None = None) -> Program:
+    """Start one of these programs."""
+    return Program(
+        [sys.executable, "-m", "benchmarks.helper_programs", name, *arguments], environment
+    )
+
+
+def start_busy_loop() -> Program:
+    """Start a program that is always busy."""
+    return Program(child_process.command(_keep_busy))
+
+
+def _keep_busy() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # so it is ended
+    while True:
+        pass
+
+
+# -- relays --------------------------------------------------------------------------------------
+
+
+def _relay(commands: bool) -> None:
+    """Answer each block with its force or with a command, until a signal comes."""
+    import rclpy
+    from mr_damper_msgs.msg import CurrentCommand, MtsSamples, PredictedForce
+    from rclpy.executors import ExternalShutdownException
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    quality = QoSProfile(reliability=ReliabilityPolicy.RELIABLE, depth=1000)
+    rclpy.init()
+    node = rclpy.create_node("command_relay" if commands else "relay")
+    if commands:
+        publisher = node.create_publisher(CurrentCommand, RELAY_COMMAND, quality)
+    else:
+        publisher = node.create_publisher(PredictedForce, RELAY_FORCE, quality)
+
+    def answer(message: MtsSamples) -> None:
+        if commands:
+            publisher.publish(CurrentCommand(header=message.header, current=0.0))
+            return
+        publisher.publish(
+            PredictedForce(
+                header=message.header,
+                seq=message.seq,
+                period=message.period,
+                force=message.force,
+                parameter_set=PARAMETER_SET,
+                sample_doubts=bytes(len(message.force)),
+                valid=True,
+            )
+        )
+
+    node.create_subscription(MtsSamples, RELAY_SAMPLES, answer, quality)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+# -- senders -------------------------------------------------------------------------------------
+
+
+def _send_current(current: str) -> None:
+    from mr_damper_msgs.msg import CurrentCommand
+
+    from mr_damper_ros.nodes.messages import header
+    from mr_damper_ros.nodes.observer import Observer
+
+    with Observer("current_sender") as observer:
+        publisher = observer.node.create_publisher(CurrentCommand, "supply/current_command", 10)
+        while True:
+            now_ns = observer.node.get_clock().now().nanoseconds
+            publisher.publish(
+                CurrentCommand(header=header(now_ns, "damper"), current=float(current))
+            )
+            time.sleep(0.05)
+
+
+def _send_bag(bag: str) -> None:
+    from mr_damper_ros.io.bag_reader import read_bag
+
+    (run,) = read_bag(bag)
+    _send_joint_states(lambda: run, paced=False)
+
+
+def _send_count(count: str, rate: str) -> None:
+    numbers = np.arange(int(count), dtype=np.float64)
+    zero = np.zeros(numbers.size)
+    _send_joint_states(
+        lambda: Recording(
+            "count", time.time_ns(), 1.0 / float(rate), 1e-6 * numbers, numbers, zero
+        ),
+        paced=True,
+    )
+
+
+def _send_joint_states(run_from_now: Callable[[], Recording], *, paced: bool) -> None:
+    """Wait for a subscriber, send, and stay until ended, so that nothing is lost at the end."""
+    from sensor_msgs.msg import JointState
+
+    from mr_damper_ros.nodes import quality
+    from mr_damper_ros.nodes.messages import header
+    from mr_damper_ros.nodes.observer import Observer
+
+    with Observer("press") as observer:
+        publisher = observer.node.create_publisher(JointState, JOINT_TOPIC, quality.stream())
+        observer.wait_for_subscribers(JOINT_TOPIC)
+        run = run_from_now()
+        began = time.monotonic()
+        samples = zip(run.displacement.tolist(), run.force.tolist(), strict=True)
+        for k, (position, effort) in enumerate(samples):
+            if paced:
+                time.sleep(max(began + k * run.period - time.monotonic(), 0.0))
+            publisher.publish(
+                JointState(
+                    header=header(run.stamp_ns(k), "press"),
+                    name=[JOINT],
+                    position=[position],
+                    effort=[effort],
+                )
+            )
+            if not paced and k % _AT_ONCE == 0:
+                # What is played faster than it happened must not overrun the queue.
+                publisher.wait_for_all_acked()
+        print("all sent", file=sys.stderr, flush=True)
+        while True:
+            time.sleep(1.0)
+
+
+# -- viewers of the page -------------------------------------------------------------------------
+
+
+class Viewer(threading.Thread):
+    """Asks for what it has not got, until the page is gone."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__(daemon=True)
+        self._connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=30.0)
+        self._has: dict[str, tuple[str, int]] = {}
+        self._window = 0
+
+    def run(self) -> None:
+        """Ask and ask again."""
+        due, status_due = time.monotonic(), 0.0
+        while True:
+            try:
+                self._ask("signals")
+                if time.monotonic() >= status_due:
+                    status_due = time.monotonic() + _STATUS_EVERY
+                    before = self._window
+                    if self.windows() > before:
+                        for table in ("windows", "coefficients", "parameters"):
+                            self._ask(table)
+            except (OSError, http.client.HTTPException):
+                return
+            due += _SIGNALS_EVERY
+            time.sleep(max(due - time.monotonic(), 0.0))
+
+    def windows(self) -> int:
+        """Number of the newest window that the page has."""
+        told = json.loads(self._get(f"/status?windows={self._window}")[1])
+        if told["windows"]:
+            self._window = told["windows"][-1]["number"]
+        return self._window
+
+    def _ask(self, table: str) -> None:
+        generation, last = self._has.get(table, ("-1", -1))
+        answer, body = self._get(f"/tables/{table}?after={last}&generation={generation}")
+        if body:
+            rows = memoryview(body).cast("d")
+            width = answer.headers["X-Columns"].count(",") + 1
+            self._has[table] = (answer.headers["X-Generation"], int(rows[len(rows) - width]))
+
+    def _get(self, path: str) -> tuple[http.client.HTTPResponse, bytes]:
+        self._connection.request("GET", path, headers={"User-Agent": "viewer", "Accept": "*/*"})
+        answer = self._connection.getresponse()
+        return answer, answer.read()
+
+
+def _view(address: str, count: str) -> None:
+    viewers = [Viewer(address) for _ in range(int(count))]
+    for viewer in viewers:
+        viewer.start()
+    for viewer in viewers:
+        viewer.join()
+
+
+_PROGRAMS: dict[str, Callable[..., None]] = {
+    "relay": lambda: _relay(commands=False),
+    "command-relay": lambda: _relay(commands=True),
+    "send-current": _send_current,
+    "send-bag": _send_bag,
+    "send-count": _send_count,
+    "view": _view,
+}
+
+if __name__ == "__main__":
+    _PROGRAMS[sys.argv[1]](*sys.argv[2:])
