@@ -1,4 +1,4 @@
-"""A law written once, as formulas: compiled to Python for scalars and for arrays, differentiated.
+"""A law written once, as formulas: differentiated, compiled to Python, written in other languages.
 
 A formula is a name and an expression of Python: numbers, inputs, the formulas above it, the signs
 ``+ - * / < >=`` and the functions ``exp``, ``tanh``, ``abs``, ``clip(x, low, high)``,
@@ -12,8 +12,8 @@ import ast
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -32,6 +32,9 @@ _SIGNS: dict[type, str] = {
     ast.Lt: "<",
     ast.GtE: ">=",
 }
+
+_LEVELS: dict[type, int] = {ast.Add: 1, ast.Sub: 1, ast.Mult: 2, ast.Div: 2}
+"""How tightly an operator binds."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +192,74 @@ def _product(first: str, second: str) -> str:
     return f"({first}) * ({second})"
 
 
-# -- functions of Python
+# -- languages
+
+
+class _Style(Protocol):
+    """How a language writes what a formula is made of."""
+
+    def infix(self, operator: type, first: str, second: str) -> str:
+        """Two operands with an operator between them."""
+
+    def call(self, function: str, arguments: Sequence[str]) -> str:
+        """A function of a formula."""
+
+
+def _written(node: ast.expr, style: _Style, inner: Callable[[ast.expr, int], str]) -> str:
+    """A part of a formula; ``inner`` writes an operand that is to bind as tightly as a level."""
+    match node:
+        case ast.Constant(value=float(number)):
+            return repr(number)
+        case ast.Name(id=name):
+            return name
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return f"-{inner(operand, _LEVELS[ast.Mult])}"
+        case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _LEVELS:
+            level = _LEVELS[type(operator)]
+            # What stands to the right is computed first only in brackets.
+            return style.infix(type(operator), inner(left, level), inner(right, level + 1))
+        case ast.Compare(left=left, ops=[comparison], comparators=[right]):
+            return style.infix(type(comparison), inner(left, 0), inner(right, 0))
+        case ast.Call(func=ast.Name(id=function), args=arguments):
+            return style.call(function, [inner(argument, 0) for argument in arguments])
+    raise ValueError(f"{ast.unparse(node)} is no formula")
+
+
+@dataclass(frozen=True)
+class Language:
+    """A language that formulas are translated to: its operators where they differ, its functions.
+
+    ``assignment`` holds ``{name}`` and ``{value}``.
+    """
+
+    functions: Mapping[str, str]
+    assignment: str
+    operators: Mapping[type, str] = field(default_factory=dict)
+
+    def lines(self, formulas: Formulas) -> list[str]:
+        """The formulas as assignments, one a line; ValueError for what is no formula."""
+        return [
+            self.assignment.format(name=name, value=self.expression(text))
+            for name, text in formulas
+        ]
+
+    def expression(self, text: str) -> str:
+        """One expression, with as few brackets as it needs."""
+
+        def operand(node: ast.expr, level: int) -> str:
+            written = _written(node, self, operand)
+            weaker = isinstance(node, ast.BinOp) and _LEVELS[type(node.op)] < level
+            return f"({written})" if weaker else written
+
+        return operand(_tree(text), 0)
+
+    def infix(self, operator: type, first: str, second: str) -> str:
+        """Two operands with an operator between them."""
+        return f"{first} {self.operators.get(operator, _SIGNS[operator])} {second}"
+
+    def call(self, function: str, arguments: Sequence[str]) -> str:
+        """The function that stands for one of a formula."""
+        return f"{self.functions[function]}({', '.join(arguments)})"
 
 
 class _Writer:
@@ -240,33 +310,18 @@ class _Writer:
         return self._kept[text]
 
     def _written(self, node: ast.expr, stage: int) -> str:
-        match node:
-            case ast.Constant(value=float(number)):
-                return repr(number)
-            case ast.Name(id=name):
-                return name
-            case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return f"-{self._part(operand, stage)}"
-            case ast.BinOp(left=left, op=operator, right=right):
-                first, second = self._part(left, stage), self._part(right, stage)
-                if isinstance(operator, ast.Div):
-                    return self._quotient(first, second)
-                return f"({first} {_SIGNS[type(operator)]} {second})"
-            case ast.Compare(left=left, ops=[comparison], comparators=[right]):
-                first, second = self._part(left, stage), self._part(right, stage)
-                return f"({first} {_SIGNS[type(comparison)]} {second})"
-            case ast.Call(func=ast.Name(id=function), args=arguments):
-                return self._call(function, [self._part(inner, stage) for inner in arguments])
-        raise ValueError(f"{ast.unparse(node)} is no formula")
+        return _written(node, self, lambda inner, _: self._part(inner, stage))
 
     def _new(self) -> str:
         self._count += 1
         return f"part_{self._count}"
 
-    def _quotient(self, first: str, second: str) -> str:
-        return f"({first} / {second})"
+    def infix(self, operator: type, first: str, second: str) -> str:
+        """In brackets: what it is part of may bind more tightly."""
+        return f"({first} {_SIGNS[operator]} {second})"
 
-    def _call(self, function: str, arguments: Sequence[str]) -> str:
+    def call(self, function: str, arguments: Sequence[str]) -> str:
+        """The function of that name."""
         return f"{function}({', '.join(arguments)})"
 
 
@@ -297,11 +352,15 @@ class _Scalars(_Writer):
         "over": lambda x: math.nan if x != x or x == 0.0 else math.copysign(math.inf, x),
     }
 
-    def _quotient(self, first: str, second: str) -> str:
+    def infix(self, operator: type, first: str, second: str) -> str:
+        """Division by zero gives what it gives of arrays."""
+        if operator is not ast.Div:
+            return super().infix(operator, first, second)
         divisor = self._new()
         return f"({first} / {divisor} if ({divisor} := {second}) else over({first}))"
 
-    def _call(self, function: str, arguments: Sequence[str]) -> str:
+    def call(self, function: str, arguments: Sequence[str]) -> str:
+        """Without a call where an expression will do."""
         first, *others = arguments
         part = self._new()
         if function == "where":
@@ -316,7 +375,7 @@ class _Scalars(_Writer):
             return f"({part} if ({part} := {first}) > {others[0]} else {others[0]})"
         if function == "number":
             return f"({part} if ({part} := {first}) == {part} else 0.0)"
-        return super()._call(function, arguments)
+        return super().call(function, arguments)
 
 
 def columns(*parts: Array | float) -> Array:

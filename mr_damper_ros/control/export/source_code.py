@@ -1,33 +1,16 @@
-"""The law as a C99 header and as M-code: expressions of Python become those of the languages."""
+"""The law as a C99 header and as M-code, its formulas written in these languages."""
 
 from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib import resources
 
 from mr_damper_ros.control.export.exported_law import ExportedLaw, ExportError, number
 from mr_damper_ros.kinematics.peak_velocity import MEMORY
-
-_COMPARISONS: dict[type, str] = {ast.GtE: ">=", ast.Lt: "<"}
-
-_LEVELS: dict[type, int] = {ast.Add: 1, ast.Sub: 1, ast.Mult: 2, ast.Div: 2}
-
-
-@dataclass(frozen=True)
-class Language:
-    """How a language writes operators and the functions of the formulas."""
-
-    operators: Mapping[type, str]
-    functions: Mapping[str, str]
-    assignment: str
-    """With ``{name}`` and ``{value}``."""
-
+from mr_damper_ros.models.formulas import Language
 
 C = Language(
-    operators={ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"},
     functions={
         "exp": "exp",
         "tanh": "tanh",
@@ -39,56 +22,14 @@ C = Language(
 """C99."""
 
 M = Language(
-    operators={ast.Add: "+", ast.Sub: "-", ast.Mult: ".*", ast.Div: "./"},
     functions={
         **{name: name for name in ("exp", "tanh", "abs")},
         **{name: f"damper_{name}" for name in ("clip", "larger", "where", "sat", "number")},
     },
     assignment="{name} = {value};",
+    operators={ast.Mult: ".*", ast.Div: "./"},
 )
 """MATLAB and Octave, element by element."""
-
-
-def lines(formulas: tuple[tuple[str, str], ...], language: Language) -> list[str]:
-    """The formulas as assignments, one a line."""
-    return [
-        language.assignment.format(name=name, value=expression(text, language))
-        for name, text in formulas
-    ]
-
-
-def expression(text: str, language: Language) -> str:
-    """An expression in another language; raises ValueError for what is no formula."""
-    return _written(ast.parse(text, mode="eval").body, language)
-
-
-def _written(node: ast.expr, language: Language) -> str:
-    match node:
-        case ast.Constant(value=float(number)):
-            return repr(number)
-        case ast.Name(id=name):
-            return name
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return f"-{_operand(operand, language, 2)}"
-        case ast.BinOp(left=left, op=operator, right=right):
-            level = _LEVELS[type(operator)]
-            sign = language.operators[type(operator)]
-            # What stands to the right is computed first only in brackets.
-            before, after = _operand(left, language, level), _operand(right, language, level + 1)
-            return f"{before} {sign} {after}"
-        case ast.Compare(left=left, ops=[operator], comparators=[right]):
-            sign = _COMPARISONS[type(operator)]
-            return f"{_written(left, language)} {sign} {_written(right, language)}"
-        case ast.Call(func=ast.Name(id=name), args=arguments):
-            inner = ", ".join(_written(argument, language) for argument in arguments)
-            return f"{language.functions[name]}({inner})"
-    raise ValueError(f"{ast.unparse(node)} cannot be written in another language")
-
-
-def _operand(node: ast.expr, language: Language, level: int) -> str:
-    text = _written(node, language)
-    weaker = isinstance(node, ast.BinOp) and _LEVELS[type(node.op)] < level
-    return f"({text})" if weaker else text
 
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
@@ -115,7 +56,7 @@ def header(law: ExportedLaw, name: str) -> str:
         )
     guard = name.upper()
     constants = (f"#define {guard}_{key} {number(value)}" for key, value in law.constants.items())
-    formulas = lines((*law.formulas.coefficients, *law.formulas.force), C)
+    formulas = C.lines((*law.formulas.coefficients, *law.formulas.force))
     body = "\n".join(f"  {_with_constants(line, law, guard)}" for line in formulas)
     low, high = law.held
     return filled(
@@ -150,8 +91,8 @@ def functions(law: ExportedLaw) -> dict[str, str]:
     values = {
         "PROVENANCE": law.provenance,
         "CONSTANTS": "\n".join(f"{name} = {number(v)};" for name, v in law.constants.items()),
-        "COEFFICIENTS": "\n".join(lines(law.formulas.coefficients, M)),
-        "FORMULAS": "\n".join(lines(formulas, M)),
+        "COEFFICIENTS": "\n".join(M.lines(law.formulas.coefficients)),
+        "FORMULAS": "\n".join(M.lines(formulas)),
         "LOWEST": number(float(law.nodes[0])),
         "HIGHEST": number(float(law.nodes[-1])),
         "NODES": " ".join(map(number, law.nodes)),
