@@ -214,6 +214,9 @@ last polish uses all samples."""
 
 _STAGE = "each run by itself"
 
+_OTHER_DIRECTION = 0.1
+"""Less than this part of the samples in the other direction does not show the reversal."""
+
 
 class SeparateFits:
     """Fits of the windows one by one, thinned; what they leave of the force is the noise of each.
@@ -268,8 +271,19 @@ class SeparateFits:
 
     def misfit(self, windows: Sequence[Window], known: Array | None = None) -> Misfit:
         """The misfit of one set to these windows, the same ones, thinned or not."""
-        noise = [fit.rmse for fit in self.fits]
-        return levelled(Misfit(self._model, windows, noise, known), self._levels)
+        return levelled(Misfit(self._model, windows, self._noise(), known), self._levels)
+
+    def _noise(self) -> list[float]:
+        """RMSE [N] of the fit of each window, for those of one direction at least a usual share.
+
+        A part of a stroke is fitted by nearly any law: what that leaves is not what the law leaves.
+        """
+        rmse = np.array([fit.rmse for fit in self.fits])
+        size = np.array([np.sqrt(np.mean(window.force**2)) for window in self._thinned])
+        share = float(np.linalg.norm(rmse) / np.linalg.norm(size))
+        rising = np.array([np.mean(window.motion.velocity > 0.0) for window in self._thinned])
+        one_sided = np.abs(rising - 0.5) > 0.5 - _OTHER_DIRECTION
+        return np.where(one_sided, np.maximum(rmse, share * size), rmse).tolist()
 
     @property
     def operating_points(self) -> tuple[list[float], list[float]]:
