@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.tracking.evidence import BEYOND_CHANCE, Evidence
+from mr_damper_ros.tracking.evidence import BEYOND_CHANCE, HARDLY, STILL_GOOD, WORTH_WHILE, Evidence
 from mr_damper_ros.tracking.operating_point import (
     KnownForce,
     KnownForces,
@@ -21,15 +21,12 @@ _OTHER_SHAPE = 0.3
 """Temperature and wear move the loop of a steady motion by less than this part of the force from
 one window to the next: a delay between the sensors does more."""
 
-_WORSE = 0.03
-"""A set for all windows may leave so much more of the force of late than the running set."""
+_FITS = 0.15
+"""A running set that leaves no more than this part of the force is confirmed, whatever is usual."""
 
-_WORTH_WHILE = 0.97
-"""A set for all windows leaves less than so many times what the running set leaves: what is as good
-where it was seen may be worse where it was not."""
-
-_STILL_GOOD = 0.3
-"""Where the running set leaves no more than this part of the force, there is something to lose."""
+_SURPRISING = 0.2
+"""Where so much of the force has another shape than the running set has it, although that holds
+there, the next window must confirm it (``foreign_worse_sets``)."""
 
 _SAME_FORCE = 0.05
 _FAR_BETTER = 1.5
@@ -53,7 +50,7 @@ class Verdict(IntEnum):
     DISTURBED = 6
     """The residual is far above the usual one."""
     UNCONFIRMED = 7
-    """The force changed by so much at once that the next window must confirm it."""
+    """The next window must confirm it: a force that changed much at once, or a set of a search."""
     FAILED = 8
     """Nothing was computed, through no fault of the data."""
     TOO_LITTLE_MOTION = 9
@@ -74,13 +71,37 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict and, for people, why: one sentence, empty where it needs none."""
+    """A verdict and, for people, why: one sentence, empty where it needs none.
+
+    ``usual``: whether the residual is the usual one, so that there is something to learn.
+    """
 
     verdict: Verdict
     sentence: str = ""
+    usual: bool = True
+
+    @property
+    def teaches(self) -> bool:
+        """Whether the samples are good enough to compare others with them."""
+        return self.usual and self.verdict.confirms
 
 
 ACCEPTED = Judgement(Verdict.ACCEPTED)
+
+
+def _disturbed(excess: float, nrmse_before: float) -> Judgement:
+    """The judgement of a residual so many times the usual one: the set in use may fit all the same.
+
+    What is usual is a matter of the motions and currents seen, above all where these change.
+    """
+    sentence = f"the residual is {excess:.1f} times the usual one: "
+    if nrmse_before <= _FITS:
+        return Judgement(
+            Verdict.NO_BETTER,
+            sentence + f"the running set, which leaves {nrmse_before:.0%}, stays in use",
+            usual=False,
+        )
+    return Judgement(Verdict.DISTURBED, sentence + "a disturbance or a sensor fault")
 
 
 def fault_of_data(sentence: str) -> Judgement:
@@ -142,13 +163,11 @@ class AcceptanceHistory:
 
     ``residuals``: RMSE [N] and NRMSE of the newest good windows, with the peak velocity [m/s] and
     the current [A] where they were kept; ``refused_for_residual``: refusals in a row since;
-    ``pending_change``: relative change of the force that is to be confirmed; ``forces`` known of
-    the damper, and the ``level`` of the running set against them.
+    ``forces`` known of the damper, and the ``level`` of the running set against them.
     """
 
     residuals: tuple[tuple[float, ...], ...] = ()
     refused_for_residual: int = 0
-    pending_change: float | None = None
     forces: tuple[KnownForce, ...] = ()
     level: float = 1.0
 
@@ -169,7 +188,6 @@ class Gatekeeper:
         self._settings = settings
         self._usual = UsualResiduals(SeenResidual(*entry) for entry in history.residuals)
         self._refused_for_residual = history.refused_for_residual
-        self._pending_change = history.pending_change
         self._forces = KnownForces(history.forces, history.level)
 
     @property
@@ -178,7 +196,6 @@ class Gatekeeper:
         return AcceptanceHistory(
             tuple(each.kept for each in self._usual.seen),
             self._refused_for_residual,
-            self._pending_change,
             self._forces.known,
             self._forces.level,
         )
@@ -205,17 +222,20 @@ class Gatekeeper:
         judgement = self._judge(evidence, force, point, holds, same_motion)
         if judgement.verdict.accepted and (sentence := objection()):
             judgement = Judgement(Verdict.POOR_FIT, sentence)
-        if judgement.verdict.confirms:
+        if judgement.teaches:
             seen = SeenResidual(evidence.rmse_after, evidence.nrmse_after, *(point or ()))
             self._usual.add(seen)
-        if force is not None and judgement.verdict.confirms:
+        if force is not None and judgement.teaches:
             self._forces.follow(force)
         return judgement
 
-    def judge_global(self, evidence: Evidence, objection: Callable[[], str] = str) -> Judgement:
+    def judge_global(
+        self, evidence: Evidence, objection: Callable[[], str] = str, *, tentative: bool = False
+    ) -> Judgement:
         """Whether a set for the windows of the past is accepted: it leaves no trace.
 
-        ``objection`` as in :meth:`judge`.
+        ``objection`` as in :meth:`judge`. ``tentative``: where the running set is still good, the
+        next window must confirm the other one.
         """
         maximum = self._settings.maximum_nrmse
         if not evidence.nrmse_after <= maximum:
@@ -224,18 +244,24 @@ class Gatekeeper:
                 f"one set for all operating points leaves {evidence.nrmse_after:.0%} of the force "
                 f"unexplained, more than maximum_nrmse ({maximum:.0%})",
             )
-        worth_while = evidence.nrmse_after < _WORTH_WHILE * evidence.nrmse_before
+        worth_while = evidence.nrmse_after < WORTH_WHILE * evidence.nrmse_before
         if not (worth_while and evidence.lead > BEYOND_CHANCE):
             return Judgement(Verdict.NO_BETTER, "the running set predicts the reservoir as well")
         before, after = evidence.recent
-        if after > before + _WORSE:
+        if after > before + HARDLY:
             return Judgement(
                 Verdict.NO_BETTER,
                 f"one set for all operating points leaves {after:.0%} of the force of late "
                 f"unexplained, the running set {before:.0%}",
             )
-        sentence = objection()
-        return Judgement(Verdict.POOR_FIT, sentence) if sentence else ACCEPTED
+        if sentence := objection():
+            return Judgement(Verdict.POOR_FIT, sentence)
+        if tentative and before <= STILL_GOOD:
+            return Judgement(
+                Verdict.UNCONFIRMED,
+                "one set for all operating points waits for the next window to confirm it",
+            )
+        return ACCEPTED
 
     def may_be_early(self, evidence: Evidence) -> bool:
         """Whether a fit to a few samples after a change may replace the running set.
@@ -272,7 +298,6 @@ class Gatekeeper:
         same_motion: bool,
     ) -> Judgement:
         settings = self._settings
-        pending, self._pending_change = self._pending_change, None
         if not math.isfinite(evidence.nrmse_after):
             return Judgement(Verdict.POOR_FIT, "the fit has no finite error: the window is refused")
         if evidence.nrmse_after > settings.maximum_nrmse:
@@ -305,11 +330,7 @@ class Gatekeeper:
                 )
                 patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
                 if self._refused_for_residual <= patience or doubtful:
-                    return Judgement(
-                        Verdict.DISTURBED,
-                        f"the residual is {excess:.1f} times the usual one: "
-                        "a disturbance or a sensor fault",
-                    )
+                    return _disturbed(excess, evidence.nrmse_before)
                 # It has lasted: the rig itself has become noisier.
                 self._usual.forget()
         self._refused_for_residual = 0
@@ -318,7 +339,7 @@ class Gatekeeper:
             return Judgement(
                 Verdict.NO_BETTER, "the running set predicts the held-back samples as well"
             )
-        if evidence.loss > 1.0 and evidence.nrmse_elsewhere <= _STILL_GOOD:
+        if evidence.loses_elsewhere:
             return Judgement(
                 Verdict.NO_BETTER,
                 "the running set predicts the other operating points of late better than the new "
@@ -328,13 +349,14 @@ class Gatekeeper:
         if force is not None and not holds:
             # The running set does not tell what the force was here; that accepted before does.
             change = min(change, self._forces.change_at(force, otherwise=change), key=abs)
-        confirmed = pending is not None and abs(change - pending) <= 0.2 * abs(pending)
-        if known and abs(change) > settings.step_limit and not confirmed:
-            self._pending_change = change
+        surprise = ""
+        if abs(change) > settings.step_limit:
+            surprise = f"the force changed by {change:+.0%} at once"
+        elif holds and evidence.shape_change > _SURPRISING:
+            surprise = f"{evidence.shape_change:.0%} of the force have another shape at once"
+        if known and surprise:
             return Judgement(
-                Verdict.UNCONFIRMED,
-                f"the force changed by {change:+.0%} at once: "
-                "waiting for the next window to confirm it",
+                Verdict.UNCONFIRMED, f"{surprise}: waiting for the next window to confirm it"
             )
         return ACCEPTED
 

@@ -28,6 +28,22 @@ errs by its own noise, for which it falls behind on samples that it has not seen
 """
 
 
+HARDLY = 0.03
+"""A set for more operating points may leave so much more of the force than the running set at one.
+"""
+
+_MAY_LOSE = 0.5
+"""A set of one window may lose so much elsewhere of what it gains there: it was fitted to that one
+(``foreign_worse_sets``)."""
+
+STILL_GOOD = 0.3
+"""Where the running set leaves no more than this part of the force, there is something to lose."""
+
+WORTH_WHILE = 0.9
+"""A good set is exchanged for one that leaves less than so many times what it leaves: what is as
+good where it was seen may be worse where it was not (``foreign_worse_sets``)."""
+
+
 @dataclass(frozen=True)
 class Evidence:
     """What a window says of the running and the new set, on samples held back from the fit.
@@ -53,6 +69,11 @@ class Evidence:
     def better(self) -> bool:
         """Whether the new set predicts better than the running one, beyond chance."""
         return self.nrmse_after < self.nrmse_before and self.lead > BEYOND_CHANCE
+
+    @property
+    def loses_elsewhere(self) -> bool:
+        """Whether the running set is good elsewhere, and the new one too much worse there."""
+        return self.loss > _MAY_LOSE and self.nrmse_elsewhere <= STILL_GOOD
 
     @property
     def shape_change(self) -> float:
@@ -160,7 +181,9 @@ def evidence_of(
         if elsewhere and gain > 0.0:
             before, after = (_mean_square(each, elsewhere) for each in (running, found))
             loss = len(elsewhere) * (after - before) / gain
-            variance = float(np.mean([np.var(each.force) for each in elsewhere]))
+            means = [float(np.mean(each.force)) for each in elsewhere]
+            squares = [float(np.mean(each.force**2)) for each in elsewhere]
+            variance = float(np.mean(squares) - np.mean(means) ** 2)
             left_elsewhere = math.sqrt(before / variance) if variance > 0.0 else math.inf
     return Evidence(
         rmse_before / spread,
@@ -171,6 +194,29 @@ def evidence_of(
         loss,
         left_elsewhere,
     )
+
+
+def rival_wins(
+    rival: ParameterSet,
+    running: ParameterSet,
+    window: Window,
+    *,
+    fresh: int,
+    elsewhere: Sequence[Window] = (),
+) -> bool:
+    """Whether a rival of the running set predicts a window better, by its last ``fresh`` samples.
+
+    Neither set was fitted to these. A rival that holds for more currents may leave hardly more.
+    ``elsewhere`` as in :func:`evidence_of`.
+    """
+    judges = np.arange(window.sample_count) >= window.sample_count - fresh
+    found = evidence_of(running, rival, window, judges, fresh=fresh, elsewhere=elsewhere)
+    lows, highs = zip(rival.current_range, running.current_range, strict=True)
+    if highs[0] - lows[0] > highs[1] - lows[1]:
+        allowed = found.nrmse_before + HARDLY
+    else:
+        allowed = WORTH_WHILE * found.nrmse_before
+    return found.nrmse_after <= allowed and not found.loses_elsewhere
 
 
 def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:

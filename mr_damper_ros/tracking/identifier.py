@@ -206,14 +206,15 @@ class Identifier:
         search = ended.search
         if ended.overtaken:
             return [] if search is None else [SearchEnded(search)]
+        before = self.tracker.parameters
         report = self.tracker.complete(ended.job, outcome)
         if report is not None:
             if report.global_due and ended.job.kind is Kind.WINDOW:
                 self._searches.append(Search())
             self.last_report = report
-            if report.accepted:
+            found = None if self.tracker.parameters is before else self.tracker.parameters
+            if found is not None:
                 self.state.keep()
-            found = self.tracker.parameters if report.accepted else None
             self._outbox.add(Publication(report, outcome.duration, found), self.state.given)
         return [] if search is None else [SearchEnded(search, outcome, report)]
 
@@ -223,7 +224,8 @@ class Identifier:
         budgets, search = self._settings, None
         if self._searches:
             search = self._searches.popleft()
-            job, budget = self.tracker.search(search.settings), budgets.search_time_budget
+            job = self.tracker.search(search.settings, asked=search.settings is not None)
+            budget = budgets.search_time_budget
         elif self._windows:
             job, budget = self.tracker.job_of(self._windows.popleft()), budgets.fit_time_budget
         else:

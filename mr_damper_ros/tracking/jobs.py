@@ -35,7 +35,14 @@ from mr_damper_ros.tracking.acceptance import (
     too_little_motion,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
-from mr_damper_ros.tracking.evidence import CHUNKS, Evidence, Lead, evidence_of, held_back_samples
+from mr_damper_ros.tracking.evidence import (
+    CHUNKS,
+    Evidence,
+    Lead,
+    evidence_of,
+    held_back_samples,
+    rival_wins,
+)
 from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale, with_strength
 from mr_damper_ros.tracking.operating_point import Kept, nearest_same, thinned_to_keep
 from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
@@ -104,12 +111,16 @@ class Job:
     before ``changed_ns`` are of the damper before its last sudden change.
 
     A search has its settings (``evolution``); its ``windows`` are those of the reservoir, of which
-    the last ``recent`` are at the operating points of late, up to ``stamp_ns``.
+    the last ``recent`` are at the operating points of late, up to ``stamp_ns``; it is ``asked`` for
+    by somebody, or fell due.
+
+    ``rival``: a set that waits for this window to tell whether it predicts better.
     """
 
     running: ParameterSet
     options: FitOptions = field(default_factory=FitOptions)
     raw: RawWindow | None = None
+    rival: ParameterSet | None = None
     windows: tuple[Window, ...] = ()
     baselines: tuple[WindowFit, ...] = ()
     state: FilterState | None = None
@@ -118,6 +129,7 @@ class Job:
     evolution: EvolutionSettings | None = None
     stamp_ns: int = 0
     recent: int = 1
+    asked: bool = True
 
     @property
     def kind(self) -> Kind:
@@ -176,8 +188,9 @@ class Outcome:
     No sample comes back that the tracker has. ``kept`` is the window as the reservoir keeps it,
     thinned, or its parts, if the current changes; nothing of a look: finding the motion of a window
     takes longer than sending what is kept of it. ``parts`` is what they say of the dependence on
-    the current; None where it is constant. A search brings ``found``. ``duration`` [s] is what the
-    work took.
+    the current; None where it is constant. A search brings ``found``. ``rival_wins``: whether the
+    rival of the job predicts the window as well, and all here is judged against it; None without
+    one. ``duration`` [s] is what the work took.
     """
 
     refusal: Judgement | None = None
@@ -190,6 +203,7 @@ class Outcome:
     state: FilterState | None = None
     watch: ChangeWatch | None = None
     scale: ForceScale = field(default_factory=ForceScale)
+    rival_wins: bool | None = None
     duration: float = math.nan
 
 
@@ -234,9 +248,16 @@ def _fit(job: Job, control: Control | None) -> Outcome:
     if before_change > 0.5 * window.sample_count:
         return Outcome(too_little_motion("most of the window lies before the change of the force"))
     window = window.part(slice(max(before_change, 0), None))
+    rival, taken = job.rival, None
+    if rival is not None:
+        taken = rival_wins(rival, job.running, window, fresh=job.fresh, elsewhere=job.windows)
+        if taken:
+            # The filter and the detector of changes follow the other set.
+            job = replace(job, running=rival, state=None, watch=None)
     follow = TRACKERS[job.options.tracker]
-    followed = follow(job, window) if follow else None
-    return followed or _fitted(job, window, control.should_stop if control else None)
+    outcome = follow(job, window) if follow else None
+    outcome = outcome or _fitted(job, window, control.should_stop if control else None)
+    return replace(outcome, rival_wins=taken)
 
 
 def _followed(job: Job, window: Window) -> Outcome | None:

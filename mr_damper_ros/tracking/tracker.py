@@ -63,6 +63,9 @@ _GROWTH = 1.5
 _PATIENCE = 3
 """So many windows that the law over the current does not explain are worth another search."""
 
+_OF_SENSORS = (Verdict.FAULT_OF_DATA, Verdict.DISTURBED, Verdict.BEYOND_LIMITS)
+"""What may be the fault of a sensor says nothing of two sets."""
+
 _ESTABLISHED = 3
 """So many windows of one motion establish the shape of its force."""
 
@@ -231,6 +234,8 @@ class WindowTracker:
         self._seen_ns = 0
         # Whether the law over the current does not explain the newest window.
         self._unexplained = False
+        # A set of a search, or of a surprising window, that the next window must confirm.
+        self._rival: ParameterSet | None = None
         self._now.unexplained_patience = memory.unexplained_patience or _PATIENCE
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
@@ -300,6 +305,7 @@ class WindowTracker:
             self.parameters,
             self._settings.fit_options,
             window,
+            None if window.look else self._rival,
             () if window.look else self._reservoir.recent(window.start_ns),
             self._baselines.fits,
             self._now.state,
@@ -307,8 +313,12 @@ class WindowTracker:
             self._now.changed_ns,
         )
 
-    def search(self, evolution: EvolutionSettings | None = None) -> Job:
-        """The job of a global identification of the reservoir, with other settings if given."""
+    def search(self, evolution: EvolutionSettings | None = None, *, asked: bool = True) -> Job:
+        """The job of a global identification of the reservoir, with other settings if given.
+
+        ``asked``: somebody asked for it, so what is accepted is in use at once; else, while the
+        running set is good, only once the next window confirms it.
+        """
         self._now.accepted_since_global = 0
         self._now.unexplained_windows = 0
         self._now.global_patience += max(self._now.global_patience // 2, 1)
@@ -320,6 +330,7 @@ class WindowTracker:
             evolution=evolution or self._settings.evolution,
             stamp_ns=max(self._now.kept_ns, self.parameters.stamp_ns),
             recent=len(self._reservoir.recent(self._now.kept_ns)),
+            asked=asked,
         )
 
     def complete(self, job: Job, outcome: Outcome) -> Report | None:
@@ -337,7 +348,7 @@ class WindowTracker:
     def _complete_window(self, job: Job, outcome: Outcome) -> Report:
         self._now.windows += 1
         self._paused_before(job.samples)
-        judgement = self._judge(job, outcome)
+        judgement = self._judge_with_rival(job, outcome)
         raw = job.samples
         scale = self._scatter.widened(outcome.scale, raw.start_ns, raw.end_ns)
         outcome = replace(outcome, scale=scale)
@@ -347,6 +358,22 @@ class WindowTracker:
         if outcome.fit is None or not report.confirms:
             return report
         return replace(report, fluid=self._fluid_temperature(job, outcome))
+
+    def _judge_with_rival(self, job: Job, outcome: Outcome) -> Judgement:
+        """Judge a window; a rival that predicts it better is in use from then on."""
+        rival, running = job.rival, self.parameters
+        if rival is None:
+            return self._judge(job, outcome)
+        if outcome.rival_wins:
+            self.parameters = rival
+            self._forget_scales()
+        self._rival = None
+        judgement = self._judge(job, outcome)
+        if outcome.rival_wins is None or judgement.verdict in _OF_SENSORS:
+            self.parameters, self._rival = running, rival
+        elif outcome.rival_wins and judgement.verdict is Verdict.NO_BETTER:
+            return Judgement(Verdict.ACCEPTED, f"this window confirms {rival.set_id}")
+        return judgement
 
     def _judge(self, job: Job, outcome: Outcome) -> Judgement:
         """Judge a window, and take over what it brings."""
@@ -387,7 +414,7 @@ class WindowTracker:
                 "the force does not follow the current as the running set has it: the window goes "
                 "into the next global identification",
             )
-        if judgement.verdict.confirms:
+        if judgement.teaches:
             # All but the running set learns from every good window; that from those that help.
             self._now.state = outcome.state
             self._now.watch = self._now.watch or outcome.watch
@@ -400,12 +427,14 @@ class WindowTracker:
             self._now.other_damper = False
             self._now.accepted += 1
             self.parameters = found
+        if judgement.verdict is Verdict.UNCONFIRMED:
+            self._rival = found
         if judgement.verdict is Verdict.BEYOND_LIMITS:
             self._unexplained = False
         self._now.unexplained_windows += self._unexplained
-        if judgement.verdict.confirms or self._unexplained:
+        if judgement.teaches or self._unexplained:
             self._now.kept_ns = job.samples.end_ns
-            self._now.accepted_since_global += judgement.verdict.confirms
+            self._now.accepted_since_global += judgement.teaches
             for kept in outcome.kept:
                 self._reservoir.add(kept, job.samples.end_ns)
         return judgement
@@ -487,24 +516,29 @@ class WindowTracker:
         )
 
     def _complete_search(self, job: Job, outcome: Outcome) -> Report:
-        judgement = self._judge_search(outcome)
-        accepted = judgement.verdict.accepted
+        judgement = self._judge_search(job, outcome)
+        waits = judgement.verdict is Verdict.UNCONFIRMED
+        found = judgement.verdict.accepted or waits
         # A law that cannot follow the current is not searched for again and again.
-        self._now.unexplained_patience = (
-            _PATIENCE if accepted else 2 * self._now.unexplained_patience
-        )
-        if accepted and outcome.found is not None:
-            self.parameters = replace(
+        self._now.unexplained_patience = _PATIENCE if found else 2 * self._now.unexplained_patience
+        if found and outcome.found is not None:
+            found_set = replace(
                 outcome.found.parameter_set,
                 set_id=f"global-{self._now.windows}",
                 stamp_ns=job.stamp_ns,
             )
-            self._forget_scales()
+            if waits:
+                self._rival = found_set
+            else:
+                self._rival, self.parameters = None, found_set
+                self._forget_scales()
         return report_of_search(job, outcome, judgement, self.parameters.set_id)
 
-    def _judge_search(self, outcome: Outcome) -> Judgement:
+    def _judge_search(self, job: Job, outcome: Outcome) -> Judgement:
         if outcome.found is None or outcome.evidence is None:
             return outcome.refusal or fault_of_data("the windows could not be fitted")
         return self._gatekeeper.judge_global(
-            outcome.evidence, objection=partial(implausible, outcome.found.parameter_set)
+            outcome.evidence,
+            partial(implausible, outcome.found.parameter_set),
+            tentative=not job.asked,
         )

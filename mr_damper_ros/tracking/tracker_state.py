@@ -34,6 +34,9 @@ T = TypeVar("T")
 _DATA = "float64"
 """Key of an array's doubles (little endian, base64); its shape goes with it."""
 
+_NO_LONGER_KEPT = {"pending_change"}
+"""Entries of earlier versions that say nothing any more."""
+
 _STAMP_LIMIT = 2**63
 """Stamps [ns] have 64 bits."""
 
@@ -133,9 +136,10 @@ def _dataclass(kind: Any, data: Any, where: str) -> Any:
         if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
     }
     names = {field.name for field in fields}
-    if not isinstance(data, dict) or not needed <= data.keys() <= names:
+    if not isinstance(data, dict) or not needed <= data.keys() <= names | _NO_LONGER_KEPT:
         raise ValueError(f"{where} does not have the entries {', '.join(sorted(names))}")
-    return kind(**{name: _read(hints[name], data[name], f"{where}.{name}") for name in data})
+    known = names & data.keys()
+    return kind(**{name: _read(hints[name], data[name], f"{where}.{name}") for name in known})
 
 
 def check(memory: TrackerMemory, model: Model) -> TrackerMemory:

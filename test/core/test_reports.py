@@ -51,7 +51,7 @@ def test_a_set_that_cannot_be_bettered_is_confirmed() -> None:
     ("spoilt", "verdict"),
     [
         (replace(window(9), force=np.zeros(1000)), Verdict.FAULT_OF_DATA),
-        (window(9, noise=20.0 * known.NOISE), Verdict.DISTURBED),
+        (window(9, noise=60.0 * known.NOISE), Verdict.DISTURBED),
         (window(9, strength=3.0), Verdict.UNCONFIRMED),
     ],
     ids=lambda item: item.name if isinstance(item, Verdict) else "",

@@ -212,9 +212,9 @@ def broken_sensor(w: RawWindow) -> RawWindow:
 
 
 BAD_WINDOWS = {
-    burst: "times the usual one: a disturbance or a sensor fault",
+    burst: "times the usual one: the running set",
     spike: "",
-    current_step: "the force does not follow the current as the running set has it",
+    current_step: "times the usual one: the running set",
     clipped: "the force is clipped",
     stopped: "the force follows a motion that the displacement does not show",
     stopped_half_way: "the machine stands still for",
@@ -483,6 +483,52 @@ def test_a_search_is_judged_against_the_running_set() -> None:
     assert not report.confirms, "its windows are of the past"
     assert "running set predicts the reservoir as well" in report.reason
     assert tracked.parameters is good
+
+
+def waiting(factor: float = 1.0) -> tuple[WindowTracker, ParameterSet]:
+    """A tracker with the set of a search that fell due, its yield force so many times as found."""
+    tracked = toured()
+    job = tracked.search(asked=False)
+    outcome = run(job)
+    assert outcome.found is not None
+    assert outcome.evidence is not None
+    values = outcome.found.parameter_set.values.copy()
+    values[known.index("f0")] *= factor
+    found = dataclasses.replace(outcome.found.parameter_set, values=values)
+    evidence = dataclasses.replace(outcome.evidence, recent=(0.2, 0.1))
+    fit = dataclasses.replace(outcome.found, parameter_set=found)
+    good = tracked.parameters
+    report = tracked.complete(job, dataclasses.replace(outcome, found=fit, evidence=evidence))
+    assert report is not None
+    assert report.verdict is Verdict.UNCONFIRMED
+    assert tracked.parameters is good
+    return tracked, found
+
+
+def test_a_set_that_nobody_asked_for_is_in_use_once_a_window_confirms_it() -> None:
+    tracked, found = waiting()
+    (report,) = fed(tracked, window(9, current=1.4, frequency=3.0))
+    assert report.accepted
+    assert report.set_id == tracked.parameters.set_id
+    shape = known.SHAPE
+    np.testing.assert_array_equal(tracked.parameters.values[shape], found.values[shape])
+
+
+def test_a_set_that_a_window_refutes_is_forgotten() -> None:
+    tracked, found = waiting(factor=2.0)
+    fed(tracked, window(9, current=0.9), window(10, current=0.9))
+    shape = known.SHAPE
+    assert not np.array_equal(tracked.parameters.values[shape], found.values[shape])
+
+
+def test_a_window_of_a_faulty_sensor_leaves_a_set_waiting() -> None:
+    tracked, found = waiting()
+    good = tracked.parameters
+    fed(tracked, not_a_number(window(9)))
+    assert tracked.parameters is good
+    fed(tracked, window(10, current=1.4, frequency=3.0))
+    shape = known.SHAPE
+    np.testing.assert_array_equal(tracked.parameters.values[shape], found.values[shape])
 
 
 def test_windows_after_a_search_keep_the_shape_and_its_errors() -> None:
