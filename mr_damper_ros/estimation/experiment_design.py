@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import triangular_factor
-from mr_damper_ros.estimation.global_search import adapted
+from mr_damper_ros.estimation.force_knowledge import PHASES, Cycles, open_sets, steady_cycle
 from mr_damper_ros.estimation.observability import (
     determined_parameters,
     noise_level,
@@ -40,9 +40,6 @@ _MOST_RUNS = 4
 _SPEEDS = np.geomspace(0.1, 1.0, 6)
 _CURRENTS = np.linspace(0.0, 1.0, 9)
 """Candidates, as parts of the largest peak velocity and current."""
-
-_PHASES = 64
-"""Samples of a candidate's cycle."""
 
 _MAJORITY = 0.5
 """A run is said to determine what it determines for more than this part of the sets."""
@@ -92,8 +89,13 @@ class ExtraRun:
     amplitude: float
     frequency: float
     current: float
-    determines: tuple[str, ...]
-    worst_error: float
+    determines: tuple[str, ...] = ()
+    worst_error: float = 1.0
+
+    @property
+    def peak_velocity(self) -> float:
+        """Largest speed [m/s]."""
+        return 2.0 * math.pi * self.frequency * self.amplitude
 
     @property
     def sentence(self) -> str:
@@ -135,16 +137,20 @@ def extra_runs(
     sizes = {name: high - low for name, (low, high) in ranges.items()}
     candidates = _candidates(rig)
     share = misfit.sample_count / len(misfit.windows)
-    cycles = Misfit(model, [_cycle(c) for c in candidates], [noise] * len(candidates))
+    cycles = Cycles(model, [steady_cycle(c.amplitude, c.frequency, c.current) for c in candidates])
     level = noise_level(misfit, parameters)
+    weight = math.sqrt(share / PHASES) / noise
     spans = parameter_spans(model, misfit.jacobian(parameters), parameters, ranges)
     present: list[Array] = []
     added: list[Array] = []
-    for values in _plausible_sets(model, misfit.windows, parameters, known, rig):
+    speed = max(rig.peak_velocity, *(window.operating_point[0] for window in misfit.windows))
+    rng = np.random.default_rng(0)
+    for values in open_sets(
+        model, misfit.windows, parameters, known, (speed, rig.current), rng, _SETS
+    ):
         jacobian = _only(misfit.jacobian(values), places) / level
         present.append(triangular_factor(jacobian))
-        of_cycles = _only(cycles.jacobian(values), places) / level * math.sqrt(share / _PHASES)
-        added.append(of_cycles.reshape(len(candidates), _PHASES, parameters.size))
+        added.append(_only(cycles.gradient(values), places) / level * weight)
     gains = [np.einsum("cnp,cnq->cpq", a * spans, a * spans) for a in added]
     advised: list[ExtraRun] = []
     while len(advised) < _MOST_RUNS and not set(names) <= known:
@@ -161,12 +167,10 @@ def extra_runs(
         determined = {n for n in names if np.mean([n in vote for vote in votes]) > _MAJORITY}
         variances = np.diagonal(np.linalg.inv(after[:, best]), axis1=-2, axis2=-1)
         advised.append(
-            ExtraRun(
-                chosen.amplitude,
-                chosen.frequency,
-                chosen.current,
-                tuple(name for name in names if name in determined - known),
-                float(np.mean(np.sqrt(variances.max(axis=-1)))),
+            replace(
+                chosen,
+                determines=tuple(name for name in names if name in determined - known),
+                worst_error=float(np.mean(np.sqrt(variances.max(axis=-1)))),
             )
         )
         known |= determined
@@ -176,7 +180,7 @@ def extra_runs(
 def _only(jacobian: Array, places: np.ndarray) -> Array:
     """The Jacobian with nothing told of the parameters at other places."""
     result = np.zeros_like(jacobian)
-    result[:, places] = jacobian[:, places]
+    result[..., places] = jacobian[..., places]
     return result
 
 
@@ -186,64 +190,18 @@ def _without_idle_end(runs: Sequence[ExtraRun]) -> tuple[ExtraRun, ...]:
     return tuple(runs[: useful[-1] + 1]) if useful else ()
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    amplitude: float
-    frequency: float
-    current: float
-
-    @property
-    def peak_velocity(self) -> float:
-        return 2.0 * math.pi * self.frequency * self.amplitude
-
-
-def _candidates(rig: RigRange) -> list[_Candidate]:
+def _candidates(rig: RigRange) -> list[ExtraRun]:
     """Runs that the rig can make, in round numbers."""
     amplitude = _round(rig.amplitude)
     top = rig.peak_velocity / (2.0 * math.pi * amplitude)
     frequencies = [_round(top * part) for part in _SPEEDS]
     currents = [_round(rig.current * part) for part in _CURRENTS]
-    return [_Candidate(amplitude, f, i) for f in frequencies for i in dict.fromkeys(currents)]
+    return [ExtraRun(amplitude, f, i) for f in frequencies for i in dict.fromkeys(currents)]
 
 
 def _round(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def _cycle(candidate: _Candidate) -> Window:
-    """One cycle of a candidate; the force plays no part in what it would tell."""
-    period = 1.0 / (candidate.frequency * _PHASES)
-    # Half a sample off the reversals, where the sign of the acceleration is a matter of rounding.
-    phase = 2.0 * math.pi * (np.arange(_PHASES) + 0.5) / _PHASES
-    displacement = candidate.amplitude * np.sin(phase)
-    return Window.from_samples(displacement, np.zeros(_PHASES), candidate.current, period)
-
-
 def _gram(matrix: Array) -> Array:
     return np.asarray(matrix.T @ matrix)
-
-
-def _plausible_sets(
-    model: Model,
-    windows: Sequence[Window],
-    parameters: Array,
-    known: set[str],
-    rig: RigRange,
-) -> list[Array]:
-    """Sets that agree with the windows and differ in the shape parameters that are not known.
-
-    What is linear in the laws follows from the coefficients that the windows have.
-    """
-    points = np.array([window.operating_point for window in windows])
-    shapes = {*model.shape_names} - known
-    solved = frozenset(model.linear) - shapes
-    speed, current = max(rig.peak_velocity, points[:, 0].max()), max(rig.current, 1e-12)
-    rng = np.random.default_rng(0)
-    sets = []
-    for _ in range(_SETS):
-        values = np.array(parameters)
-        for name, value in model.draw_shape(rng, speed, current).items():
-            if name not in known:
-                values[model.parameter_names.index(name)] = value
-        sets.append(adapted(model, windows, parameters, values, solved))
-    return sets

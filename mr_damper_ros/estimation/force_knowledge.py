@@ -9,12 +9,13 @@ it matters for the force, and no more: a parameter that nobody can see hardly do
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mr_damper_ros.estimation.covariance import correlation_length
+from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
@@ -40,6 +41,9 @@ _SMALLEST_SHARE = 0.1
 
 _ROUNDING = 1e-15
 """Eigenvalues of a balanced matrix are not known better, relative to the largest."""
+
+_LEAST_CURRENT = 1e-6
+"""A range of no current is as wide as this [A]: shapes are drawn relative to it."""
 
 _AMPLITUDE = 0.01
 """Amplitude [m] of the cycles of a goal, unless it says another."""
@@ -196,7 +200,7 @@ def prior_information(model: Model, cycles: Cycles, parameters: Array, goal: For
     and by what makes a tenth of the force.
     """
     rng = np.random.default_rng(0)
-    top_current = max(goal.current[1], 1e-6)
+    top_current = max(goal.current[1], _LEAST_CURRENT)
     draws = [model.draw_shape(rng, goal.peak_velocity[1], top_current) for _ in range(_DRAWS)]
     gradient = cycles.gradient(parameters).reshape(-1, parameters.size)
     force = float(np.sqrt(np.mean(cycles.force(parameters) ** 2)))
@@ -212,6 +216,32 @@ def prior_information(model: Model, cycles: Cycles, parameters: Array, goal: For
                 float(np.std(values)), float(np.mean(values)) - parameters[place]
             )
     return np.diag(1.0 / np.maximum(deviations, 1e-12) ** 2)
+
+
+def open_sets(
+    model: Model,
+    windows: Sequence[Window],
+    parameters: Array,
+    known: Collection[str],
+    top: tuple[float, float],
+    rng: np.random.Generator,
+    count: int,
+) -> list[Array]:
+    """Sets (p,) that agree with the windows and differ in the shape parameters not ``known``.
+
+    What is linear in the laws follows from the coefficients that the windows have. ``top``: peak
+    velocity [m/s] and current [A] of the range. None where no shape is open.
+    """
+    unknown = set(model.shape_names).difference(known)
+    solved = frozenset(model.linear) - unknown
+    sets = []
+    for _ in range(count if unknown else 0):
+        values = np.array(parameters)
+        for name, value in model.draw_shape(rng, top[0], max(top[1], _LEAST_CURRENT)).items():
+            if name in unknown:
+                values[model.parameter_names.index(name)] = value
+        sets.append(adapted(model, windows, parameters, values, solved))
+    return sets
 
 
 def window_information(

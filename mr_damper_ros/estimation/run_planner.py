@@ -28,13 +28,13 @@ from mr_damper_ros.estimation.force_knowledge import (
     cycle_errors,
     most_probable,
     noise_of,
+    open_sets,
     point_errors,
     prior_information,
     relative_gradient,
     repeated_error,
     window_information,
 )
-from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.planned_run import (
     CandidateRuns,
     MachineLimits,
@@ -113,6 +113,7 @@ class RunPlanner:
         self.goal = goal
         self.limits = limits
         self._goal_cycles = Cycles(model, goal.cycles())
+        self._top = goal.peak_velocity[1], goal.current[1]
         self.candidates = candidate_runs(goal, limits)
         self._candidates = CandidateRuns(model, self.candidates, limits.sample_rate)
 
@@ -138,9 +139,8 @@ class RunPlanner:
         """
         prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
         rng = np.random.default_rng(len(windows))
-        nothing = np.zeros(parameters.shape, dtype=bool)
         count = max(_STARTS, _FITS // len(windows))
-        others = self._open_sets(windows, parameters, nothing, rng, count)
+        others = open_sets(self.model, windows, parameters, (), self._top, rng, count)
         few = [window.thinned(FEW) for window in windows]
         first = self._noise(windows, parameters)
         found = [
@@ -182,11 +182,8 @@ class RunPlanner:
 
     def knowledge(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
         """As :meth:`errors`; where the goal seems to be met, that is made sure of."""
-        noise = self._noise(windows, parameters)
-        now = self._errors(parameters, self._information(windows, noise, parameters))
-        if now.worst <= self.goal.error:
-            return self._confirmed(now, windows, noise, parameters)
-        return now
+        now = self.errors(windows, parameters)
+        return self._confirmed(now, windows, parameters) if now.worst <= self.goal.error else now
 
     def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:
         """What to do next; ``observable`` (p,) tells which parameters the windows determine."""
@@ -241,14 +238,11 @@ class RunPlanner:
         return Plan(PlanState.RUN, now, best, expected, left)
 
     def _confirmed(
-        self,
-        now: PointErrors,
-        windows: Sequence[Window],
-        noise: Sequence[float],
-        parameters: Array,
+        self, now: PointErrors, windows: Sequence[Window], parameters: Array
     ) -> PointErrors:
         """The errors, the worst no smaller than by identifying again: the goal is met for sure."""
         prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
+        noise = self._noise(windows, parameters)
         again = repeated_error(self.model, windows, noise, prior, parameters, self._goal_cycles)
         larger = max(again / now.worst, 1.0)
         return replace(now, worst=larger * now.worst, bound=larger * now.bound)
@@ -267,8 +261,10 @@ class RunPlanner:
         self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
     ) -> list[Array]:
         """Sets that may be true: that identified, and others where something is open."""
-        rng = np.random.default_rng(0)
-        return [parameters, *self._open_sets(windows, parameters, observable, rng, _SETS)]
+        names, rng = np.array(self.model.parameter_names), np.random.default_rng(0)
+        known = names[observable].tolist()
+        others = open_sets(self.model, windows, parameters, known, self._top, rng, _SETS)
+        return [parameters, *others]
 
     def allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
         """Candidates (m,) that stay within the limits whichever set is true, and are no leap."""
@@ -300,33 +296,6 @@ class RunPlanner:
             information = after[int(np.argmin(_soft_worst(errors)))]
             worst = point_errors(self.goal, gradient, information).worst
         return None, expected, worst
-
-    def _open_sets(
-        self,
-        windows: Sequence[Window],
-        parameters: Array,
-        observable: np.ndarray,
-        rng: np.random.Generator,
-        count: int,
-    ) -> list[Array]:
-        """Sets that agree with the windows and differ in the shape parameters that are open."""
-        known = {
-            name for name, seen in zip(self.model.parameter_names, observable, strict=True) if seen
-        }
-        open_names = set(self.model.shape_names) - known
-        if not open_names:
-            return []
-        solved = frozenset(self.model.linear) - open_names
-        top_current = max(self.goal.current[1], 1e-6)
-        sets = []
-        for _ in range(count):
-            values = np.array(parameters)
-            drawn = self.model.draw_shape(rng, self.goal.peak_velocity[1], top_current)
-            for name, value in drawn.items():
-                if name in open_names:
-                    values[self.model.parameter_names.index(name)] = value
-            sets.append(adapted(self.model, windows, parameters, values, solved))
-        return sets
 
 
 def _noise_by_motion(windows: Sequence[Window], noise: Sequence[float]) -> tuple[float, float]:

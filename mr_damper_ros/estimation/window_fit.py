@@ -198,17 +198,17 @@ def fit_of(
     residual = problem.residual(unknowns)[problem.settled]
     rmse = math.sqrt(float(np.mean(residual**2)))
     covariance = without_negative_variance(covariance)
-    coefficients, coefficient_covariance = problem.coefficients(unknowns, covariance)
+    coefficients, gradient = problem.coefficients(unknowns)
     by_discrepancy = None
     if discrepancy is not None:
         discrepancy = without_negative_variance(discrepancy)
-        _, by_discrepancy = problem.coefficients(unknowns, discrepancy)
+        by_discrepancy = gradient @ discrepancy @ gradient.T
     return WindowFit(
         scales=unknowns,
         covariance=covariance,
         parameters=problem.parameters(unknowns),
         coefficients=coefficients,
-        coefficient_covariance=coefficient_covariance,
+        coefficient_covariance=gradient @ covariance @ gradient.T,
         operating_point=window.operating_point,
         rmse=rmse,
         nrmse=rmse / float(np.std(window.force)),

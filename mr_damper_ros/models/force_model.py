@@ -339,6 +339,7 @@ class Model(ABC):
 
     # Laws over operating points
 
+    @abstractmethod
     def coefficients_at(
         self, parameters: Array, peak_velocity: ArrayLike, current: ArrayLike
     ) -> Array:
@@ -346,25 +347,12 @@ class Model(ABC):
 
         [m/s] and [A]; those of ``coefficient_names``, none for a model without.
         """
-        count = np.broadcast(np.atleast_1d(peak_velocity), np.atleast_1d(current)).size
-        return np.empty((len(self.coefficient_names), count))
 
+    @abstractmethod
     def coefficient_gradient(
         self, parameters: Array, peak_velocity: float, current: float
     ) -> Array:
         """Derivatives (c, p) of the coefficients at one operating point by the parameters."""
-        steps = _STEP * np.maximum(np.abs(parameters), 1.0)
-        columns = [
-            np.subtract(
-                *(
-                    self.coefficients_at(parameters + side * step, peak_velocity, current)[:, 0]
-                    for side in (0.5, -0.5)
-                )
-            )
-            / np.max(step)
-            for step in np.diag(steps)
-        ]
-        return np.stack(columns, axis=-1)
 
     def without_dependence(self, parameters: Array, top_current: float) -> Array:
         """The set (p,) with coefficients that depend on neither peak velocity nor current.

@@ -184,13 +184,12 @@ class WindowProblem:
         """Parameters (p,) to start from, read off the window; the rest stays as it is given."""
         return self.model.cold_starts(self.window, self._given)
 
-    def coefficients(self, unknowns: Array, covariance: Array) -> tuple[Array, Array]:
-        """Operating-point coefficients (c,) and their covariance (c, c); empty where none are."""
+    def coefficients(self, unknowns: Array) -> tuple[Array, Array]:
+        """Operating-point coefficients (c,), derivatives (c, f) by the unknowns; or none."""
         model, parameters = self.model, self.parameters(unknowns)
         values = model.coefficients_at(parameters, *self.window.operating_point)[:, 0]
         gradient = model.coefficient_gradient(parameters, *self.window.operating_point)
-        gradient = model.by_unknowns(unknowns, gradient[:, self._columns])
-        return values, gradient @ covariance @ gradient.T
+        return values, model.by_unknowns(unknowns, gradient[:, self._columns])
 
     def usual_change(self, part: float, fastest: float) -> Array:
         """Change (f,) of each unknown that changes the force by this part of it.

@@ -76,11 +76,6 @@ def extension_of(parameters: Array) -> Extension:
     return Extension(*parameters[SIGMOID_COUNT:-1].tolist())
 
 
-def coil_time_constant_of(parameters: Array) -> float:
-    """Time constant [s] of the coil of parameters (16,) or (20,): of the former 0."""
-    return float(parameters[-1]) if is_extended(parameters) else 0.0
-
-
 def without_extension(sixteen: Array) -> Array:
     """Parameters (20,) of the extended law that give the force of these (16,)."""
     return np.concatenate((sixteen, np.zeros(len(EXTENDED_NAMES) - SIGMOID_COUNT)))

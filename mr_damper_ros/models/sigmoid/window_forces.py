@@ -137,10 +137,6 @@ class SigmoidForces(WindowForces):
             self._latest = parameters.tobytes(), lates
         return self._latest[1]
 
-    def longest_lag(self, parameters: Array) -> float:
-        """Longest time constant [s] of the compliance behind any of the windows."""
-        return max(late.longest_time_constant for late in self._late_forces(parameters))
-
     @cached_property
     def _current_changes(self) -> bool:
         return not all(window.has_constant_current for window in self.windows)
@@ -295,14 +291,12 @@ class LateForce:
 
     ``plain``, where it is an argument, gives what belongs to the sigmoid law at the samples of the
     window; it is asked only where these lie between those of the history.
-    ``longest_time_constant`` [s]: that of the lag along the history.
     """
 
     def __init__(self, history: MotionHistory, past: ForceAndDamping, extension: Extension) -> None:
         """``past``, each of shape (m,), belongs to the sigmoid law along the history."""
         self._history, self._past, self._extension = history, past, extension
         constant = extension.time_constant(past.damping)
-        self.longest_time_constant = float(np.max(constant))
         self._lag = FirstOrderLag(constant, history.period, periodic=history.periodic)
         self._late = self._lag(past.force)
 
