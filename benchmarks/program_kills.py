@@ -18,10 +18,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from benchmarks.figure import Figure
-from benchmarks.lot_of_dampers import READING, write_lot
 from mr_damper_ros.campaign.folder import read_campaign_runs, read_steps
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings, scaled
+from mr_damper_ros.emulation.motions import SineMotion
+from mr_damper_ros.models.published import THESIS_28_CELSIUS
 
 _PATH = f"import sys\nsys.path[:] = {sys.path!r}\n"
 
@@ -126,8 +131,8 @@ def many_kills(kills: int = 50, dampers: int = 300, seed: int = 0) -> list[Figur
     """
     chance = random.Random(seed)
     faults: list[str] = []
-    with _script(_MANY.replace("{reading!r}", repr(READING))) as (place, command):
-        write_lot(place / "lot", dampers, 1)
+    with _script(_MANY.replace("{reading!r}", repr(_READING))) as (place, command):
+        _write_lot(place / "lot", dampers, 1)
         kept = _KeptFiles(place / "results", ("dampers/[!.]*.json",), _results_faults)
         command.append(str(kept.folder))
         program = subprocess.Popen(command)
@@ -198,3 +203,33 @@ def _children(process: int) -> list[int]:
         ]
     except OSError:
         return []
+
+
+# -- a lot of dampers ------------------------------------------------------------
+
+_COLUMNS = "displacement:mm,force:N,current:A"
+_RATE = 500.0
+_SPREAD = 0.03
+"""Standard deviation of the force over the lot."""
+
+_READING: dict[str, Any] = {"columns": _COLUMNS, "period": 1.0 / _RATE}
+"""How the recordings are read."""
+
+
+def _write_lot(folder: Path, dampers: int, recordings: int, seed: int = 0) -> None:
+    """So many dampers with so many recordings of half a second each, at rising currents."""
+    rng = np.random.default_rng(seed)
+    for number in range(dampers):
+        values = scaled(THESIS_28_CELSIUS, 1.0 + _SPREAD * rng.standard_normal())
+        (folder / f"D{number:04}").mkdir(parents=True)
+        for place in range(recordings):
+            rig = EmulatedRig(
+                ConstantDamper(values),
+                SineMotion(5e-3, 4.0),
+                0.5 * (place + 1),
+                settings=RigSettings(sample_rate=_RATE, seed=(seed, number, place)),
+            )
+            run = rig.record(0.5)
+            rows = np.column_stack((1e3 * run.displacement, run.force, run.current))
+            path = folder / f"D{number:04}" / f"run{place}.csv"
+            np.savetxt(path, rows, fmt="%.7g", delimiter=",")

@@ -388,13 +388,25 @@ CASES: dict[str, Case] = {
 }
 
 
+TRACKED = (
+    CASES["right, random"],
+    CASES["71 °C, learns"],
+    Case(_heated, _random, COLD, celsius=71.0),
+)
+"""Of these the error of the force is a figure: known, hot and identified, hot with the cold set."""
+
+
 @dataclass(frozen=True)
 class Followed:
-    """Reversals of the current and drops to the safe one, each a second; NRMSE of the force."""
+    """Reversals of the current and drops to the safe one, each a second; NRMSE of the force.
+
+    ``late`` is the NRMSE of the second half, over the standard deviation after :data:`SETTLED`.
+    """
 
     reversals: float
     drops: float
     nrmse: float
+    late: float
 
 
 def followed(case: Case, duration: float = FOLLOWED, *, watched: bool = True) -> Followed:
@@ -416,22 +428,29 @@ def followed(case: Case, duration: float = FOLLOWED, *, watched: bool = True) ->
 
     engine = Engine(start=case.known) if case.learns else None
     choice = chosen(wanted, case.known, engine, watched=watched)
-    commands, missed, forces = [], [], []
+    commands, missed, late, forces = [], [], [], []
     before = None
-    for made, _ in turned(rig, knob, choice, BLOCK, duration):
+    for number, (made, _) in enumerate(turned(rig, knob, choice, BLOCK, duration), start=1):
         if before is not None and before.attainable:
             missed.append(made.force - before.wanted)
+            if not before.doubt and number * BLOCK * PERIOD >= 0.5 * duration:
+                late.append(made.force - before.wanted)
         forces.append(made.force)
         before = choice.last
         assert before is not None
         commands.append((before.current, before.falls_back))
     currents, falls = np.array(commands)[round(SETTLED / PERIOD / BLOCK) :].T
-    error = np.concatenate(missed) if missed else np.array([np.nan])
+    force = np.concatenate(forces)
     return Followed(
         reversals(currents),
         drops(falls),
-        float(np.sqrt(np.mean(error**2)) / np.std(np.concatenate(forces))),
+        _rms(missed) / float(np.std(force)),
+        _rms(late) / float(np.std(force[round(SETTLED / PERIOD) :])),
     )
+
+
+def _rms(errors: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else np.nan
 
 
 # -- figures ---------------------------------------------------------------------------------------
@@ -449,6 +468,7 @@ def figures(
         drives = list(pool.map(_driven, [(road, seed) for road in roads for seed in seeds]))
         runs = list(pool.map(switched, switched_seeds))
         pairs = list(pool.map(_pair, cases))
+        cold, hot, hot_fixed = (each.late for each in pool.map(_tracked, range(len(TRACKED))))
     for line in [each.told for each in drives] + [each.told for each in runs]:
         print(line, file=sys.stderr)
     for name, (on, off) in zip(cases, pairs, strict=True):
@@ -513,6 +533,26 @@ def figures(
             "that is the known one, worst case.",
             (0.0, 0.2),
         ),
+        Figure(
+            "force_tracking_nrmse_percent",
+            100.0 * cold,
+            f"The same in random motion, coil lag 10 ms, {DEMAND:.0f} N s/m wanted: RMSE over the "
+            "standard deviation of the force [%] in the second half, where the desired force could "
+            "be had.",
+            (0.0, 10.0),
+        ),
+        Figure(
+            "force_tracking_hot_growth",
+            hot / cold,
+            f"That error at 71 °C (force {HOT_FORCE:.0%}) over that at 28 °C, with the set "
+            "identified on line from that of 28 °C.",
+            (0.0, 1.1),
+        ),
+        Figure(
+            "force_tracking_hot_growth_fixed",
+            hot_fixed / cold,
+            "The same with the set of 28 °C throughout.",
+        ),
     ]
 
 
@@ -537,6 +577,10 @@ def _driven(task: tuple[str, int]) -> Driven:
 
 def _pair(name: str) -> tuple[Followed, Followed]:
     return followed(CASES[name]), followed(CASES[name], watched=False)
+
+
+def _tracked(place: int) -> Followed:
+    return followed(TRACKED[place])
 
 
 def main() -> int:

@@ -10,13 +10,13 @@ import numpy as np
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce, MtsSamples
 from support import Listener
 
-from benchmarks import force_tracking
+from mr_damper_ros.emulation.plant_rig import invented_damper
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, header, to_nanoseconds
 
-VALUES = {**force_tracking.VALUES, "compliance": 0.0, "stiffness": 0.0, "offset": 0.0}
+VALUES = {**invented_damper(0.01).as_dict(), "compliance": 0.0, "stiffness": 0.0, "offset": 0.0}
 DAMPER = ParameterSet(
     np.array([VALUES[name] for name in MODELS["sigmoid_lag"].parameter_names]),
     set_id="known",
