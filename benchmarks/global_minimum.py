@@ -14,7 +14,7 @@ from mr_damper_ros.estimation.observability import operating_points_within
 from mr_damper_ros.estimation.profile_likelihood import profiled, search_misfit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL
+from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL
 from mr_damper_ros.processes.process_pool import ProcessPool, Tell
 from mr_damper_ros.signals.arrays import Array
 from studies import recordings

@@ -15,7 +15,7 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.sigmoid.extension import EXTENDED_MODEL, EXTENDED_NAMES
+from mr_damper_ros.models.sigmoid.following import EXTENDED_MODEL, EXTENDED_NAMES
 from mr_damper_ros.report.document import (
     DASHES,
     GREY,

@@ -13,7 +13,7 @@ from mr_damper_ros.kinematics.motion import Motion, Sine
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.extension import without_extension
+from mr_damper_ros.models.sigmoid.following import without_extension
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.bumpless_transfer import FADES, ForceInUse

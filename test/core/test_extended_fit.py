@@ -21,7 +21,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import Misfit, WindowProblem
 from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.extension import EXTENDED_NAMES
+from mr_damper_ros.models.sigmoid.following import EXTENDED_NAMES
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, operating_point_coefficients
 
 LAW = MODELS["sigmoid_lag"]

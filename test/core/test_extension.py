@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mr_damper_ros.models.first_order_lag import FirstOrderLag, lagged
-from mr_damper_ros.models.sigmoid.extension import (
+from mr_damper_ros.models.sigmoid.following import (
     Extension,
     extension_of,
     is_extended,

@@ -23,7 +23,7 @@ from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, LITERATURE, is_clean
-from mr_damper_ros.models.sigmoid.extension import without_extension
+from mr_damper_ros.models.sigmoid.following import without_extension
 from mr_damper_ros.tools import identify, validate
 from mr_damper_ros.tools.console import ProgressLine
 from studies.thesis.published_runs import synthesise

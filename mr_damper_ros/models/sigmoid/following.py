@@ -1,39 +1,69 @@
-"""The sigmoid laws along a motion, block by block, with or without the jump where it turns.
+"""The sigmoid laws of a set: along a motion, block by block, and over the current at a sample.
 
-The law shifts the velocity by sgn(a) v_h: the force jumps from one branch to the other within a
-sample where the acceleration changes its sign, and back and forth where that is lost in noise.
-Recorded forces do not. Along a branch of negative v_h the law's velocity v + sgn(a) v_h is that of
-a body with a play of -v_h behind v; without the jump it is so also where the motion turns: the
-shift follows the velocity (a play operator; Visintin, Differential Models of Hysteresis, 1994),
+*Without the jump where the motion turns.* The law shifts the velocity by sgn(a) v_h: the force
+jumps from one branch to the other within a sample where the acceleration changes its sign, and back
+and forth where that is lost in noise. Recorded forces do not. Along a branch of negative v_h the
+law's velocity v + sgn(a) v_h is that of a body with a play of -v_h behind v; without the jump it is
+so also where the motion turns: the shift follows the velocity (a play operator; Visintin,
+Differential Models of Hysteresis, 1994),
 
     s[k] = clip(s[k-1] + (v[k] - v[k-1]) / |v_h|, -1, 1)    in the place of sgn(a).
 
 It depends on the path of the velocity, not on its rate, and is the law once the velocity has come
 back by 2 |v_h|. It needs no parameter.
 
+*The extended law* adds a compliance, a stiffness and an offset. What carries the force of the fluid
+gives way: the fluid itself, the rod, the mounts. Such a spring in series with the damper (a Maxwell
+element) makes the force late. With F_s the sigmoid force,
+
+    tau dF_l/dt + F_l = F_s,  tau = compliance * f_t tanh(alpha x / 2) / x,
+    x = v + sgn(a) v_h + v_d,
+
+the fraction being the damping that the sigmoid amounts to at its velocity x. So the lag is long
+where the force is steep, around a reversal, short where the fluid flows, and rises with the yield
+force, that is with the current. The force is F_l + stiffness u + offset: those of the gas (thesis
+3.2; the thesis adds 100 N to its records by hand). doc/extended_law.md tells what else was tried.
+The current that counts is that of the coil, see :mod:`first_order_lag`. A parameter array of the
+extended law holds the sixteen of the sigmoid law first, then the three of :data:`EXTENSION_NAMES`,
+last the time constant of the coil.
+
 Of the state, the branch comes first (without the jump), then what the lag remembers, then the
 supply's and the coil's current, where the coil lags.
+
+*Over the current.* Of all that the law computes only the gains of yield force and width depend on
+the current, and they do not depend on the motion: what the currents of the nodes make of the law is
+computed once for a set, what the motion makes of it once for a sample.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import repeat
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models.first_order_lag import coil_current, coil_state, few_in_coil, lagged
+from mr_damper_ros.kinematics.motion_sample import MotionSample
+from mr_damper_ros.models.current_response import (
+    CurrentResponse,
+    SampleResponse,
+    SampleResponses,
+    SeveralSamples,
+)
+from mr_damper_ros.models.first_order_lag import (
+    COIL,
+    coil_current,
+    coil_state,
+    few_in_coil,
+    lagged,
+    next_lagged,
+    one_sample_later,
+)
 from mr_damper_ros.models.formulas import staged
 from mr_damper_ros.models.quantities import State
-from mr_damper_ros.models.sigmoid.extension import (
-    SIGMOID_COUNT,
-    Extension,
-    LagMemory,
-    extension_of,
-    is_extended,
-    late_after,
-)
 from mr_damper_ros.models.sigmoid.law import (
     LAW,
     NARROWEST,
@@ -43,6 +73,92 @@ from mr_damper_ros.models.sigmoid.law import (
     operating_point_coefficients,
 )
 from mr_damper_ros.signals.arrays import Array
+
+EXTENDED_MODEL = "sigmoid_lag"
+"""Name of the extended law in ``MODELS``."""
+
+COMPLIANCE = "compliance"
+"""The parameter that makes the lag; it must not be negative."""
+
+EXTENSION_NAMES = (COMPLIANCE, "stiffness", "offset")
+"""The three parameters of the extension: [m/N], [N/m], [N]."""
+
+EXTENDED_NAMES = (*PARAMETER_NAMES, *EXTENSION_NAMES, COIL)
+"""The twenty parameters of the extended law, in the order of its parameter arrays."""
+
+SIGMOID_COUNT = len(PARAMETER_NAMES)
+
+
+class Extension(NamedTuple):
+    """The three parameters, each a number or an array that broadcasts."""
+
+    compliance: Array | float
+    stiffness: Array | float
+    offset: Array | float
+
+    def time_constant(self, damping: Array) -> Array:
+        """Time constant [s] of the lag where the sigmoid has this damping [N s/m]; not negative."""
+        return np.maximum(self.compliance * damping, 0.0)
+
+    def gas(self, displacement: Array | float) -> Array | float:
+        """Force [N] of the gas at a displacement [m]."""
+        return self.stiffness * displacement + self.offset
+
+
+def is_extended(parameters: Array) -> bool:
+    """Whether an array (..., 16) or (..., 20) is of the extended law.
+
+    Raises ValueError for any other length.
+    """
+    count = parameters.shape[-1]
+    if count not in (SIGMOID_COUNT, len(EXTENDED_NAMES)):
+        raise ValueError(
+            f"there are {count} parameters: the sigmoid law has {SIGMOID_COUNT}, the extended one "
+            f"{len(EXTENDED_NAMES)}"
+        )
+    return bool(count != SIGMOID_COUNT)
+
+
+def extension_of(parameters: Array) -> Extension:
+    """The three after the sixteen of parameters (20,)."""
+    return Extension(*parameters[SIGMOID_COUNT:-1].tolist())
+
+
+def without_extension(sixteen: Array) -> Array:
+    """Parameters (20,) of the extended law that give the force of these (16,)."""
+    return np.concatenate((sixteen, np.zeros(len(EXTENDED_NAMES) - SIGMOID_COUNT)))
+
+
+class LagMemory(NamedTuple):
+    """What the lag remembers: force and lagged force of the sigmoid [N] and time constant [s]."""
+
+    plain: float
+    force: float
+    constant: float
+
+
+def late_after(
+    force: float, damping: float, extension: Extension, period: float, before: LagMemory | None
+) -> LagMemory:
+    """The lag at a sample ``period`` [s] after another; without one nothing is late."""
+    constant = max(float(extension.compliance) * damping, 0.0)
+    late = force
+    if before is not None:
+        late = one_sample_later(force, constant, period, *before)
+    return LagMemory(force, late, constant)
+
+
+def alternatives_after(
+    force: Array, damping: Array, extension: Extension, period: float, before: LagMemory | None
+) -> Array:
+    """Lagged forces [N] of alternatives for the one sample after another; they broadcast."""
+    if before is None:
+        return force
+    state = np.array(before.plain), np.array(before.force), np.array(before.constant)
+    return next_lagged(force, extension.time_constant(damping), period, state)
+
+
+# -- along a motion
 
 BRANCH_MEMORY = 2
 """Arrays of the state without the jump: the last velocity [m/s] and the last branch."""
@@ -190,3 +306,146 @@ def branch_along(
         )
         branch, first = found[..., end - 1], end
     return found, (np.full(shape[:-1], velocity[-1]), branch)
+
+
+# -- over the current
+
+_MOTION = ("scale", "alpha", "viscous", "centred", "width")
+"""Formulas that the motion alone decides on."""
+
+_motion_in_scalars = staged(LAW, [PARAMETER_NAMES, ("v", "v_m")], _MOTION, arrays=False)
+_motion_in_arrays = staged(LAW, [PARAMETER_NAMES, ("v", "v_m")], _MOTION, arrays=True)
+
+
+def _inputs(seen: int) -> tuple[str, ...]:
+    """The names of so many inputs: a branch that stays need not be computed anew."""
+    return (*_MOTION, *(("branch",) if seen == len(_MOTION) + 1 else ("s", "change")))
+
+
+@cache
+def _of_current(seen: int, extended: bool) -> Callable[..., Any]:
+    """A sample over the current, in scalars: of a set, of the sample, of the current."""
+    results = ("force", "damping") if extended else ("force",)
+    return staged(LAW, [PARAMETER_NAMES, _inputs(seen), ("i",)], results, arrays=False)
+
+
+@cache
+def _of_samples(seen: int, extended: bool) -> Callable[..., Any]:
+    """Samples at currents, in arrays: of a set, of the currents, of the samples."""
+    results = ("force", "damping") if extended else ("force",)
+    return staged(LAW, [PARAMETER_NAMES, ("i",), _inputs(seen)], results, arrays=True)
+
+
+class _Late(NamedTuple):
+    """What the extension makes of the next sample's force; ``gas`` [N] is that of the gas."""
+
+    extension: Extension
+    gas: Any
+    period: float
+    before: LagMemory | None
+
+    def scalar(self, force: float, damping: float) -> float:
+        late = late_after(force, damping, self.extension, self.period, self.before)
+        return float(late.force + self.gas)
+
+    def array(self, force: Array, damping: Array) -> Array:
+        late = alternatives_after(force, damping, self.extension, self.period, self.before)
+        return np.asarray(late + self.gas)
+
+
+class SigmoidResponse(CurrentResponse):
+    """The force of a set (16,) or (20,) at the samples (n,) of a motion that follow a state.
+
+    Of the extended law n is 1 where there was a sample before: its force is late.
+    """
+
+    def __init__(
+        self, parameters: Array, motion: Motion, period: float, state: State | None, *, jumps: bool
+    ) -> None:
+        numbers = parameters[:SIGMOID_COUNT].tolist()
+        columns = (motion.velocity, motion.peak_velocity, motion.displacement)
+        v, v_m, u = (column[:, np.newaxis] for column in columns)
+        branch: tuple[Array, ...] = (np.sign(motion.acceleration)[:, np.newaxis],)
+        if state and not jumps:
+            branch = (np.asarray(state[1]), v - state[0])
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            self._seen = (*_motion_in_arrays(*numbers)(v, v_m), *branch)
+        self._late: _Late | None = None
+        if is_extended(parameters):
+            extension, before = extension_of(parameters), lag_before(own_state(state, jumps=jumps))
+            self._late = _Late(extension, extension.gas(u), period, before)
+        self._at = _of_samples(len(self._seen), self._late is not None)(*numbers)
+
+    @np.errstate(over="ignore", divide="ignore", invalid="ignore")
+    def force(self, current: Array) -> Array:
+        """Force (n, m) [N]."""
+        found = self._at(current)(*self._seen)
+        return np.asarray(found if self._late is None else self._late.array(*found))
+
+
+class SigmoidSampleResponses(SampleResponses):
+    """Those of a set (16,) or (20,), sample by sample."""
+
+    def __init__(self, parameters: Array, nodes: Array, *, jumps: bool) -> None:
+        self._jumps = jumps
+        numbers, extended = parameters[:SIGMOID_COUNT].tolist(), is_extended(parameters)
+        self._extension = extension_of(parameters) if extended else None
+        self._motion = _motion_in_scalars(*numbers)
+        sizes = (len(_MOTION) + 1, len(_MOTION) + 2)
+        self.over_current = {n: _of_current(n, extended)(*numbers) for n in sizes}
+        with np.errstate(over="ignore", invalid="ignore"):
+            self._at_nodes = {n: _of_samples(n, extended)(*numbers)(nodes) for n in sizes}
+
+    def of(self, sample: MotionSample, period: float, state: State | None) -> SigmoidSample:
+        """That of the sample ``period`` [s] after the state."""
+        turning = None if self._jumps else state
+        position, before = branch_before(turning, sample.acceleration)
+        change = 0.0 if before is None else sample.velocity - before
+        branch = (position, change) if change else (position,)
+        seen = (*self._motion(sample.velocity, sample.peak_velocity), *branch)
+        return SigmoidSample(self, seen, self._late(sample.displacement, period, state))
+
+    def several(self, motion: Motion, period: float, state: State | None) -> SeveralSamples:
+        """Those of the samples (n,) of a motion, each after the state."""
+        samples = [self.of(sample, period, state) for sample in MotionSample.each(motion)]
+        rows = [(*sample.seen, 0.0)[: len(_MOTION) + 2] for sample in samples]
+        *parts, change = np.array(rows).T[:, :, np.newaxis]
+        late = self._late(motion.displacement[:, np.newaxis], period, state)
+        forces = self.at_nodes(parts + [change] * bool(change.any()), late)
+        return SeveralSamples([sample.force for sample in samples], forces)
+
+    def _late(
+        self, displacement: Array | float, period: float, state: State | None
+    ) -> _Late | None:
+        if self._extension is None:
+            return None
+        before = lag_before(own_state(state, jumps=self._jumps))
+        return _Late(self._extension, self._extension.gas(displacement), period, before)
+
+    @np.errstate(over="ignore", divide="ignore", invalid="ignore")
+    def at_nodes(self, seen: Sequence[Any], late: _Late | None) -> Array:
+        """Force (m,) or (n, m) [N] at the nodes."""
+        found = self._at_nodes[len(seen)](*seen)
+        return np.asarray(found if late is None else late.array(*found))
+
+
+class SigmoidSample(SampleResponse):
+    """That of one sample."""
+
+    def __init__(
+        self, of: SigmoidSampleResponses, seen: tuple[float, ...], late: _Late | None
+    ) -> None:
+        self.seen, self.late = seen, late
+        self._of = of
+        self._force = of.over_current[len(seen)](*seen)
+
+    def at_nodes(self) -> list[float]:
+        """Force [N] at the nodes."""
+        found: list[float] = self._of.at_nodes(self.seen, self.late).tolist()
+        return found
+
+    def force(self, current: float) -> float:
+        """Force [N] at a current [A]."""
+        found = self._force(current)
+        force: float = found if self.late is None else self.late.scalar(*found)
+        return force

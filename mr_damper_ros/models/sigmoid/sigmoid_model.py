@@ -34,16 +34,19 @@ from mr_damper_ros.models.quantities import (
     State,
 )
 from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws, searched_laws, shape_bounds
-from mr_damper_ros.models.sigmoid.extension import (
+from mr_damper_ros.models.sigmoid.following import (
+    BRANCH_MEMORY,
     COMPLIANCE,
     EXTENDED_MODEL,
     EXTENDED_NAMES,
     EXTENSION_NAMES,
     SIGMOID_COUNT,
+    SigmoidResponse,
+    SigmoidSampleResponses,
     extension_of,
+    follow,
     without_extension,
 )
-from mr_damper_ros.models.sigmoid.following import BRANCH_MEMORY, follow
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     COEFFICIENTS,
@@ -57,7 +60,6 @@ from mr_damper_ros.models.sigmoid.law import (
     secant_damping,
     sign_of_pair,
 )
-from mr_damper_ros.models.sigmoid.over_current import SigmoidResponse, SigmoidSampleResponses
 from mr_damper_ros.models.sigmoid.window_forces import SigmoidForces
 from mr_damper_ros.signals.arrays import Array
 

@@ -13,7 +13,7 @@ from mr_damper_ros.kinematics.motion_history import MotionHistory
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.first_order_lag import FirstOrderLag, in_coil
 from mr_damper_ros.models.force_model import Model, WindowForces
-from mr_damper_ros.models.sigmoid.extension import (
+from mr_damper_ros.models.sigmoid.following import (
     EXTENDED_NAMES,
     SIGMOID_COUNT,
     Extension,
