@@ -56,7 +56,7 @@ bench: setup ## Measure the figures of the identification; writes build/bench.js
 
 soak: setup ## Kill, interrupt, stream for hours, feed what is hostile: 90 minutes; writes build/soak.json
 	@. ./env.bash
-	exec python -m benchmarks.soak $(ARGS)
+	exec python -m benchmarks.bench --soak $(ARGS)
 
 test: setup ## Run all tests: core, packaging, and nodes over real DDS
 	@. ./env.bash

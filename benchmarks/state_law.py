@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.figure import Figure
+from benchmarks.fit_times import cpu_seconds
 from benchmarks.other_dampers import DAMPERS, random_motion
-from benchmarks.timing import cpu_seconds
 from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import identify_global

@@ -13,11 +13,10 @@ import pytest
 
 from benchmarks import (
     bench,
+    fit_times,
     following,
     noise_limit,
     rig_troubles,
-    whole_damper,
-    window_refit,
 )
 from benchmarks.dampers import clean_windows, steady_window
 from benchmarks.figure import Figure, Pair, table
@@ -111,7 +110,8 @@ def test_the_program_writes_one_flat_object_and_prints_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     figures = [Figure("a", 1.0, "x"), Figure("b", math.inf, "y"), Figure("c", [1.0], "z")]
-    monkeypatch.setattr(bench, "FULL", {"some": lambda: figures})
+    monkeypatch.setattr(bench, "PARTS", {"some": "x.y"})
+    monkeypatch.setattr(bench, "measure", lambda function, arguments: figures)
     output = tmp_path / "build" / "bench.json"
     assert bench.main(["--output", str(output)]) == 0
     assert json.loads(output.read_text()) == {"a": 1.0, "b": None, "c": [1.0]}
@@ -135,20 +135,20 @@ def test_a_fault_that_is_not_named_and_one_that_is_invented_are_counted() -> Non
 def test_the_reference_reaches_the_noise_from_a_near_start() -> None:
     truth = parameters(find(CONDITION))
     window = steady_window(scaled(truth, 0.99), find(CONDITION), samples=300, seed=2)
-    found, norm = window_refit.reference_fit(window, np.array(truth))
+    found, norm = fit_times.reference_fit(window, np.array(truth))
     assert found.shape == (16,)
     assert norm / math.sqrt(300) == pytest.approx(known.NOISE, rel=NOISE_OF_300)
 
 
 def test_a_refit_is_compared_at_the_same_residual() -> None:
-    refit = window_refit.measure(CONDITION, repetitions=1, samples=1000)
-    assert max(refit.residual_ratios) < window_refit.RESIDUAL_LIMIT
+    refit = fit_times.measured_refit(CONDITION, repetitions=1, samples=1000)
+    assert max(refit.residual_ratios) < fit_times.RESIDUAL_LIMIT
 
 
 def test_the_reference_search_stays_within_the_bounds_it_is_given() -> None:
     windows = thirty_windows()[:2]
     found = known.PLAUSIBLE
-    bounds = dict(zip(PARAMETER_NAMES, whole_damper.search_bounds(windows, found), strict=True))
+    bounds = dict(zip(PARAMETER_NAMES, fit_times.search_bounds(windows, found), strict=True))
     assert bounds["f0"] == (-120.0, 120.0)
     assert bounds["k2"] == (-100.0, 100.0)
     assert all(low < high for low, high in bounds.values())

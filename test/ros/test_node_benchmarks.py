@@ -11,7 +11,7 @@ from contextlib import closing
 import pytest
 
 from benchmarks import lossy_link
-from benchmarks.network import LossyLink, NetworkError
+from benchmarks.lossy_link import LossyLink, NetworkError
 from benchmarks.streaming_load import Counter
 
 PATIENCE = 30.0
