@@ -52,8 +52,8 @@ from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.rig.sources.emulated_source import moment_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
-from mr_damper_ros.tracking.engine import Engine
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.engine import Engine, EngineSettings
+from mr_damper_ros.tracking.predictor import PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind
 
 PROCESSES = 2
@@ -195,17 +195,15 @@ def chosen(
 
 def _alone(known: ParameterSet) -> Callable[[RigBlock], Array]:
     """The force that a set gives, whatever is measured."""
-    predictor = ForcePredictor(PredictorSettings(maximum_error=0.0))
-    predictor.set_parameters(known)
+    settings = EngineSettings(predictor=PredictorSettings(maximum_error=0.0)).for_law(known.model)
+    engine = Engine(settings, known, identify=False)
 
     def predict(made: RigBlock) -> Array:
-        predictor.add_current(made.start_ns, float(made.current[0]))
+        engine.add_current(made.start_ns, float(made.current[0]))
         block = SampleBlock(
             made.start_ns, made.sequence, made.period, made.displacement, made.force
         )
-        force = predictor.predict(block).force
-        predictor.catch_up()
-        return force
+        return engine.predict(block).force
 
     return predict
 

@@ -39,6 +39,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.rig.sources.emulated_source import moment_of
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import RigBlock
+from mr_damper_ros.tracking.engine import Engine
 
 CAR = QuarterCar()
 GRAVITY = 9.80665
@@ -153,10 +154,12 @@ def car_rig(
     )
 
 
-def force_choice(rig: PlantRig, known: ParameterSet, controller: Controller) -> ForceChoice:
-    """What the nodes `suspension` and `controller` do together."""
+def force_choice(
+    rig: PlantRig, known: ParameterSet, controller: Controller, engine: Engine | None = None
+) -> ForceChoice:
+    """What the nodes `suspension` and `controller` do together, with an engine identifying."""
     settings = ForceControlSettings(highest_current=HIGHEST_CURRENT)
-    choice = ForceChoice(ForceController(settings), lambda _: controller(moment_of(rig)))
+    choice = ForceChoice(ForceController(settings), lambda _: controller(moment_of(rig)), engine)
     choice.controller.set_parameters(known)
     return choice
 

@@ -28,9 +28,7 @@ from mr_damper_ros.report.document import (
     panels,
 )
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.window_assembler import WindowAssembler, WindowSettings
+from mr_damper_ros.tracking.engine import Engine, EngineSettings
 from studies.control.car_drives import (
     BLOCK,
     CAR,
@@ -100,54 +98,18 @@ class HeatedResult:
         return float(np.average(self.share[chosen], weights=self.wanted[chosen] ** 2))
 
 
-class _Learner:
-    """Identifies the damper from what is measured, as the identifier does."""
-
-    def __init__(self, known: float) -> None:
-        start = invented_damper(known)
-        windows = WindowSettings()
-        self._assembler = WindowAssembler(
-            windows.window, windows.hop, windows.looks, windows.longest_window
-        )
-        self.tracker = WindowTracker(TrackerSettings(model=start.model), start)
-        self.accepted = 0
-
-    def hear(self, measured: RigBlock) -> bool:
-        """Whether a block has brought a new set."""
-        ready = self._assembler.add_current(measured.start_ns, float(measured.current[0]))
-        ready += self._assembler.add_block(
-            SampleBlock(
-                measured.start_ns,
-                measured.sequence,
-                measured.period,
-                measured.displacement,
-                measured.force,
-            )
-        )
-        before = self.accepted
-        for window in ready:
-            try:
-                report = self.tracker.follow(window)
-            except np.linalg.LinAlgError:
-                # In the identifier a fit that fails in its worker leaves the set as it is, too.
-                continue
-            self.accepted += report is not None and report.accepted
-        return self.accepted > before
-
-
 def drive_heated(task: HeatedDrive) -> HeatedResult:
     """Drive until the damper is hot."""
     knob = SupplyKnob()
     road = IsoRoad(task.road, SPEEDS[task.road], task.seed)
     rig = car_rig(road, knob, task.coil_time_constant, THERMAL)
-    choose = force_choice(rig, invented_damper(task.coil_time_constant), passive(DAMPING))
-    learner = _Learner(task.coil_time_constant) if task.learns else None
+    known = invented_damper(task.coil_time_constant)
+    engine = Engine(EngineSettings().for_law(known.model), known) if task.learns else None
+    choose = force_choice(rig, known, passive(DAMPING), engine)
     per_stretch = round(STRETCH / rig.settings.period / BLOCK)
     rows, stretches, before = [], [], None
     for block in commanded(rig, knob, choose, BLOCK, task.duration):
         motion, measured = block.motion, block.measured
-        if learner is not None and learner.hear(measured):
-            choose.controller.set_parameters(learner.tracker.parameters)
         # What was commanded after the block before has made the force of this one.
         wanted = np.nan
         if before is not None and before.attainable and not before.doubt:
@@ -176,7 +138,7 @@ def drive_heated(task: HeatedDrive) -> HeatedResult:
         share=met / wanted,
         comfort=np.sqrt(comfort),
         holding=np.sqrt(load) / STATIC_LOAD,
-        accepted=learner.accepted if learner else 0,
+        accepted=sum(report.accepted for report in choose.reports),
     )
 
 
