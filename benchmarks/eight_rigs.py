@@ -16,8 +16,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import FitReport
 
 from benchmarks.figure import Figure
+from benchmarks.latency import on_cores
 from benchmarks.processes import ProfiledDomain, start_node
-from benchmarks.side_by_side import on_cores
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.processes.programs import PATIENCE, Program, cpu_seconds

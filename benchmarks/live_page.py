@@ -17,9 +17,8 @@ import numpy as np
 
 from benchmarks.figure import Figure
 from benchmarks.helper_programs import Viewer, start_helper
+from benchmarks.latency import SETTLED, SideBySide, sine_blocks
 from benchmarks.processes import ProfiledDomain, start_node
-from benchmarks.side_by_side import SideBySide
-from benchmarks.streaming_load import SETTLED, sine_blocks
 from mr_damper_ros.live.live_record import SILENT_AFTER
 from mr_damper_ros.live.page_server import CONNECTIONS
 from mr_damper_ros.processes.programs import PATIENCE, Program, RosDomain

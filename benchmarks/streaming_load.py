@@ -6,32 +6,20 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import FitReport, MtsSamples, PredictedForce
 
 from benchmarks.figure import Figure
+from benchmarks.latency import LATENCY_DURATION, measure_latency, on_cores
 from benchmarks.processes import ProfiledDomain, start_node
-from benchmarks.side_by_side import CURRENT, SideBySide, blocks_of, on_cores
-from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.observer import Observer
 from mr_damper_ros.processes.programs import PATIENCE, Program
-from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import SampleBlock
 
 DURATION = 600.0
-LATENCY_DURATION = 120.0
 CORES = 2
-
-AMPLITUDE, FREQUENCY = 0.005, 1.0
-"""Motion [m], [Hz] of the latency's stream: a run of the thesis."""
-
-SETTLED = 3.0
-"""Seconds of the stream after which the predictions are valid."""
 
 
 class Counter:
@@ -159,47 +147,6 @@ def _losses(message: DiagnosticArray) -> Iterator[tuple[str, int]]:
 
 def _cpu(nodes: dict[str, Program]) -> dict[str, float]:
     return {name: node.cpu_seconds for name, node in nodes.items()}
-
-
-# -- latency ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Latencies:
-    """From a block's publication to the arrival of its answer [s], shapes (k,) and (m,)."""
-
-    model: Array
-    relay: Array
-
-    def ratio(self, quantile: float) -> float:
-        """Of the model's quantile to the relay's."""
-        return float(np.quantile(self.model, quantile) / np.quantile(self.relay, quantile))
-
-
-def measure_latency(sample_rate: float, block_size: int, duration: float) -> Latencies:
-    """Send each block to the model and to the relay, in turn, each in the other's pause."""
-    with SideBySide() as both:
-        blocks = sine_blocks(sample_rate, block_size, duration)
-        both.send(blocks)
-        settled = round(SETTLED * sample_rate / block_size)
-        if len(both.model.valid_ones) < len(blocks) - settled:
-            raise RuntimeError("the model's predictions are not valid: latency is of no use")
-        return Latencies(
-            *(
-                np.array(list(route.latencies.values())[settled:])
-                for route in (both.model, both.relay)
-            )
-        )
-
-
-def sine_blocks(sample_rate: float, block_size: int, duration: float) -> list[SampleBlock]:
-    """A sine with the force of the thesis, in blocks; their stamps count from 0."""
-    omega = 2.0 * np.pi * FREQUENCY
-    time_s = np.arange(round(duration * sample_rate / block_size) * block_size) / sample_rate
-    u = AMPLITUDE * np.sin(omega * time_s)
-    v = AMPLITUDE * omega * np.cos(omega * time_s)
-    measured = sine_force(THESIS_28_CELSIUS, u, v, -(omega**2) * u, CURRENT)
-    return blocks_of(u, measured, 1.0 / sample_rate, block_size)
 
 
 def figures(
