@@ -72,6 +72,10 @@ _GIVEN_THE_REST = (
 )
 
 
+AUTO = "auto"
+"""In place of a law's name: the one that the runs support."""
+
+
 @dataclass(frozen=True, eq=False)
 class FittedRun(ComparedRun):
     """What the identified set makes of one run.
@@ -94,7 +98,8 @@ class Identification(ComparedRuns):
 
     ``parameter_set`` is what was found, ``runs`` how it fits each run, in the order given;
     ``searches`` holds every search that was made; ``duration`` [s] is what they took; ``remarks``
-    say what seems wrong with the runs. ``profiles`` are those that were asked for.
+    say what seems wrong with the runs. ``choice``: how the law was chosen, where "auto" was asked
+    for; ``profiles`` are those that were asked for.
     """
 
     parameter_set: ParameterSet
@@ -103,6 +108,7 @@ class Identification(ComparedRuns):
     method: str
     duration: float
     remarks: tuple[str, ...] = ()
+    choice: LawChoice | None = None
     profiles: Findings = field(default_factory=lambda: Findings([], {}))
 
     @property
@@ -229,7 +235,7 @@ class Identification(ComparedRuns):
         }
 
     def __str__(self) -> str:
-        parts = []
+        parts = [] if self.choice is None else [f"{self.choice}\n"]
         if len(self.runs) == 1 and self.coefficients:
             parts += [self._at_point, text_table("coefficient", self.coefficients), ""]
             if not all(entry.observable for entry in self.parameters.values()):
@@ -321,7 +327,7 @@ def identify(
         A run as arrays of shape (n,): displacement [m], extension positive; force [N], tension
         positive; current [A], a number where it is constant; and the time between samples [s].
     model
-        Name of the force law, a key of ``MODELS``.
+        Name of the force law, a key of ``MODELS``; "auto": the one that :func:`choose_law` takes.
     method
         "global": the laws of the coefficients by differential evolution, then least squares on the
         samples; "nelder_mead" or "least_squares": local search on the samples;
@@ -376,8 +382,9 @@ def identify(
     >>> result.coefficients["alpha"].unit
     's/m'
     """
-    start_values = start_values_of(start, model)
+    start_values = None if model == AUTO else start_values_of(start, model)
     settings = EvolutionSettings(strategy=strategy, generations=generations, seed=seed)
+    choice = None
     with ProcessPool(workers) as processes:
         measured = measured_runs(
             runs,
@@ -385,7 +392,15 @@ def identify(
             accept_doubtful=accept_doubtful,
             processes=processes,
         )
-        return identify_measured(
+        if start_values is None:
+            runs_of_windows = [run.windows for run in measured]
+            seeded = EvolutionSettings(seed=seed)
+            choice = cross_validate(
+                runs_of_windows, settings=seeded, report=report, processes=processes
+            )
+            model = choice.chosen.model
+            start_values = start_values_of(start, model)
+        found = identify_measured(
             measured,
             model=model,
             method=method,
@@ -398,6 +413,7 @@ def identify(
             level_per_record=level_per_record,
             report=report,
         )
+    return replace(found, choice=choice)
 
 
 def identify_measured(

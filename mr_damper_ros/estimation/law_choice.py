@@ -83,10 +83,14 @@ class LawTrial:
 
 @dataclass(frozen=True, eq=False)
 class LawChoice:
-    """The laws tried, the best first; ``left_out``: what each fold leaves out, in a word."""
+    """The laws tried, the best first.
+
+    ``left_out``: what each fold leaves out, in a word; ``sinusoids``: whether all motions are.
+    """
 
     trials: tuple[LawTrial, ...]
     left_out: str
+    sinusoids: bool = False
 
     @property
     def best(self) -> LawTrial:
@@ -118,7 +122,13 @@ class LawChoice:
             behind, error = trial.behind(self.best)
             told = "" if trial is self.best else f"{behind:+.2%} ± {error:.2%}"
             lines.append(f"{name} {trial.nrmse:>8.2%} {told:>20}".rstrip())
-        return "\n".join([*lines, self._verdict()])
+        lines.append(self._verdict())
+        if self.sinusoids:
+            lines.append(
+                "All motions are sinusoids, which do not tell how a law follows any other motion: "
+                "where the damper is to be used in one, give such a run, too."
+            )
+        return "\n".join(lines)
 
     def _verdict(self) -> str:
         if self.best.nrmse > _PREDICTS:
@@ -169,7 +179,9 @@ def cross_validate(
             "no law was compared: the comparison was stopped before the first was finished, or "
             "none can be fitted to these runs"
         )
-    return LawChoice(tuple(sorted(trials, key=lambda trial: trial.nrmse)), left_out)
+    sinusoids = all(not math.isnan(window.motion.frequency) for run in runs for window in run)
+    best_first = sorted(trials, key=lambda trial: trial.nrmse)
+    return LawChoice(tuple(best_first), left_out, sinusoids)
 
 
 def folds(runs: Sequence[Sequence[Window]]) -> tuple[str, list[Fold]]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mr_damper_ros.api.findings import Findings, searches
-from mr_damper_ros.api.identification import MOST_LEFT, choose_law, identify
+from mr_damper_ros.api.identification import AUTO, MOST_LEFT, identify
 from mr_damper_ros.estimation.differential_evolution import STRATEGIES, EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GLOBAL_METHODS
 from mr_damper_ros.estimation.record_levels import USUAL_SPREAD
@@ -27,9 +27,6 @@ from mr_damper_ros.tools.console import (
 
 EXPLAINS_TOO_LITTLE = 3
 """Exit code where the set found leaves more of the force than a reader would accept."""
-
-AUTO = "auto"
-"""In place of a law's name: the one that the bags support."""
 
 _AUTO_HELP = (
     "; auto: the simplest of those that predict best what was left out of the bags, with a table "
@@ -153,20 +150,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _identify(options: argparse.Namespace) -> int:
     with ProgressLine() as progress:
-        model = options.model
-        if model == AUTO:
-            choice = choose_law(
-                options.bags,
-                seed=options.seed,
-                workers=options.workers,
-                accept_doubtful=options.accept_doubtful,
-                report=progress,
-            )
-            model = choice.chosen.model
-            print(f"{choice}\n")
         result = identify(
             options.bags,
-            model=model,
+            model=options.model,
             method=options.method,
             start=options.start,
             seed=options.seed,

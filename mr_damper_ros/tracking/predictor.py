@@ -103,7 +103,10 @@ class _Unlearned(NamedTuple):
 class ForcePredictor:
     """Predicts the force of each block as it arrives."""
 
-    def __init__(self, settings: PredictorSettings, grid: GridSettings | None = None) -> None:
+    def __init__(
+        self, settings: PredictorSettings | None = None, grid: GridSettings | None = None
+    ) -> None:
+        settings = settings or PredictorSettings()
         self._settings = settings
         margin, measured = settings.velocity_margin, settings.maximum_error > 0.0
         self._bank = ModelBank(margin, gradual=settings.gradual_reversal, measured=measured)

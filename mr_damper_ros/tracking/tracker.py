@@ -17,7 +17,7 @@ from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet
+from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import implausible
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
@@ -200,8 +200,15 @@ class TrackerMemory:
 class WindowTracker:
     """The running parameter set and all that is needed to judge the next one."""
 
-    def __init__(self, settings: TrackerSettings, initial: ParameterSet) -> None:
-        """See :meth:`TrackerSettings.following` for what it raises."""
+    def __init__(
+        self, settings: TrackerSettings | None = None, initial: ParameterSet | None = None
+    ) -> None:
+        """``initial``: that of the law in the settings where none is given.
+
+        See :meth:`TrackerSettings.following` for what it raises.
+        """
+        settings = settings or TrackerSettings()
+        initial = initial or start_set(settings.law)
         self._settings = settings.following(initial)
         self._initial = initial.as_given()
         self._model = initial.law

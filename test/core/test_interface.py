@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 import yaml
 
 import mr_damper_ros as mr
+from mr_damper_ros.api import identification
 from mr_damper_ros.models.sigmoid.law import COEFFICIENT_NAMES
 
 ROOT = Path(__file__).parents[2]
@@ -170,6 +172,20 @@ def test_terminal_file_and_document_tell_one_nrmse(
     result.parameter_set.save(file)
     again = mr.ParameterSet.load(file)
     assert again.to_yaml() == result.parameter_set.to_yaml()
+
+
+def test_the_law_that_the_runs_support_can_be_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    two = partial(identification.cross_validate, models=("bingham", "hyperbolic_tangent"))
+    monkeypatch.setattr(identification, "cross_validate", two)
+    found = mr.identify(RUN, model="auto")
+    assert found.choice is not None
+    assert found.parameter_set.model == found.choice.chosen.model
+    assert str(found).startswith("NRMSE on segments that were left out")
+
+
+def test_the_parts_of_the_stream_work_without_arguments() -> None:
+    assert mr.WindowTracker().parameters.source == "literature"
+    assert mr.ForcePredictor().parameters is None
 
 
 def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
