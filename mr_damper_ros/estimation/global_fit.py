@@ -92,7 +92,7 @@ class GlobalFit:
 
 def error_of_set(found: ParameterSet, windows: Iterable[Window]) -> ErrorSums:
     """Error of a set of any model on the samples of all windows together."""
-    return pooled(ErrorSums.of(found.force(window), window.force) for window in windows)
+    return pooled(ErrorSums.of(found.window_force(window), window.force) for window in windows)
 
 
 def identify_global(

@@ -278,7 +278,7 @@ def _left_out_error(trial: _Trial, tell: Tell) -> float:
     found = fit.parameter_set
     squares = []
     for window, places in fold.judged:
-        residual = (found.force(window) - window.force)[places]
+        residual = (found.window_force(window) - window.force)[places]
         squares.append(float(np.mean(residual**2) / np.var(window.force)))
     error = math.sqrt(float(np.mean(squares)))
     return error if math.isfinite(error) else math.inf

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
@@ -60,6 +61,9 @@ class ParameterError(SpokenError):
 
 
 Moved = TypeVar("Moved", Motion, MotionSample, Window)
+
+_UNEVEN = 0.01
+"""Part of a step by which times may be off, as rounding in a file leaves them."""
 
 _UNKNOWN = np.empty(0)
 """Stands for "of none of the parameters" until the number of parameters is known."""
@@ -189,9 +193,39 @@ class ParameterSet:
                 self.values, self.held(motion), current, period, state
             )
 
-    def force(self, window: Window) -> Array:
+    def window_force(self, window: Window) -> Array:
         """Force (n,) [N] that the set predicts at the samples of a window."""
         return self.law.window_force(self.held(window), self.values)
+
+    def force(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:
+        """Force (n,) [N] of the damper in a motion.
+
+        ``time`` (n,) [s] in even steps, ``displacement`` (n,) [m], extension positive, ``current``
+        [A], (n,) or a number. What went before is unknown: a law with memory settles first.
+
+        Raises ValueError, in one sentence, for times in uneven steps and for samples of no use.
+
+        >>> import numpy as np
+        >>> import mr_damper_ros as mr
+        >>> time = np.arange(1000) * 1e-3
+        >>> damper = mr.ParameterSet(mr.MODELS["sigmoid"].initial_values()[0])
+        >>> damper.force(time, 5e-3 * np.sin(2 * np.pi * time), 1.0).shape
+        (1000,)
+        """
+        times, moved, amperes = (np.asarray(a, float) for a in (time, displacement, current))
+        if times.ndim != 1 or times.shape != moved.shape or times.size < 2:
+            raise ValueError(
+                f"time has the shape {times.shape} and displacement {moved.shape}: give one "
+                "displacement for each time, two at least"
+            )
+        steps = np.diff(times)
+        period = float(np.mean(steps))
+        if not (period > 0.0 and np.max(np.abs(steps - period)) <= _UNEVEN * period):
+            raise ValueError(
+                f"the times are from {np.min(steps):g} to {np.max(steps):g} s apart: give samples "
+                "in even steps"
+            )
+        return self.window_force(Window.from_samples(moved, np.zeros_like(moved), amperes, period))
 
     @property
     def has_evidence(self) -> bool:

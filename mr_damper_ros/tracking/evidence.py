@@ -159,7 +159,7 @@ def evidence_of(
     """
     settled = running.law.settled(window, found.values)
     spread = float(np.std(window.force))
-    old, new = running.force(window), found.force(window)
+    old, new = running.window_force(window), found.window_force(window)
     known = bool(running.observable.any() and np.isfinite(old).all())
     if not np.isfinite(old).all():
         # Whatever was loaded there, anything is better.
@@ -225,7 +225,7 @@ def _mean_square(found: ParameterSet, windows: Sequence[Window]) -> float:
     But for a factor on the force: the strength of the damper may have changed since.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        forces = [found.force(window) for window in windows]
+        forces = [found.window_force(window) for window in windows]
         pairs = [(force, window.force) for force, window in zip(forces, windows, strict=True)]
         power = sum(float(np.mean(force * force)) for force, _ in pairs)
         shared = sum(float(np.mean(force * measured)) for force, measured in pairs)

@@ -368,7 +368,7 @@ def _outcome(
     found = candidate(job.running, fit.parameters, window)
     settled = model.settled(window, fit.parameters)
     watch = ChangeWatch.after_fit(
-        found.force(window)[settled],
+        found.window_force(window)[settled],
         window.force[settled],
         fit.operating_point,
         options.smallest_change,
@@ -529,7 +529,7 @@ def _search(job: Job, control: Control | None) -> Outcome:
     recent = error_of_set(start, last).nrmse, error_of_set(found, last).nrmse
     leads: list[Lead] = []
     for window, judges in pairs:
-        old, new = start.force(window), found.force(window)
+        old, new = start.window_force(window), found.window_force(window)
         if not np.isfinite(old).all():
             return Outcome(found=fit, evidence=Evidence(before, after, recent=recent))
         noise = NoiseModel.of(new - window.force)

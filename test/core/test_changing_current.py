@@ -97,7 +97,7 @@ def test_the_right_law_over_the_current_explains_the_parts_and_a_wrong_one_does_
 def test_the_parts_are_judged_at_the_peak_velocities_of_the_set() -> None:
     given = window(switching())
     narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 5e-3))
-    measured = replace(given, force=narrow.force(given))
+    measured = replace(given, force=narrow.window_force(given))
     parts = parts_by_current(SIXTEEN, measured, TOLERANCE)
     assert judge_parts(measured, parts, narrow).explained
 

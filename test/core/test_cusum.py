@@ -154,7 +154,7 @@ def test_looks_come_between_the_windows_whatever_the_blocks(sizes: list[int]) ->
 def test_a_look_compares_with_the_force_that_the_set_predicts() -> None:
     run = known.run()
     narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 0.5 * run.top_speed))
-    predicted = narrow.force(run.window)
+    predicted = narrow.window_force(run.window)
     measured = predicted + run.force - run.clean
     watch = ChangeWatch.after_fit(predicted, measured, run.window.operating_point, 0.02)
     raw = dataclasses.replace(known.raw_window(run), force=measured, look=500)

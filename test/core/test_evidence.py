@@ -77,7 +77,7 @@ def test_the_running_set_is_judged_by_the_force_that_it_predicts() -> None:
     held_back = held_back_samples(run.force.size)
     found = ParameterSet(known.PLAUSIBLE)
     evidence = evidence_of(narrow, found, run.window, held_back, fresh=run.force.size)
-    left = known.rms((narrow.force(run.window) - run.force)[held_back]) / np.std(run.force)
+    left = known.rms((narrow.window_force(run.window) - run.force)[held_back]) / np.std(run.force)
     assert evidence.nrmse_before == pytest.approx(left)
     assert left > 2.0 * evidence.nrmse_after
 

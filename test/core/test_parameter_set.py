@@ -14,6 +14,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import LITERATURE
@@ -236,3 +237,21 @@ def test_an_entry_of_any_size_is_refused_in_a_short_sentence() -> None:
     with pytest.raises(ParameterError) as caught:
         ParameterSet.from_yaml(text)
     assert len(str(caught.value)) < 300
+
+
+def test_the_force_of_a_motion_is_that_of_its_window() -> None:
+    found = ParameterSet(MODELS["sigmoid"].initial_values()[0], peak_velocity_range=(0.0, 1.0))
+    time = np.arange(1000) * 1e-3
+    moved = 5e-3 * np.sin(2.0 * np.pi * time)
+    window = Window.from_samples(moved, moved, np.full(1000, 0.5), 1e-3)
+    np.testing.assert_array_equal(found.force(time, moved, 0.5), found.window_force(window))
+
+
+@pytest.mark.parametrize(
+    ("time", "sentence"),
+    [([0.0, 1.0, 3.0], "give samples in even steps"), ([0.0, 1.0], "one displacement for each")],
+)
+def test_times_that_do_not_fit_are_refused(time: list[float], sentence: str) -> None:
+    found = ParameterSet(MODELS["sigmoid"].initial_values()[0])
+    with pytest.raises(ValueError, match=sentence):
+        found.force(time, [0.0, 1e-3, 0.0], 1.0)
