@@ -340,6 +340,9 @@ _CLEARLY_BETTER = 0.98
 _MOST_ROUNDS = 4
 """So often the extension is found anew, as long as that changes what the windows determine."""
 
+_POOR = 4.0
+"""Mean square of the weighted residual above which one looks further: twice the noise."""
+
 _KNOWN = "an earlier search"
 
 
@@ -584,12 +587,17 @@ class GlobalSearch:
         return False
 
     def _let_all_move(self) -> None:
-        """Search over all that was varied: what of it is determined, only a good fit can tell."""
-        wide = {
-            found.origin: self._polish.search(self.pooled, found.parameters, self._varied)
-            for found in self.candidates
-        }
-        best = self._best_of(wide)
+        """Search over all that was varied: what of it is determined, only a good fit can tell.
+
+        Where the outcome is poor, too from what every window by itself has found, which is good
+        where one of them shows more than the others, such as the reversal; the scales first.
+        """
+        starts = [found.parameters for found in self.candidates]
+        best = self._best_polished(starts, self._varied)
+        if self.pooled.mean_square(best) > _POOR:
+            scales = self._varied.intersection(self.model.linear)
+            own = [self._polish.search(self.pooled, fit.parameters, scales) for fit in self.fits]
+            best = min(best, self._best_polished(own, self._varied), key=self.pooled.mean_square)
         if self.pooled.mean_square(best) < _CLEARLY_BETTER * self.pooled.mean_square(self.best):
             self.best = best
             self.free = self._determined(best)
@@ -645,6 +653,10 @@ class GlobalSearch:
         if self._known is not None:
             candidates[_KNOWN] = self._known
         return candidates
+
+    def _best_polished(self, starts: Sequence[Array], free: frozenset[str]) -> Array:
+        found = (self._polish.search(self.pooled, start, free) for start in starts)
+        return min(found, key=self.pooled.mean_square)
 
     def _best_of(self, candidates: Mapping[str, Array]) -> Array:
         return min(candidates.values(), key=self.pooled.mean_square)
