@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -108,6 +108,9 @@ CONCERNS_KEPT = 200
 SILENT_AFTER = 2.0
 """Seconds after which what was last heard is no longer shown as the present state."""
 
+_ERROR = 2
+"""The level of an error."""
+
 _JUMP = 1.0
 """Stamps that fall back by more than this [s] are those of another recording."""
 
@@ -156,6 +159,37 @@ class Concern:
     values: Mapping[str, str]
 
 
+@dataclass(frozen=True)
+class Fault:
+    """An error that stays listed until somebody has seen it, also where it is over by then."""
+
+    number: int
+    name: str
+    """Of the diagnostic, or of a node that is not heard any more."""
+    message: str
+    since: float
+    """By the record's clock [s]."""
+    active: bool = True
+    seen: bool = False
+
+
+def fault_after(
+    fault: Fault | None, name: str, message: str, now: float, number: int, *, wrong: bool
+) -> Fault | None:
+    """What a fault, or none, has become at ``now`` [s]; a new one has this number.
+
+    One that comes back before it was seen keeps its time. A fault that is over goes once it is
+    seen.
+    """
+    if wrong and fault is not None and fault.active:
+        return replace(fault, message=message)
+    if wrong:
+        return Fault(number, name, message, now if fault is None else fault.since)
+    if fault is None or fault.seen:
+        return None
+    return replace(fault, active=False)
+
+
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Rows of a table, of which run and shape, with the names of the columns."""
@@ -181,6 +215,8 @@ class LiveRecord:
         self.parameters: SetSeen | None = None
         """The set in use; None before the first."""
         self._concerns: dict[str, tuple[Concern, float]] = {}
+        self._faults: dict[str, Fault] = {}
+        self._fault_count = 0
         self._events: deque[str] = deque(maxlen=SENTENCES_KEPT)
         self._origin = math.nan
         self._last_time = -math.inf
@@ -287,7 +323,40 @@ class LiveRecord:
         """Take note of how something stands."""
         with self._lock:
             if concern.name in self._concerns or len(self._concerns) < CONCERNS_KEPT:
+                self._judge_silences()
                 self._concerns[concern.name] = (concern, self._clock())
+                self._judge_silences()
+                self._judge(concern.name, concern.message, wrong=concern.level == _ERROR)
+
+    def _judge_silences(self) -> None:
+        """List the nodes that are not heard any more as faults."""
+        now = self._clock()
+        heard: dict[str, float] = {}
+        for name, (_, when) in self._concerns.items():
+            node = name.partition(": ")[0]
+            heard[node] = max(when, heard.get(node, -math.inf))
+        for node, when in heard.items():
+            self._judge(node, "not heard any more", wrong=now - when > SILENT_AFTER)
+
+    def _judge(self, name: str, message: str, *, wrong: bool) -> None:
+        before, number = self._faults.get(name), self._fault_count + 1
+        fault = fault_after(before, name, message, self._clock(), number, wrong=wrong)
+        if fault is None:
+            self._faults.pop(name, None)
+            return
+        self._faults[name] = fault
+        self._fault_count = max(self._fault_count, fault.number)
+
+    def acknowledge(self, number: int) -> None:
+        """Take the faults up to this number as seen."""
+        with self._lock:
+            seen = {
+                name: replace(fault, seen=fault.seen or fault.number <= number)
+                for name, fault in self._faults.items()
+            }
+            self._faults = {
+                name: fault for name, fault in seen.items() if fault.active or not fault.seen
+            }
 
     def add_event(self, sentence: str) -> None:
         """Take note of what was done from here."""
@@ -331,6 +400,11 @@ class LiveRecord:
             }
             sentences = [text for number, text in self._sentences if number > windows_after]
             seen, events = self.parameters, list(self._events)
+            self._judge_silences()
+            now = self._clock()
+            faults = [
+                {**vars(fault), "since": now - fault.since} for fault in self._faults.values()
+            ]
         parts = {
             "tables": _json(tables),
             "units": _json(_units(seen)),
@@ -338,6 +412,7 @@ class LiveRecord:
             "concerns": _json(
                 [{**vars(concern), "silence": silence} for concern, silence in self.concerns]
             ),
+            "faults": _json(faults),
             "events": _json(events),
             "silence": _json(self.silence),
             "silent_after": _json(SILENT_AFTER),

@@ -253,7 +253,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._serve(self._read)
 
     def do_POST(self) -> None:
-        """Take a command, from this page alone."""
+        """Take a command, or that faults were seen, from this page alone."""
         self._serve(self._take_command)
 
     def _serve(self, answer: Callable[[bytes], None]) -> None:
@@ -297,8 +297,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _take_command(self, body: bytes) -> None:
         self._check_origin()
-        commands = self.served.commands
-        if self._target()[0] != "/command" or not commands:
+        path, commands = self._target()[0], self.served.commands
+        if path == "/seen":
+            self.served.record.acknowledge(_number({"fault": [body.decode("latin-1")]}, "fault", 0))
+            self._answer(HTTPStatus.NO_CONTENT)
+            return
+        if path != "/command" or not commands:
             raise _RequestError(
                 HTTPStatus.FORBIDDEN, "the page is read-only: allow_commands is not set"
             )

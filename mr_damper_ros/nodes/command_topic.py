@@ -130,11 +130,12 @@ class MotionCommands(CommandTopic):
 
     def _state(self, now: float) -> Finding:
         if not self._commander.commanded:
-            return Finding(OK, "the machine moves by itself until a command comes")
+            sentence = "the machine moves by itself until a command comes"
+            return Finding(OK, sentence, {"excitation": "its own"})
         motion = self._commander.wanted(now)
         if motion is None:
-            return Finding(OK, "the machine rests")
-        return Finding(OK, f"{motion.sentence} commanded")
+            return Finding(OK, "the machine rests", {"excitation": "at rest"})
+        return Finding(OK, f"{motion.sentence} commanded", {"excitation": motion.sentence})
 
 
 def command_message(header: Header, motion: PeriodicMotion | None) -> ExcitationCommand:

@@ -285,6 +285,7 @@ class SupplyNode(ManagedNode):
         values: dict[str, object] = {
             "instrument": self._identity,
             "watchdog [s]": "none" if math.isnan(supply.watchdog) else f"{supply.watchdog:g}",
+            "output": "off" if drive is None else "may be on" if drive.failure else "on",
         }
         if drive is not None and drive.failure:
             return Finding(ERROR, f"{drive.failure}; {_NOT_OFF}", values)

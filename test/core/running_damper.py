@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable
 
 import known
 import numpy as np
@@ -19,12 +21,12 @@ def show_signals(record: LiveRecord, begin: float, duration: float) -> None:
     """Signals at 100 Hz of a sine; the prediction is not valid in the first second."""
     omega, amplitude = 2.0 * math.pi * 1.5, 5e-3
     noise = np.random.default_rng(7)
-    for time in np.arange(begin, begin + duration - 1e-9, 1.0 / RATE):
-        u, v = amplitude * math.sin(omega * time), amplitude * omega * math.cos(omega * time)
+    for at in np.arange(begin, begin + duration - 1e-9, 1.0 / RATE):
+        u, v = amplitude * math.sin(omega * at), amplitude * omega * math.cos(omega * at)
         force = 620.0 * math.tanh(41.0 * (v - 0.15 * omega * u)) * (1.0 + 0.5 * abs(v))
         measured = force + noise.normal(0.0, 12.0)
         record.add_signals(
-            START + time, u, v, 0.5, measured, 0.97 * force + 8.0, valid=bool(time >= 1.0)
+            START + at, u, v, 0.5, measured, 0.97 * force + 8.0, valid=bool(at >= 1.0)
         )
 
 
@@ -85,8 +87,8 @@ def show_set(record: LiveRecord, number: int) -> None:
     )
 
 
-def show_health(record: LiveRecord, node: str = "") -> None:
-    """Diagnostics as the nodes give them, or one of the nodes."""
+def show_health(record: LiveRecord, nodes: str | tuple[str, ...] = "") -> None:
+    """Diagnostics as the nodes give them, or some of the nodes."""
     for concern in (
         Concern(
             "model: prediction", 0, "valid; NRMSE 4.1% of the measured force", {"doubt": "NONE"}
@@ -103,16 +105,25 @@ def show_health(record: LiveRecord, node: str = "") -> None:
             "3 samples were lost",
             {"samples/s": "1000.0", "lost": "3", "bridged": "3", "repeated": "0"},
         ),
+        Concern("supply: supply", 0, "on; off by itself after 1 s", {"output": "on"}),
+        Concern(
+            "supply: current",
+            0,
+            "0.503 A; the current is commanded",
+            {"origin": "COMMAND", "set [A]": "0.5", "measured [A]": "0.5031"},
+        ),
+        Concern("bridge: motion", 0, "5 mm, 1.5 Hz commanded", {"excitation": "5 mm, 1.5 Hz"}),
+        Concern("safety: interlock", 0, "closed", {}),
         Concern("identifier: window", 0, "window 40% full", {}),
         Concern("identifier: state", 2, "the state cannot be kept: the disk is full", {}),
     ):
-        if concern.name.startswith(node):
+        if concern.name.startswith(nodes):
             record.add_concern(concern)
 
 
-def running(seconds: int = 30) -> LiveRecord:
+def running(seconds: int = 30, clock: Callable[[], float] = time.monotonic) -> LiveRecord:
     """A record of so many seconds, with a window each."""
-    record = LiveRecord()
+    record = LiveRecord(clock)
     show_signals(record, 0.0, seconds)
     for number in range(2, seconds + 1):
         show_window(record, number, accepted=number % 4 != 0)

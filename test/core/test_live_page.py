@@ -15,7 +15,7 @@ import pytest
 import running_damper
 from browser import PATIENCE, Browser
 
-from mr_damper_ros.live.live_record import LiveRecord
+from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer
 
 SECONDS = 12
@@ -297,7 +297,7 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
         browser.until(f"document.querySelector('#tile-prediction .sign').innerText && !{GONE}")
         clock = 112.0
         running_damper.show_signals(record, 3.0, 1.0)
-        running_damper.show_health(record, "model")
+        running_damper.show_health(record, ("model", "supply", "bridge", "safety"))
         browser.until(GONE)
         assert grey(browser) == {
             *("Force scale", "Temperature", "Motion", "Drift", "Operating-point coefficients"),
@@ -312,6 +312,37 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
         running_damper.show_health(record)
         browser.until("document.querySelector('#state').innerText === '▲ no signals for 12 s'")
         assert grey(browser) == {"Force", "Error over the span", "Current"}
+        leave(browser)
+
+
+def bar(browser: Browser) -> list[str]:
+    """What the alarm bar says."""
+    shown: list[str] = browser.evaluate(
+        "[...document.querySelectorAll('#alarms dd')].map(shown => shown.innerText)"
+    )
+    return shown
+
+
+def test_the_alarm_bar_is_in_view_and_keeps_faults_until_they_are_seen(browser: Browser) -> None:
+    record = running_damper.running(3, lambda: 100.0)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        browser.until("document.querySelector('#alarms')?.innerText.includes('cannot be kept')")
+        assert bar(browser)[:3] == ["✓ on, 0.503 A", "✓ 5 mm, 1.5 Hz", "✓ closed"]
+        browser.press("6")
+        browser.until("scrollY > innerHeight")
+        top = "document.querySelector('#alarms').getBoundingClientRect()"
+        assert browser.evaluate(f"{top}.top >= 0 && {top}.bottom < innerHeight / 3")
+        record.add_concern(Concern("identifier: state", 0, "kept", {}))
+        record.add_concern(Concern("safety: interlock", 2, "open: the door", {}))
+        browser.until("document.querySelector('#faults').innerText.includes('open: the door')")
+        assert bar(browser)[2] == "✕ open: the door"
+        assert "and 1 more" in bar(browser)[3]
+        browser.evaluate("document.querySelector('#seen').click()")
+        browser.until("document.querySelector('#seen').hidden")
+        assert bar(browser)[3] == "✕ 1 acknowledged, not over yet"
+        record.add_concern(Concern("safety: interlock", 0, "closed", {}))
+        browser.until("document.querySelector('#faults dd').innerText === '✓ none'")
         leave(browser)
 
 

@@ -238,3 +238,33 @@ def test_a_summary_tells_a_dead_node_from_one_without_samples(left_alone: LiveRe
     assert "not heard since" in line_of(text, "no signals")
     assert "not heard since" in line_of(text, "identifier: fit")
     assert "set in use" in text, "the model still predicts with it"
+
+
+def faults(record: LiveRecord) -> list[tuple[str, bool, bool]]:
+    return [(fault["name"], fault["active"], fault["seen"]) for fault in status(record)["faults"]]
+
+
+def test_a_fault_stays_until_it_is_over_and_seen(clock: Clock) -> None:
+    record = LiveRecord(clock)
+    wrong, good = (Concern("supply: current", level, "no load", {}) for level in (2, 0))
+    record.add_concern(wrong)
+    assert faults(record) == [("supply: current", True, False)]
+    record.add_concern(good)
+    assert faults(record) == [("supply: current", False, False)]
+    number = status(record)["faults"][0]["number"]
+    record.add_concern(wrong)
+    record.acknowledge(number)
+    assert faults(record) == [("supply: current", True, False)], "it has come back since"
+    record.acknowledge(number + 1)
+    assert faults(record) == [("supply: current", True, True)]
+    record.add_concern(good)
+    assert faults(record) == []
+
+
+def test_a_node_that_died_is_a_fault_until_seen_also_where_nobody_looked(clock: Clock) -> None:
+    record = LiveRecord(clock)
+    record.add_concern(Concern("supply: current", 0, "0.5 A", {}))
+    clock.now += 12.0
+    record.add_concern(Concern("supply: current", 0, "0.5 A", {}))
+    assert faults(record) == [("supply", False, False)]
+    assert status(record)["faults"][0]["since"] == 0.0

@@ -410,6 +410,57 @@ function showState() {
   shown.className = level;
 }
 
+// -- the alarm bar ------------------------------------------------------------------------------
+
+/** How one thing stands, by a diagnostic that tells it; grey once that is not heard any more. */
+function showAlarm(name, known, text) {
+  const shown = byId(`alarm-${name}`), silent = known && isSilent(silenceOf(known.name));
+  const [mark, , colour] = LEVELS[known?.level] ?? ["", "", ""];
+  shown.className = !known ? "unknown" : silent ? "bad" : colour;
+  shown.textContent = !known ? text : silent ? `✕ not heard, was ${text}` : `${mark} ${text}`;
+  shown.title = known?.message ?? "";
+}
+
+function showAlarms() {
+  const supply = concern("supply: supply"), command = concern("supply: current") ?? concern("bridge: current");
+  const origin = command?.values.origin, ofSupply = supply?.values.output ?? "off";
+  const measured = Number(command?.values["measured [A]"]);
+  const output = supply ? ofSupply + (ofSupply === "on" && Number.isFinite(measured) ? `, ${short(measured, 3)} A` : "")
+    : { HAND: "set by hand", COMMAND: "commanded", TIMED_OUT: "0 A: commands have stopped" }[origin];
+  // The worse of what the supply says of itself and of its current.
+  const telling = supply && (command?.level ?? 0) <= supply.level ? supply : command;
+  showAlarm("output", output && telling, output ?? "no supply heard");
+  const motion = concern("bridge: motion"), excitation = motion?.values.excitation;
+  showAlarm("excitation", excitation && motion, excitation ?? "no machine heard");
+  const interlock = status.concerns.find((known) => /interlock/i.test(known.name));
+  showAlarm("interlock", interlock, interlock?.message ?? "none reported");
+  showFaults();
+}
+
+/** What is wrong, or was, until somebody has seen it: the newest that nobody has. */
+function showFaults() {
+  const unseen = status.faults.filter((fault) => !fault.seen), active = status.faults.filter((fault) => fault.active);
+  const newest = unseen.reduce((last, fault) => (fault.number > (last?.number ?? 0) ? fault : last), null);
+  const when = (fault) => new Date(Date.now() - 1000 * fault.since).toTimeString().slice(0, 8);
+  const told = (fault) => `${fault.name}: ${fault.message} (${fault.active ? "since" : "over; began"} ${when(fault)})`;
+  const text = newest ? `✕ ${told(newest)}${unseen.length > 1 ? ` and ${unseen.length - 1} more` : ""}`
+    : active.length ? `✕ ${active.length} acknowledged, not over yet` : "✓ none";
+  const shown = byId("faults").querySelector("dd");
+  if (shown.textContent !== text) shown.textContent = text;
+  shown.title = status.faults.map(told).join("\n");
+  shown.className = newest ? "bad" : active.length ? "warn" : "good";
+  byId("faults").classList.toggle("unseen", Boolean(newest));
+  byId("seen").hidden = !newest;
+}
+
+async function acknowledge() {
+  const last = Math.max(0, ...(status?.faults ?? []).map((fault) => fault.number));
+  if (last && (await fetch("/seen", { method: "POST", body: String(last) })).ok) {
+    for (const fault of status.faults) fault.seen = true;
+    showFaults();
+  }
+}
+
 function showCommands() {
   byId("commands").hidden = !status.commands.length;
   const home = byId("commands").querySelector(".buttons");
@@ -437,6 +488,7 @@ function showCommands() {
 
 function showStatus() {
   byId("namespace").textContent = status.title.length > 1 ? status.title : "";
+  showAlarms();
   showTiles();
   showConcerns();
   showCommands();
@@ -509,6 +561,7 @@ for (const section of sections) {
   }
 }
 byId("pause").addEventListener("click", () => setPaused(!paused));
+byId("seen").addEventListener("click", acknowledge);
 byId("theme").addEventListener("click", nextTheme);
 byId("help-open").addEventListener("click", () => byId("help").showModal());
 for (const [k, radio] of radios.entries()) radio.addEventListener("change", () => setSpan(k));
@@ -518,7 +571,7 @@ document.addEventListener("keydown", (event) => {
   const onControl = event.target.closest?.("button, input, a, summary");
   const current = radios.findIndex((radio) => radio.checked);
   const action = {
-    " ": () => setPaused(!paused), p: () => savePng(inView()), c: () => saveCsv(inView()), t: nextTheme,
+    " ": () => setPaused(!paused), p: () => savePng(inView()), c: () => saveCsv(inView()), a: acknowledge, t: nextTheme,
     "[": () => setSpan(current - 1), "]": () => setSpan(current + 1), "?": () => byId("help").showModal(),
   }[event.key.toLowerCase()];
   const section = sections[Number(event.key) - 1];
