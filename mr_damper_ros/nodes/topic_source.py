@@ -15,15 +15,15 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import to_nanoseconds
+from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
-from mr_damper_ros.signals.blocks import RigBlock, fits_a_stamp
-from mr_damper_ros.signals.stamped_channel import ChannelJoin, JoinedRun, StampedChannel
+from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, fits_a_stamp
+from mr_damper_ros.signals.stamped_channel import ChannelJoin, StampedChannel
 
 _POLL = 0.005
 """Seconds between two looks at what has come."""
@@ -128,23 +128,19 @@ class TopicSource(Source):
         join = self._join = self._new_join()
         for item in self._inputs:
             item.arrived.clear()
-        pieces: deque[JoinedRun] = deque()
-        last_ns = start_ns
+        maker = BlockMaker(self.stream.block_size)
         while True:
             force.hand_on(join.lead)
             displacement.hand_on(join.follow)
-            pieces.extend(join.take())
-            sent = False
-            while pieces:
-                block = self._block(pieces)
-                if block is None:
-                    break
-                last_ns = block.stamp_ns(block.sample_count - 1)
-                sent = True
-                yield block
-            if not sent:
+            for run in join.take():
+                period = join.leader.period
+                for k, pair in enumerate(zip(run.following, run.leading, strict=True)):
+                    stamp_ns = run.start_ns + round(k * period * NANOSECONDS)
+                    maker.add(run.index + k, stamp_ns, period, Measured(*pair))
+            made = maker.take()
+            if not made[0].sample_count:
                 time.sleep(_POLL)
-                yield _nothing(last_ns)
+            yield from made
 
     def state(self) -> SourceState:
         """How the topics come in, and what of it was of no use."""
@@ -176,36 +172,6 @@ class TopicSource(Source):
             own_clocks=given.own_clocks,
             sampled_at_stamps=given.stamps == "sampling",
         )
-
-    def _block(self, pieces: deque[JoinedRun]) -> RigBlock | None:
-        """The next block, cut off the pieces; None where one that may still grow is too short."""
-        size = self.stream.block_size
-        piece = pieces.popleft()
-        while len(pieces) and piece.leading.size < size and pieces[0].index == _end(piece):
-            after = pieces.popleft()
-            piece = JoinedRun(
-                piece.index,
-                piece.start_ns,
-                np.concatenate([piece.leading, after.leading]),
-                np.concatenate([piece.following, after.following]),
-            )
-        count = piece.leading.size
-        if count < size and not pieces:
-            pieces.appendleft(piece)
-            return None
-        period = self._join.leader.period
-        if count > size:
-            pieces.appendleft(
-                JoinedRun(
-                    piece.index + size,
-                    piece.start_ns + round(size * period * 1e9),
-                    piece.leading[size:],
-                    piece.following[size:],
-                )
-            )
-        force, displacement = piece.leading[:size], piece.following[:size]
-        unknown = np.full(force.size, np.nan)
-        return RigBlock(piece.start_ns, piece.index, period, displacement, force, unknown, unknown)
 
     def _fault(self) -> str:
         """What is wrong with the topics, in a sentence; empty for nothing."""
@@ -320,13 +286,3 @@ def _message_type(text: str, name: str) -> type:
             f"topics.{name}_type is '{text}', whose messages have no header and so no stamp"
         )
     return found  # type: ignore[no-any-return]
-
-
-def _end(run: JoinedRun) -> int:
-    return run.index + run.leading.size
-
-
-def _nothing(stamp_ns: int) -> RigBlock:
-    """A block without samples, so that streaming can be ended meanwhile."""
-    none = np.empty(0)
-    return RigBlock(stamp_ns, 0, 1.0, none, none, none, none)

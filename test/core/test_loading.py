@@ -24,7 +24,7 @@ def test_a_node_starts_without_scipy(modules: str) -> None:
 
 def test_what_a_source_alone_needs_is_loaded_when_it_is_opened() -> None:
     loaded = loaded_by("mr_damper_ros.rig.sources")
-    assert not loaded & {"rosbags", "csv", "mr_damper_ros.io"}
+    assert not loaded & {"rosbags", "csv", "serial", "mr_damper_ros.io.records"}
 
 
 LIVE_RIG = """

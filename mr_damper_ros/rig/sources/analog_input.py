@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -15,14 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mr_damper_ros.rig.sources.device_source import POLL, SILENCE, Device
+from mr_damper_ros.rig.sources.device_source import POLL, SILENCE, Portions
 from mr_damper_ros.signals.arrays import Array
 
 MOST_READ = 10_000
 """Readings of a channel that are taken at a time."""
-
-IDLE = 0.005
-"""Seconds until a device that had nothing is looked at again."""
 
 BUFFERED = 10.0
 """Seconds that the driver keeps for a computer that is busy."""
@@ -50,117 +46,62 @@ class AnalogChannels:
     differential: bool
 
 
-Connect = Callable[[], Device[Readings]]
+@dataclass(frozen=True)
+class Driver:
+    """Reads channels through a library: a Python module, and what has to be installed for it.
+
+    ``what`` stands for a device that has no name.
+    """
+
+    read: Callable[[Any, AnalogChannels], Portions[Readings]]
+    module: str = ""
+    install: str = ""
+    what: str = ""
+
+    def connector(self, channels: AnalogChannels) -> Callable[[], Portions[Readings]]:
+        """What connects to the channels; raises ValueError where the library is missing."""
+        library = None
+        if self.module:
+            try:
+                library = import_module(self.module)
+            except (ImportError, OSError, RuntimeError) as error:
+                raise ValueError(
+                    f"the library of daq.driver, {self.module}, is not installed: pip install "
+                    f"{self.install} ({error})"
+                ) from error
+        return partial(self.read, library, channels)
 
 
-class _VendorDevice(ABC):
-    """A device that a vendor's library reads at its own rate, until it is lost."""
-
-    def __init__(self, library: Any, channels: AnalogChannels, name: str) -> None:
-        self._library = library
-        self._name = name
-        self._failures = self._raised()
-        self._rate = 0.0
-        try:
-            self._begin(channels)
-        except self._failures as error:
-            self.close()
-            raise OSError(f"{self._name}: {self._why(error)}") from error
-
-    @abstractmethod
-    def _raised(self) -> tuple[type[Exception], ...]:
-        """What the library raises."""
-
-    @abstractmethod
-    def _begin(self, channels: AnalogChannels) -> None:
-        """Connect, and have the device read its channels."""
-
-    @abstractmethod
-    def _take(self) -> Readings | None:
-        """What has come since the last call; None for nothing."""
-
-    @abstractmethod
-    def _ends(self) -> list[Callable[[], object]]:
-        """What is to be called at the end, whatever each raises."""
-
-    def _why(self, error: Exception) -> str:
-        """What the library says, in one line."""
-        return " ".join(str(error).split())
-
-    def read(self) -> Readings | None:
-        """See :class:`Device`."""
-        try:
-            found = self._take()
-        except self._failures as error:
-            raise ConnectionError(f"{self._name} was lost: {self._why(error)}") from error
-        if found is None:
-            time.sleep(IDLE)
-        return found
-
-    def close(self) -> None:
-        """See :class:`Device`."""
-        for end in self._ends():
-            with suppress(*self._failures):
-                end()
-
-
-class _NationalInstruments(_VendorDevice):
+def _national_instruments(library: Any, channels: AnalogChannels) -> Portions[Readings]:
     """One task with all channels, by nidaqmx and the driver NI-DAQmx."""
-
-    _task: Any = None
-
-    def _raised(self) -> tuple[type[Exception], ...]:
-        return (self._library.errors.Error, OSError)
-
-    def _begin(self, channels: AnalogChannels) -> None:
-        constants = self._library.constants
-        wiring = constants.TerminalConfiguration
-        self._task = self._library.Task()
+    constants = library.constants
+    wiring = constants.TerminalConfiguration
+    with library.Task() as task:
         for name, limit in zip(channels.names, channels.ranges, strict=True):
-            self._task.ai_channels.add_ai_voltage_chan(
+            task.ai_channels.add_ai_voltage_chan(
                 f"{channels.device}/{name}",
                 terminal_config=wiring.DIFF if channels.differential else wiring.RSE,
                 min_val=-limit,
                 max_val=limit,
             )
-        timing = self._task.timing
-        timing.cfg_samp_clk_timing(
+        task.timing.cfg_samp_clk_timing(
             channels.rate,
             sample_mode=constants.AcquisitionType.CONTINUOUS,
             samps_per_chan=round(BUFFERED * channels.rate),
         )
-        self._rate = float(timing.samp_clk_rate)
-        reader = self._library.stream_readers.AnalogMultiChannelReader
-        self._reader = reader(self._task.in_stream)
-        self._task.start()
-        self._count = len(channels.names)
-
-    def _take(self) -> Readings | None:
-        ready = min(int(self._task.in_stream.avail_samp_per_chan), MOST_READ)
-        if ready == 0:
-            return None
-        values = np.empty((self._count, ready))
-        taken = self._reader.read_many_sample(values, ready, POLL)
-        return Readings(values[:, :taken], self._rate)
-
-    def _ends(self) -> list[Callable[[], object]]:
-        return [] if self._task is None else [self._task.close]
-
-    def _why(self, error: Exception) -> str:
-        # After the first lines come names and codes.
-        return " ".join(str(error).split("\n\n")[0].split())
-
-
-def _nidaqmx(channels: AnalogChannels) -> Connect:
-    try:
-        library = import_module("nidaqmx")
-        import_module("nidaqmx.stream_readers")
-    except ImportError as error:
-        raise ValueError(
-            "daq.driver is nidaqmx, which is not installed: pip install nidaqmx==1.7.0, and NI's "
-            "own driver NI-DAQmx"
-        ) from error
-    return lambda: _NationalInstruments(library, channels, channels.device)
+        rate = float(task.timing.samp_clk_rate)
+        readers = import_module("nidaqmx.stream_readers")
+        reader = readers.AnalogMultiChannelReader(task.in_stream)
+        task.start()
+        yield None
+        while True:
+            ready = min(int(task.in_stream.avail_samp_per_chan), MOST_READ)
+            if ready == 0:
+                yield None
+                continue
+            values = np.empty((len(channels.names), ready))
+            taken = reader.read_many_sample(values, ready, POLL)
+            yield Readings(values[:, :taken], rate)
 
 
 _SINGLE_ENDED = 199
@@ -170,19 +111,15 @@ _MISSED = -9999.0
 """Stands in the readings of a LabJack where it had to leave one out."""
 
 
-class _LabJack(_VendorDevice):
+def _labjack(ljm: Any, channels: AnalogChannels) -> Portions[Readings]:
     """The stream of a T4, T7 or T8, by labjack-ljm and LabJack's library LJM."""
-
-    _handle: int | None = None
-
-    def _raised(self) -> tuple[type[Exception], ...]:
-        # Without the library LJM its functions are those of None.
-        return (self._library.LJMError, AttributeError, OSError)
-
-    def _begin(self, channels: AnalogChannels) -> None:
-        ljm, names = self._library, list(channels.names)
-        self._count = len(names)
-        self._handle = ljm.openS("ANY", "ANY", channels.device or "ANY")
+    names = list(channels.names)
+    with ExitStack() as stack:
+        try:
+            handle = ljm.openS("ANY", "ANY", channels.device or "ANY")
+        except AttributeError:  # its functions are those of None
+            raise OSError("LabJack's library LJM is not installed") from None
+        stack.callback(ljm.close, handle)
         settings: dict[str, float] = {}
         for name, limit in zip(names, channels.ranges, strict=True):
             settings[f"{name}_RANGE"] = limit
@@ -190,126 +127,80 @@ class _LabJack(_VendorDevice):
             number = int("".join(filter(str.isdigit, name)) or 0)
             negative = number + 1 if channels.differential else _SINGLE_ENDED
             settings[f"{name}_NEGATIVE_CH"] = negative
-        ljm.eWriteNames(self._handle, len(settings), list(settings), list(settings.values()))
+        ljm.eWriteNames(handle, len(settings), list(settings), list(settings.values()))
         ljm.writeLibraryConfigS(
             ljm.constants.STREAM_SCANS_RETURN, ljm.constants.STREAM_SCANS_RETURN_ALL_OR_NONE
         )
-        addresses = ljm.namesToAddresses(self._count, names)[0]
+        addresses = ljm.namesToAddresses(len(names), names)[0]
         unknown = ljm.constants.INVALID_NAME_ADDRESS
         if unknown in addresses:
             name = names[addresses.index(unknown)]
             raise OSError(f"it has no channel {name}: they are AIN0, AIN1 and so on")
         scans = max(round(channels.rate / 50.0), 1)
-        self._rate = float(
-            ljm.eStreamStart(self._handle, scans, self._count, addresses, channels.rate)
-        )
-
-    def _take(self) -> Readings | None:
-        try:
-            values, _, _ = self._library.eStreamRead(self._handle)
-        except self._library.LJMError as error:
-            if error.errorCode == self._library.errorcodes.NO_SCANS_RETURNED:
-                return None
-            raise
-        found = np.array(values, dtype=np.float64).reshape(-1, self._count).T
-        return Readings(np.where(found == _MISSED, np.nan, found), self._rate)
-
-    def _ends(self) -> list[Callable[[], object]]:
-        if self._handle is None:
-            return []
-        return [
-            partial(end, self._handle) for end in (self._library.eStreamStop, self._library.close)
-        ]
-
-    def _why(self, error: Exception) -> str:
-        if isinstance(error, AttributeError):
-            return "LabJack's library LJM is not installed"
-        return super()._why(error)
+        rate = float(ljm.eStreamStart(handle, scans, len(names), addresses, channels.rate))
+        stack.callback(ljm.eStreamStop, handle)
+        yield None
+        while True:
+            try:
+                values, _, _ = ljm.eStreamRead(handle)
+            except ljm.LJMError as error:
+                if error.errorCode != ljm.errorcodes.NO_SCANS_RETURNED:
+                    raise
+                yield None
+                continue
+            found = np.array(values, dtype=np.float64).reshape(-1, len(names)).T
+            yield Readings(np.where(found == _MISSED, np.nan, found), rate)
 
 
-def _labjack(channels: AnalogChannels) -> Connect:
-    try:
-        library = import_module("labjack.ljm")
-    except ImportError as error:
-        raise ValueError(
-            "daq.driver is labjack, which is not installed: pip install labjack-ljm==1.23.0, and "
-            "LabJack's own library LJM"
-        ) from error
-    return lambda: _LabJack(library, channels, channels.device or "the LabJack")
-
-
-class _MeasurementComputing(_VendorDevice):
+def _measurement_computing(uldaq: Any, channels: AnalogChannels) -> Portions[Readings]:
     """A scan without end over the channels from the lowest to the highest, by uldaq."""
-
-    _device: Any = None
-    _inputs: Any = None
-
-    def _raised(self) -> tuple[type[Exception], ...]:
-        return (self._library.ULException, OSError)
-
-    def _begin(self, channels: AnalogChannels) -> None:
-        uldaq = self._library
-        found = uldaq.get_daq_device_inventory(uldaq.InterfaceType.ANY)
-        named = [each for each in found if channels.device in ("", each.unique_id, str(each))]
-        if not named:
-            known = ", ".join(f"{each} ({each.unique_id})" for each in found) or "none at all"
-            raise OSError(f"there is no such device; found: {known}")
-        self._device = uldaq.DaqDevice(named[0])
-        self._device.connect()
-        self._inputs = self._device.get_ai_device()
-        if self._inputs is None or not self._inputs.get_info().has_pacer():
+    found = uldaq.get_daq_device_inventory(uldaq.InterfaceType.ANY)
+    named = [each for each in found if channels.device in ("", each.unique_id, str(each))]
+    if not named:
+        known = ", ".join(f"{each} ({each.unique_id})" for each in found) or "none at all"
+        raise OSError(f"there is no such device; found: {known}")
+    with ExitStack() as stack:
+        device = uldaq.DaqDevice(named[0])
+        stack.callback(device.release)
+        device.connect()
+        stack.callback(device.disconnect)
+        inputs = device.get_ai_device()
+        if inputs is None or not inputs.get_info().has_pacer():
             raise OSError("it has no analogue inputs that are read by a clock of its own")
         modes = uldaq.AiInputMode
         mode = modes.DIFFERENTIAL if channels.differential else modes.SINGLE_ENDED
-        places = [int(name) for name in channels.names]
-        low, high = min(places), max(places)
-        count = self._inputs.get_info().get_num_chans_by_mode(mode)
+        numbers = [int(name) for name in channels.names]
+        low, high = min(numbers), max(numbers)
+        count = inputs.get_info().get_num_chans_by_mode(mode)
         if high >= count:
             wiring = "wired differentially" if channels.differential else "wired to ground"
             raise OSError(f"it has no channel {high}: {count} can be {wiring}")
-        self._places = [place - low for place in places]
-        across = high - low + 1
-        self._held = max(round(BUFFERED * channels.rate), 1)
-        self._buffer = uldaq.create_float_buffer(across, self._held)
-        self._values = np.frombuffer(self._buffer).reshape(self._held, across)
-        self._taken = 0
-        self._rate = float(
-            self._inputs.a_in_scan(
-                low,
-                high,
-                mode,
-                _mcc_range(self._inputs.get_info().get_ranges(mode), max(channels.ranges)),
-                self._held,
-                channels.rate,
-                uldaq.ScanOption.CONTINUOUS,
-                uldaq.AInScanFlag.DEFAULT,
-                self._buffer,
-            )
+        span = _mcc_range(inputs.get_info().get_ranges(mode), max(channels.ranges))
+        held = max(round(BUFFERED * channels.rate), 1)
+        buffer = uldaq.create_float_buffer(high - low + 1, held)
+        values = np.frombuffer(buffer).reshape(held, high - low + 1)
+        wanted = [number - low for number in numbers]
+        option, flags = uldaq.ScanOption.CONTINUOUS, uldaq.AInScanFlag.DEFAULT
+        stack.callback(inputs.scan_stop)
+        rate = float(
+            inputs.a_in_scan(low, high, mode, span, held, channels.rate, option, flags, buffer)
         )
-
-    def _take(self) -> Readings | None:
-        status, transfer = self._inputs.get_scan_status()
-        ready = int(transfer.current_scan_count) - self._taken
-        if ready > self._held:
-            raise OSError("it has overwritten samples that were not yet read")
-        if ready <= 0:
-            if status != self._library.ScanStatus.RUNNING:
-                raise OSError("it has stopped to sample")
-            return None
-        ready = min(ready, MOST_READ)
-        rows = np.arange(self._taken, self._taken + ready) % self._held
-        self._taken += ready
-        return Readings(self._values[rows][:, self._places].T, self._rate)
-
-    def _ends(self) -> list[Callable[[], object]]:
-        inputs, device = self._inputs, self._device
-        self._inputs = self._device = None
-        ends = [] if inputs is None else [inputs.scan_stop]
-        return ends if device is None else [*ends, device.disconnect, device.release]
-
-    def _why(self, error: Exception) -> str:
-        # Without the name of its number.
-        return " ".join((getattr(error, "error_message", "") or str(error)).split())
+        taken = 0
+        yield None
+        while True:
+            status, transfer = inputs.get_scan_status()
+            ready = int(transfer.current_scan_count) - taken
+            if ready > held:
+                raise OSError("it has overwritten samples that were not yet read")
+            if ready <= 0:
+                if status != uldaq.ScanStatus.RUNNING:
+                    raise OSError("it has stopped to sample")
+                yield None
+                continue
+            ready = min(ready, MOST_READ)
+            rows = np.arange(taken, taken + ready) % held
+            taken += ready
+            yield Readings(values[rows][:, wanted].T, rate)
 
 
 def _mcc_range(ranges: Any, wanted: float) -> Any:
@@ -326,66 +217,37 @@ def _mcc_range(ranges: Any, wanted: float) -> Any:
     return fitting[min(able)]
 
 
-def _mcc(channels: AnalogChannels) -> Connect:
-    try:
-        library = import_module("uldaq")
-    except ImportError as error:
-        raise ValueError(
-            "daq.driver is mcc, for which uldaq is not installed: pip install uldaq==1.2.3, and "
-            "MCC's own library UL for Linux (libuldaq)"
-        ) from error
-    except OSError as error:  # it loads the library when it is imported
-        raise ValueError(
-            "daq.driver is mcc, and uldaq does not find MCC's library UL for Linux: install "
-            f"libuldaq ({error})"
-        ) from error
-    for name in channels.names:
-        if not name.isdigit():
-            raise ValueError(f"MCC has no channel '{name}': they are called 0, 1 and so on")
-    return lambda: _MeasurementComputing(library, channels, channels.device or "the MCC device")
-
-
-class _LabStream(_VendorDevice):
+def _lab_stream(pylsl: Any, channels: AnalogChannels) -> Portions[Readings]:
     """A stream of the lab streaming layer, by pylsl.
 
     Its stamps are those of its sender on the clock of this computer.
     """
-
-    _inlet: Any = None
-
-    def _raised(self) -> tuple[type[Exception], ...]:
-        lost = self._library.util
-        return (lost.LostError, lost.InternalError, OSError, RuntimeError, ValueError)
-
-    def _begin(self, channels: AnalogChannels) -> None:
-        pylsl = self._library
-        found = pylsl.resolve_byprop("name", channels.device, 1, SILENCE)
-        if not found:
-            raise OSError(f"there is no stream '{channels.device}' on the network")
-        if found[0].channel_format() == pylsl.cf_string:
-            raise OSError("it holds texts, not numbers")
-        self._inlet = pylsl.StreamInlet(
-            found[0],
-            max_buflen=round(BUFFERED),
-            recover=False,
-            processing_flags=pylsl.proc_clocksync,
-            as_numpy=True,
-        )
-        labels = self._inlet.info(SILENCE).get_channel_labels() or []
-        self._inlet.open_stream(SILENCE)
+    found = pylsl.resolve_byprop("name", channels.device, 1, SILENCE)
+    if not found:
+        raise OSError(f"there is no stream '{channels.device}' on the network")
+    if found[0].channel_format() == pylsl.cf_string:
+        raise OSError("it holds texts, not numbers")
+    inlet = pylsl.StreamInlet(
+        found[0],
+        max_buflen=round(BUFFERED),
+        recover=False,
+        processing_flags=pylsl.proc_clocksync,
+        as_numpy=True,
+    )
+    labels = inlet.info(SILENCE).get_channel_labels() or []
+    with ExitStack() as stack:
+        inlet.open_stream(SILENCE)
+        stack.callback(inlet.close_stream)
         count = found[0].channel_count()
-        self._places = [_place(name, labels, count) for name in channels.names]
-
-    def _take(self) -> Readings | None:
-        samples, stamps = self._inlet.pull_chunk(POLL, MOST_READ, min_samples=1)
-        if len(stamps) == 0:
-            return None
-        values = np.asarray(samples, dtype=np.float64).T[self._places]
-        return Readings(values, 0.0, np.asarray(stamps, dtype=np.float64))
-
-    def _ends(self) -> list[Callable[[], object]]:
-        inlet, self._inlet = self._inlet, None
-        return [] if inlet is None else [inlet.close_stream]
+        places = [_place(name, labels, count) for name in channels.names]
+        yield None
+        while True:
+            samples, stamps = inlet.pull_chunk(POLL, MOST_READ, min_samples=1)
+            if len(stamps) == 0:
+                yield None
+                continue
+            values = np.asarray(samples, dtype=np.float64).T[places]
+            yield Readings(values, 0.0, np.asarray(stamps, dtype=np.float64))
 
 
 def _place(name: str, labels: list[str | None], count: int) -> int:
@@ -398,50 +260,35 @@ def _place(name: str, labels: list[str | None], count: int) -> int:
     raise OSError(f"it has {count} channels ({known}), and no '{name}'")
 
 
-def _lsl(channels: AnalogChannels) -> Connect:
-    try:
-        library = import_module("pylsl")
-    except (ImportError, RuntimeError, OSError) as error:
-        raise ValueError(
-            "daq.driver is lsl, for which pylsl is not installed: pip install pylsl==1.18.6"
-        ) from error
-    return lambda: _LabStream(library, channels, f"the stream '{channels.device}'")
-
-
-class _SimulatedInput:
+def _simulated(_: Any, channels: AnalogChannels) -> Portions[Readings]:
     """1 Hz: 5 V of displacement, 7 V of force, 1.5 V of current; clipped at the ranges."""
-
-    def __init__(self, channels: AnalogChannels) -> None:
-        self._rate = channels.rate
-        self._limits = np.array(channels.ranges)[:, np.newaxis]
-        self._began = time.monotonic()
-        self._taken = 0
-
-    def read(self) -> Readings | None:
-        until = math.floor((time.monotonic() - self._began) * self._rate)
-        if until == self._taken:
-            time.sleep(IDLE)
-            return None
-        phase = 2.0 * math.pi * np.arange(self._taken, until) / self._rate
-        self._taken = until
-        volts: Array = np.stack(
-            [
-                5.0 * np.sin(phase),
-                7.0 * np.tanh(3.0 * np.cos(phase)),
-                np.full(phase.size, 1.5),
-            ]
-        )[: self._limits.size]
-        return Readings(np.clip(volts, -self._limits, self._limits), self._rate)
-
-    def close(self) -> None:
-        pass
+    limits = np.array(channels.ranges)[:, np.newaxis]
+    began, taken = time.monotonic(), 0
+    while True:
+        yield None
+        until = math.floor((time.monotonic() - began) * channels.rate)
+        phase = 2.0 * math.pi * np.arange(taken, until) / channels.rate
+        taken = until
+        force = 7.0 * np.tanh(3.0 * np.cos(phase))
+        volts: Array = np.stack([5.0 * np.sin(phase), force, np.full(phase.size, 1.5)])
+        volts = volts[: limits.size]
+        yield Readings(np.clip(volts, -limits, limits), channels.rate) if phase.size else None
 
 
-DRIVERS: dict[str, Callable[[AnalogChannels], Connect]] = {
-    "simulated": lambda channels: lambda: _SimulatedInput(channels),
-    "nidaqmx": _nidaqmx,
-    "labjack": _labjack,
-    "mcc": _mcc,
-    "lsl": _lsl,
+DRIVERS = {
+    "simulated": Driver(_simulated),
+    "nidaqmx": Driver(
+        _national_instruments, "nidaqmx", "nidaqmx==1.7.0, and NI's own driver NI-DAQmx"
+    ),
+    "labjack": Driver(
+        _labjack, "labjack.ljm", "labjack-ljm==1.23.0, and LabJack's own library LJM", "the LabJack"
+    ),
+    "mcc": Driver(
+        _measurement_computing,
+        "uldaq",
+        "uldaq==1.2.3, and MCC's own library UL for Linux (libuldaq)",
+        "the MCC device",
+    ),
+    "lsl": Driver(_lab_stream, "pylsl", "pylsl==1.18.6"),
 }
-"""What connects to the channels of a device; raises ValueError where its library is missing."""
+"""By the name that the option ``driver`` has for each."""

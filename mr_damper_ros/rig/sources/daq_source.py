@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mr_damper_ros.rig.blocks import Measured
 from mr_damper_ros.rig.sources.analog_input import DRIVERS, AnalogChannels, Readings
 from mr_damper_ros.rig.sources.device_source import DeviceSource, Portion
+from mr_damper_ros.rig.sources.row_times import CountedRows, StampedRows, TimedSample
+from mr_damper_ros.rig.sources.rows import Row
 from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock
-
-if TYPE_CHECKING:
-    from mr_damper_ros.rig.sources.row_times import TimedSample
+from mr_damper_ros.signals.clocks import CountedTimes
 
 _QUANTITIES = ("displacement", "force", "current")
 
@@ -99,8 +98,11 @@ class DaqOptions(ParameterTable):
             if getattr(self, f"{name}_scale") == 0.0:
                 return f"daq.{name}_scale is 0: give what a volt stands for"
             needed = name != "current" and self.driver != "simulated"
-            if needed and not getattr(self, f"{name}_channel"):
+            channel = getattr(self, f"{name}_channel")
+            if needed and not channel:
                 return f"daq.{name}_channel is empty: name the channel of the {name}"
+            if self.driver == "mcc" and channel and not channel.isdigit():
+                return f"MCC has no channel '{channel}': they are called 0, 1 and so on"
         return ""
 
 
@@ -137,7 +139,9 @@ class DaqSource(DeviceSource[Readings]):
             given.rate,
             given.differential,
         )
-        self._connect = DRIVERS[given.driver](channels)
+        driver = DRIVERS[given.driver]
+        self._connect = driver.connector(channels)
+        self._name = given.device or driver.what
         places = zip(wanted, channels.names, strict=True)
         return [
             f"{given.driver} {given.device}: "
@@ -150,7 +154,7 @@ class DaqSource(DeviceSource[Readings]):
         self._told = dict(self._saturated)
         self._missing = 0
         self._times = None
-        return self._read(self._connect, start_ns)
+        return self._read(self._connect, self._name, start_ns)
 
     def state(self) -> SourceState:
         """How the device is, and which channels were at the end of their range."""
@@ -167,12 +171,13 @@ class DaqSource(DeviceSource[Readings]):
 
     def _samples(self, portion: Portion[Readings], *, begins: bool) -> Iterator[TimedSample | None]:
         """Bring readings to their units and times; the last of them was taken just now."""
-        from mr_damper_ros.rig.sources.row_times import CountedRows, StampedRows
-        from mr_damper_ros.rig.sources.rows import Row
-
         values, rate, stamps = portion.data
         if self._times is None:
-            self._times = CountedRows.at(rate) if stamps is None else StampedRows(1.0)
+            self._times = (
+                CountedRows(CountedTimes(rate, checks_rate=False))
+                if stamps is None
+                else StampedRows(1.0)
+            )
         count = values.shape[1]
         channels = self._in_units(values)
         ago = (count - 1 - np.arange(count)) / rate if rate > 0.0 else np.zeros(count)

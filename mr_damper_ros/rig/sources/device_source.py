@@ -6,18 +6,16 @@ import queue
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from mr_damper_ros.rig.blocks import BlockMaker
+from mr_damper_ros.rig.sources.row_times import RowTimes, TimedSample
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.signals.blocks import RigBlock
 
-if TYPE_CHECKING:
-    from mr_damper_ros.rig.sources.row_times import RowTimes, TimedSample
-
 T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
 
 _MOST_WAITING = 256
 """Portions that wait to be taken; a device that brings more is not read meanwhile."""
@@ -28,18 +26,12 @@ POLL = 0.1
 SILENCE = 2.0
 """Seconds without an answer after which a device, a sender or a driver counts as silent."""
 
+_IDLE = 0.005
+"""Seconds until a device that had nothing is looked at again."""
 
-class Device(Protocol[T_co]):
-    """What is connected: a serial line, a socket, a data acquisition device."""
-
-    def read(self) -> T_co | None:
-        """What has come, or None where nothing did within a tenth of a second or so.
-
-        Raises OSError, with a sentence, where the device is lost.
-        """
-
-    def close(self) -> None:
-        """Let it go; raises nothing."""
+Portions = Generator[T | None, None, None]
+"""What a connected device brings: None first, once it is connected, and again where nothing came
+within a tenth of a second or so. It may raise anything; closing it lets the device go."""
 
 
 class Portion(NamedTuple, Generic[T]):
@@ -51,10 +43,11 @@ class Portion(NamedTuple, Generic[T]):
 
 
 class DeviceReader(Generic[T]):
-    """Connects with ``connect``, which raises OSError with a sentence, and reads until closed."""
+    """Reads a device of this name until closed; one that is lost is connected to again."""
 
-    def __init__(self, connect: Callable[[], Device[T]]) -> None:
+    def __init__(self, connect: Callable[[], Portions[T]], name: str) -> None:
         self._connect = connect
+        self._name = name
         self._waiting: queue.Queue[Portion[T]] = queue.Queue(_MOST_WAITING)
         self._ended = threading.Event()
         self.connections = 0
@@ -81,33 +74,42 @@ class DeviceReader(Generic[T]):
 
     def _run(self) -> None:
         while not self._ended.is_set():
-            device = None
+            failed = f"no connection to {self._name}"
             try:
-                device = self._connect()
-                self.connections += 1
-                self.fault = ""
-                self._read(device)
-            except OSError as error:
-                self.fault = str(error)
+                with closing(self._connect()) as portions:
+                    next(portions)
+                    failed = f"{self._name} was lost"
+                    self.connections += 1
+                    self.fault = ""
+                    self._read(portions)
             except Exception as error:  # drivers are others': this thread must not die of them
-                self.fault = f"the driver failed: {type(error).__name__}: {error}"
-            finally:
-                if device is not None:
-                    device.close()
+                self.fault = f"{failed}: {_why(error)}"
             self._ended.wait(5.0 * POLL)  # until the next attempt to connect
 
-    def _read(self, device: Device[T]) -> None:
-        while not self._ended.is_set():
-            data = device.read()
+    def _read(self, portions: Portions[T]) -> None:
+        for data in portions:
             if data is None:
-                continue
-            portion = Portion(data, time.monotonic_ns(), self.connections)
-            while not self._ended.is_set():
-                try:
-                    self._waiting.put(portion, timeout=POLL)
-                    break
-                except queue.Full:
-                    continue
+                self._ended.wait(_IDLE)
+            else:
+                portion = Portion(data, time.monotonic_ns(), self.connections)
+                while not self._ended.is_set() and not self._handed_over(portion):
+                    pass
+            if self._ended.is_set():
+                return
+
+    def _handed_over(self, portion: Portion[T]) -> bool:
+        try:
+            self._waiting.put(portion, timeout=POLL)
+        except queue.Full:
+            return False
+        return True
+
+
+def _why(error: Exception) -> str:
+    """What a library says, in one line, without the codes that follow in a paragraph of its own."""
+    told = getattr(error, "error_message", None) or getattr(error, "strerror", None) or str(error)
+    text = " ".join(str(told).split("\n\n")[0].split())
+    return text if isinstance(error, OSError) and text else f"{type(error).__name__}: {text}"
 
 
 _SET_NS = 20_000_000
@@ -169,11 +171,13 @@ class DeviceSource(Source, Generic[T]):
             self._reader.close()
             self._reader = None
 
-    def _read(self, connect: Callable[[], Device[T]], start_ns: int) -> Iterator[RigBlock]:
+    def _read(
+        self, connect: Callable[[], Portions[T]], name: str, start_ns: int
+    ) -> Iterator[RigBlock]:
         """Connect, and give the blocks as they come."""
         self.close()
         self._heard = time.monotonic()
-        self._reader = DeviceReader(connect)
+        self._reader = DeviceReader(connect, name)
         return self._stream(self._reader, HostClock(start_ns))
 
     def _stream(self, reader: DeviceReader[T], clock: HostClock) -> Iterator[RigBlock]:

@@ -59,11 +59,6 @@ class CountedRows(RowTimes):
     def __init__(self, times: CountedTimes) -> None:
         self._times = times
 
-    @classmethod
-    def at(cls, rate: float) -> CountedRows:
-        """Rows of a device whose rate [Hz] is known."""
-        return cls(CountedTimes(rate, checks_rate=False))
-
     def add(self, row: Row, arrival_ns: int) -> list[TimedSample]:
         """See :class:`RowTimes`."""
         times = self._times

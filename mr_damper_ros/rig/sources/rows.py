@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import binascii
 import math
 import re
 import struct
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import xor
 from typing import NamedTuple
 
 from mr_damper_ros.io.columns import REST, SKIPPED, Column, ColumnError, parse_columns
@@ -248,16 +251,11 @@ def _sum8(data: bytes) -> bytes:
 
 
 def _xor8(data: bytes) -> bytes:
-    value = 0
-    for byte in data:
-        value ^= byte
-    return bytes([value])
+    return bytes([reduce(xor, data, 0)])
 
 
 def _crc16(data: bytes) -> bytes:
     """CRC-16/XMODEM, the high byte first."""
-    import binascii
-
     return binascii.crc_hqx(data, 0).to_bytes(2, "big")
 
 
@@ -303,18 +301,14 @@ class SimulatedSender:
         self._form = form
         self._rate = 1000.0 if math.isnan(rate) else rate
         self._layout, self._mark, self._check = layout, mark, CHECKS[check]
-        self._began = time.monotonic()
-        self._sent = 0
 
-    def read(self) -> bytes | None:
-        """What is due by now."""
-        time.sleep(0.01)
-        until = math.floor((time.monotonic() - self._began) * self._rate)
-        first, self._sent = self._sent, until
-        return b"".join(self.row(k) for k in range(first, until)) or None
-
-    def close(self) -> None:
-        """Nothing is to be let go."""
+    def portions(self) -> Generator[bytes | None, None, None]:
+        """What is due, each time that it is asked for."""
+        began, sent = time.monotonic(), 0
+        while True:
+            until = math.floor((time.monotonic() - began) * self._rate)
+            yield b"".join(self.row(k) for k in range(sent, until)) or None
+            sent = until
 
     def row(self, k: int) -> bytes:
         """Line or record number ``k``."""

@@ -7,21 +7,26 @@ import re
 import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from mr_damper_ros.rig.sources.device_source import POLL, SILENCE, Device, DeviceSource, Portion
+from mr_damper_ros.rig.sources.device_source import POLL, SILENCE, DeviceSource, Portion, Portions
+from mr_damper_ros.rig.sources.row_times import CountedRows, RowTimes, StampedRows, TimedSample
+from mr_damper_ros.rig.sources.rows import (
+    LineDecoder,
+    RecordDecoder,
+    RowDecoder,
+    RowFormat,
+    SimulatedSender,
+    check_layout,
+    parse_row_format,
+)
 from mr_damper_ros.rig.sources.source import SourceState, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option
 from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.clocks import CountedTimes
-
-if TYPE_CHECKING:
-    from mr_damper_ros.rig.sources.row_times import RowTimes, TimedSample
-    from mr_damper_ros.rig.sources.rows import RowDecoder, RowFormat
-
 
 _LARGEST = 65535
 """Bytes that are read at once: those of the largest datagram."""
@@ -44,7 +49,7 @@ class LinkAddress:
     number: int = 0
 
     def __str__(self) -> str:
-        return self.host if self.kind == "serial" else f"{self.host}:{self.number}"
+        return f"{self.host}:{self.number}" if self.number else self.host
 
 
 def parse_address(text: str) -> LinkAddress:
@@ -63,7 +68,7 @@ def parse_address(text: str) -> LinkAddress:
     return LinkAddress(match["kind"], match["host"].strip("[]"), int(match["number"]))
 
 
-def connector(address: LinkAddress, baud: int) -> Callable[[], Device[bytes]]:
+def connector(address: LinkAddress, baud: int) -> Callable[[], Portions[bytes]]:
     """What connects to an address; raises ValueError where a library is missing."""
     if address.kind == "serial":
         try:
@@ -72,112 +77,54 @@ def connector(address: LinkAddress, baud: int) -> Callable[[], Device[bytes]]:
             raise ValueError(
                 f"the serial line {address} needs pyserial: pip install pyserial==3.5"
             ) from error
-        return lambda: _SerialLine(serial, address.host, baud)
-    if address.kind == "tcp":
-        return lambda: _TcpConnection(address)
-    return lambda: _Datagrams(address)
+        return partial(_serial_line, serial, address.host, baud)
+    return partial(_tcp_connection if address.kind == "tcp" else _datagrams, address)
 
 
-class _SerialLine:
-    def __init__(self, serial: Any, port: str, baud: int) -> None:
-        self._name = port
-        # Its SerialException is an OSError; termios has an error of its own.
-        self._failures: tuple[type[Exception], ...] = (
-            *(OSError, ValueError, TypeError),
-            *_termios_error(),
-        )
-        try:
-            self._port = serial.Serial(port, baud, timeout=POLL, exclusive=True)
-        except self._failures as error:
-            raise OSError(f"{port}: {_why(error)}") from error
-
-    def read(self) -> bytes | None:
-        try:
-            data = self._port.read(1)
-            if data:
-                data += self._port.read(min(self._port.in_waiting, _LARGEST))
-        except self._failures as error:
-            raise ConnectionError(f"{self._name} was lost: {_why(error)}") from error
-        return data or None
-
-    def close(self) -> None:
-        with suppress(*self._failures):
-            self._port.close()
+def _serial_line(serial: Any, port: str, baud: int) -> Portions[bytes]:
+    with serial.Serial(port, baud, timeout=POLL, exclusive=True) as line:
+        yield None
+        while True:
+            first = line.read(1)
+            yield first + line.read(min(line.in_waiting, _LARGEST)) if first else None
 
 
-class _TcpConnection:
-    def __init__(self, address: LinkAddress) -> None:
-        self._name = str(address)
-        try:
-            self._socket = socket.create_connection((address.host, address.number), SILENCE)
-            self._socket.settimeout(POLL)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-            for name, value in _KEEP_ALIVE:
-                if hasattr(socket, name):
-                    self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
-        except (OSError, UnicodeError) as error:
-            raise OSError(f"nobody answers at {self._name}: {_why(error)}") from error
-
-    def read(self) -> bytes | None:
-        try:
-            data = self._socket.recv(_LARGEST)
-        except TimeoutError:
-            return None
-        except OSError as error:
-            raise ConnectionError(f"{self._name} was lost: {_why(error)}") from error
-        if not data:
-            raise ConnectionError(f"{self._name} has closed the connection")
-        return data
-
-    def close(self) -> None:
-        self._socket.close()
+def _tcp_connection(address: LinkAddress) -> Portions[bytes]:
+    with socket.create_connection((address.host, address.number), SILENCE) as connection:
+        connection.settimeout(POLL)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEP_ALIVE:
+            if hasattr(socket, name):
+                connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+        yield None
+        while True:
+            try:
+                data = connection.recv(_LARGEST)
+            except TimeoutError:
+                yield None
+                continue
+            if not data:
+                raise ConnectionError("it has closed the connection")
+            yield data
 
 
-class _Datagrams:
+def _datagrams(address: LinkAddress) -> Portions[bytes]:
     """Datagrams of one sender at a time: two would be mixed up."""
-
-    def __init__(self, address: LinkAddress) -> None:
-        family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-        self._name = str(address)
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind((address.host, address.number))
-        except (OSError, UnicodeError) as error:
-            self._socket.close()
-            raise OSError(f"no datagrams can be received at {address}: {_why(error)}") from error
-        self._socket.settimeout(POLL)
-        self._sender: Any = None
-        self._heard = 0.0
-
-    def read(self) -> bytes | None:
-        try:
-            data, sender = self._socket.recvfrom(_LARGEST)
-        except TimeoutError:
-            return None
-        except OSError as error:
-            raise ConnectionError(f"{self._name} was lost: {_why(error)}") from error
-        now = time.monotonic()
-        if sender != self._sender and now - self._heard < SILENCE:
-            return None
-        self._sender, self._heard = sender, now
-        return data or None
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-def _termios_error() -> tuple[type[Exception], ...]:
-    try:
-        import termios
-    except ImportError:  # Windows
-        return ()
-    return (termios.error,)
-
-
-def _why(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    return " ".join(str(error).split()) or type(error).__name__
+    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as receiver:
+        receiver.bind((address.host, address.number))
+        receiver.settimeout(POLL)
+        yield None
+        known, heard = None, 0.0
+        while True:
+            try:
+                data, sender = receiver.recvfrom(_LARGEST)
+            except TimeoutError:
+                yield None
+                continue
+            if sender == known or time.monotonic() - heard >= SILENCE:
+                known, heard = sender, time.monotonic()
+                yield data or None
 
 
 _MANY = 0.05
@@ -248,8 +195,6 @@ class StreamOptions(ParameterTable):
 
     def row_format(self) -> RowFormat:
         """The format of the rows; raises ValueError, with a sentence."""
-        from mr_damper_ros.rig.sources.rows import check_layout, parse_row_format
-
         form = parse_row_format(self.columns)
         if self.layout:
             check_layout(self.layout, form)
@@ -281,7 +226,12 @@ class StreamSource(DeviceSource[bytes]):
         given: StreamOptions = self.settings
         self._address = parse_address(given.address)
         self._form = given.row_format()
-        self._connect = self._connector()
+        if self._address.kind == "simulated":
+            mark = bytes.fromhex(given.mark)
+            sender = SimulatedSender(self._form, given.rate, given.layout, mark, given.check)
+            self._connect: Callable[[], Portions[bytes]] = sender.portions
+        else:
+            self._connect = connector(self._address, given.baud)
         kind = f"records {given.layout}" if given.layout else "lines"
         return [f"{kind} from {given.address}: {given.columns}"]
 
@@ -289,7 +239,7 @@ class StreamSource(DeviceSource[bytes]):
         """The samples as they come."""
         self._decoder, self._times = self._new_decoder(), self._new_times()
         self._readable, self._unreadable, self._told = 0, 0, (0, 0)
-        return self._read(self._connect, start_ns)
+        return self._read(self._connect, str(self._address), start_ns)
 
     def state(self) -> SourceState:
         """How the link is, what of it could not be read, and what is wrong with the times."""
@@ -315,26 +265,13 @@ class StreamSource(DeviceSource[bytes]):
                 self._readable += 1
                 yield from times.add(row, portion.arrival_ns)
 
-    def _connector(self) -> Callable[[], Device[bytes]]:
-        given: StreamOptions = self.settings
-        if self._address.kind != "simulated":
-            return connector(self._address, given.baud)
-        from mr_damper_ros.rig.sources.rows import SimulatedSender
-
-        mark = bytes.fromhex(given.mark)
-        return lambda: SimulatedSender(self._form, given.rate, given.layout, mark, given.check)
-
     def _new_decoder(self) -> RowDecoder:
-        from mr_damper_ros.rig.sources.rows import LineDecoder, RecordDecoder
-
         given: StreamOptions = self.settings
         if not given.layout:
             return LineDecoder(self._form)
         return RecordDecoder(self._form, given.layout, bytes.fromhex(given.mark), given.check)
 
     def _new_times(self) -> RowTimes:
-        from mr_damper_ros.rig.sources.row_times import CountedRows, StampedRows
-
         unit = self._form.time_unit
         if unit is not None:
             return StampedRows(unit)
