@@ -12,8 +12,7 @@ from enum import IntEnum
 
 from mr_damper_ros.campaign.course import (
     CampaignCourse,
-    CampaignOutcome,
-    RunWork,
+    MadeRun,
     find_step,
     judge_run,
     report_campaign,
@@ -74,15 +73,6 @@ class CampaignStatus:
     runs_left: int | None
 
 
-@dataclass(frozen=True, eq=False)
-class CampaignEnd:
-    """How a campaign ended, why in words, and its last step, if there is one."""
-
-    outcome: CampaignOutcome
-    reason: str
-    steps: tuple[CampaignStep, ...]
-
-
 class CampaignConductor:
     """One campaign after the other, on one machine."""
 
@@ -92,7 +82,7 @@ class CampaignConductor:
         self._course: CampaignCourse | None = None
         self._folder: CampaignFolder | None = None
         self._driver: RunDriver | None = None
-        self._made: RunWork | None = None
+        self._made: MadeRun | None = None
         self._celsius: tuple[int, float] | None = None
         self._paused = False
         self._reporting = False
@@ -162,11 +152,14 @@ class CampaignConductor:
                 self._look_at(driver)
 
     def _look_at(self, driver: RunDriver) -> None:
+        assert self._course is not None
         if driver.stage is DriveStage.DONE:
-            self._take(driver)
+            assert driver.recording is not None
+            self._driver, self._rested_ns = None, None
+            # A bag is written in the worker: commands must not wait for a disk.
+            self._made = driver.run, driver.recording
         elif driver.stage is DriveStage.BROKEN:
             self._driver = None
-            assert self._course is not None
             self._course.fail(f"run {self._course.number} could not be made: {driver.fault}")
 
     def _new_driver(self) -> RunDriver | None:
@@ -186,13 +179,6 @@ class CampaignConductor:
         if self._celsius is not None:
             driver.add_temperature(*self._celsius)
         return driver
-
-    def _take(self, driver: RunDriver) -> None:
-        assert self._course is not None
-        assert driver.recording is not None
-        self._driver, self._rested_ns = None, None
-        # A bag is written in the worker: commands must not wait for a disk.
-        self._made = self._course.run_work(driver.recording)
 
     # --- what goes out --------------------------------------------------------------------------
 
@@ -240,8 +226,8 @@ class CampaignConductor:
         notices, self._notices = self._notices, []
         return notices
 
-    def poll(self) -> CampaignEnd | None:
-        """Take what the worker has found, and give it what is to be found; how it has ended."""
+    def poll(self) -> CampaignCourse | None:
+        """Take what the worker has found, and give it what is to be found; a course that ended."""
         outcomes = self._worker.poll()
         course, folder = self._course, self._folder
         if course is None or folder is None:
@@ -251,47 +237,45 @@ class CampaignConductor:
         if self._worker.busy:
             return None
         if self._made is not None:
-            self._worker.submit(judge_run, self._made)
-            return None
-        if course.outcome is None:
-            self._work(course)
-            return None
-        if course.steps and not self._reporting:
+            self._worker.submit(judge_run, folder.path, len(course.runs) + 1, self._made)
+        elif course.outcome is None:
+            if course.work is not None:
+                self._worker.submit(find_step, *course.work)
+        elif course.steps and not self._reporting:
             self._reporting = True
             self._worker.submit(report_campaign, folder.path, course.reason)
-            return None
-        outcome_of = course.outcome
-        folder.close()
-        self._course = self._folder = None
-        return CampaignEnd(outcome_of, course.reason, tuple(course.steps))
-
-    def _work(self, course: CampaignCourse) -> None:
-        work = course.work
-        if work is not None:
-            self._worker.submit(find_step, work)
+        else:
+            folder.close()
+            self._course = self._folder = None
+            return course
+        return None
 
     def _hear(self, course: CampaignCourse, outcome: Outcome) -> None:
         made, self._made = self._made, None
+        failed = outcome.reason if isinstance(outcome, Failed) else ""
         if made is not None:
-            self._take_judgement(course, made, outcome)
-        elif isinstance(outcome, Failed):
-            if self._reporting:
-                self._notices.append(f"the report could not be written: {outcome.reason}")
-            elif course.outcome is None:
-                course.fail(f"run {course.number} could not be identified: {outcome.reason}")
-        elif isinstance(outcome, Done) and not self._reporting and course.outcome is None:
-            try:
-                course.conclude(outcome.result)
-            except OSError as error:
-                course.fail(f"what was found could not be kept: {error.strerror or error}")
-                return
-            self._notices.append(f"the force is known to {course.steps[-1].plan.now.sentence}")
+            # A campaign that was stopped meanwhile keeps the run, too.
+            number = len(course.runs) + 1
+            if failed:
+                course.fail(f"run {number} could not be kept: {failed}")
+            elif isinstance(outcome, Done):
+                refusal = str(outcome.result)
+                said = f"is refused: {refusal}" if refusal else f"is kept: {made[0].sentence}"
+                self._notices.append(f"run {number} {said}")
+                course.add_judged(made, refusal)
+        elif self._reporting:
+            if failed:
+                self._notices.append(f"the report could not be written: {failed}")
+        elif course.outcome is None:
+            if failed:
+                course.fail(f"run {course.number} could not be identified: {failed}")
+            elif isinstance(outcome, Done):
+                self._conclude(course, outcome.result)
 
-    def _take_judgement(self, course: CampaignCourse, made: RunWork, outcome: Outcome) -> None:
-        if isinstance(outcome, Failed):
-            course.fail(f"run {made.number} could not be kept: {outcome.reason}")
-        elif isinstance(outcome, Done):
-            refusal = str(outcome.result)
-            said = f"is refused: {refusal}" if refusal else f"is kept: {made.run.sentence}"
-            self._notices.append(f"run {made.number} {said}")
-            course.judged(made, refusal)
+    def _conclude(self, course: CampaignCourse, step: CampaignStep) -> None:
+        try:
+            course.conclude(step)
+        except OSError as error:
+            course.fail(f"what was found could not be kept: {error.strerror or error}")
+            return
+        self._notices.append(f"the force is known to {step.plan.now.sentence}")

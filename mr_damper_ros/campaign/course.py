@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -90,58 +91,55 @@ class CampaignOutcome(IntEnum):
     FAILED = 3
 
 
+_ENDS = {
+    PlanState.MET: CampaignOutcome.MET,
+    PlanState.OUT_OF_REACH: CampaignOutcome.OUT_OF_REACH,
+}
+
+
+@lru_cache(maxsize=1)
 @one_thread()
 def planner_of(task: CampaignTask) -> RunPlanner:
     """What plans the runs of a campaign."""
     return RunPlanner(known_model(task.model), task.goal, task.limits)
 
 
-@dataclass(frozen=True, eq=False)
-class StepWork:
-    """What is to be found from the runs so far; it can go to another process.
+MadeRun = tuple[PlannedRun, Recording]
+"""A run, and what was recorded of it."""
 
-    ``before``: the set found from all but the last run.
+
+def judge_run(
+    folder: Path | None, number: int, made: MadeRun, control: Control | None = None
+) -> str:
+    """Why a run is refused, empty where it is not; in a folder it is kept either way.
+
+    It can go to a worker, as :func:`find_step` can. Raises OSError.
     """
-
-    task: CampaignTask
-    runs: tuple[tuple[PlannedRun, Recording], ...]
-    before: np.ndarray | None
-    evolution: EvolutionSettings
-
-    @one_thread()
-    def carry_out(self, planner: RunPlanner | None = None) -> CampaignStep:
-        """Identify from all runs, and plan the next; ``planner`` is that of the same task."""
-        planner = planner or planner_of(self.task)
-        windows = [window for run, recording in self.runs for window in run.windows(recording)]
-        found, plan = planned(planner, windows, self.before, self.evolution)
-        return CampaignStep(self.runs[-1][0], found, plan)
+    refusal = fault_of_run(*made)
+    if folder is not None:
+        keep_run(folder, number, *made, refusal)
+    return refusal
 
 
-@dataclass(frozen=True, eq=False)
-class RunWork:
-    """A run that was made is to be judged and kept; it can go to another process.
-
-    ``folder`` None: it is not kept.
-    """
-
-    number: int
-    run: PlannedRun
-    recording: Recording
-    folder: Path | None
-
-    def carry_out(self) -> str:
-        """Why the run is refused, empty where it is not; it is kept either way. Raises OSError."""
-        refusal = fault_of_run(self.run, self.recording)
-        if self.folder is not None:
-            keep_run(self.folder, self.number, self.run, self.recording, refusal)
-        return refusal
+@one_thread()
+def find_step(
+    task: CampaignTask,
+    runs: Sequence[MadeRun],
+    before: Array | None,
+    evolution: EvolutionSettings,
+    control: Control | None = None,
+) -> CampaignStep:
+    """Identify from all runs, and plan the next; ``before`` (p,): found from all but the last."""
+    windows = [window for run, recording in runs for window in run.windows(recording)]
+    found, plan = planned(planner_of(task), windows, before, evolution)
+    return CampaignStep(runs[-1][0], found, plan)
 
 
 class CampaignCourse:
     """A campaign from its beginning, or from where what is kept in ``folder`` leaves off.
 
     ``next_run`` is the run to be made now, None where ``work`` is to be done first or the campaign
-    is over, which ``outcome`` tells. ``most_runs`` may be made in all.
+    is over, which ``outcome`` tells, and ``reason`` in words. ``most_runs`` may be made in all.
 
     Raises ValueError where the machine cannot make the first run, or what is kept is damaged.
     """
@@ -155,9 +153,9 @@ class CampaignCourse:
         evolution: EvolutionSettings | None = None,
     ) -> None:
         self.task = task
-        self.runs: list[tuple[PlannedRun, Recording]] = []
+        self.runs: list[MadeRun] = []
         self.steps: list[CampaignStep] = []
-        self.refusals: list[str] = []
+        self.refusals = 0
         self.reason = ""
         self._folder = folder
         self._most_runs = most_runs
@@ -175,22 +173,14 @@ class CampaignCourse:
 
     @property
     def outcome(self) -> CampaignOutcome | None:
-        """How it ended; None while it goes on. ``reason`` says why, in words."""
-        if self._ended is not None:
-            return self._ended
-        if not self.steps or len(self.steps) < len(self.runs):
-            return None
-        plan = self.steps[-1].plan
-        if plan.state is PlanState.MET:
-            self.reason = plan.reason
-            return CampaignOutcome.MET
-        if plan.state is PlanState.OUT_OF_REACH:
-            self.reason = plan.reason
-            return CampaignOutcome.OUT_OF_REACH
-        if len(self.steps) >= self._most_runs:
-            self.reason = f"{self._most_runs} runs were made, and more were not allowed"
-            return CampaignOutcome.ENDED
-        return None
+        """How it ended; None while it goes on."""
+        if self._ended is None and self.steps and len(self.steps) == len(self.runs):
+            plan = self.steps[-1].plan
+            if plan.state in _ENDS:
+                self._end(_ENDS[plan.state], plan.reason)
+            elif len(self.steps) >= self._most_runs:
+                self.end(f"{self._most_runs} runs were made, and more were not allowed")
+        return self._ended
 
     @property
     def next_run(self) -> PlannedRun | None:
@@ -200,13 +190,14 @@ class CampaignCourse:
         return self.steps[-1].plan.run if self.steps else self._first
 
     @property
-    def work(self) -> StepWork | None:
-        """What is to be found before the next run."""
+    def work(
+        self,
+    ) -> tuple[CampaignTask, Sequence[MadeRun], Array | None, EvolutionSettings] | None:
+        """What :func:`find_step` is to find before the next run."""
         if self._ended is not None or len(self.steps) == len(self.runs):
             return None
         before = self.steps[-1].parameter_set.values if self.steps else None
-        runs = tuple(self.runs[: len(self.steps) + 1])
-        return StepWork(self.task, runs, before, self._evolution)
+        return self.task, self.runs[: len(self.steps) + 1], before, self._evolution
 
     def take(self, recording: Recording, made: PlannedRun | None = None) -> str:
         """Take in a recording of the next run; why it is refused, empty where it is not.
@@ -214,27 +205,21 @@ class CampaignCourse:
         ``made``: the run that it is, where it is another. A run that is refused twice ends the
         campaign; nothing is lost. Raises OSError.
         """
-        work = self.run_work(recording, made)
-        refusal = work.carry_out()
-        self.judged(work, refusal)
+        run = made or self.next_run
+        assert run is not None, "no run is wanted now"
+        folder = None if self._folder is None else self._folder.path
+        refusal = judge_run(folder, len(self.runs) + 1, (run, recording))
+        self.add_judged((run, recording), refusal)
         return refusal
 
-    def run_work(self, recording: Recording, made: PlannedRun | None = None) -> RunWork:
-        """The work on a recording of the next run, or of another one that was made."""
-        run = made or self.next_run
-        if run is None:
-            raise RuntimeError("no run is wanted now")
-        folder = None if self._folder is None else self._folder.path
-        return RunWork(len(self.runs) + 1, run, recording, folder)
-
-    def judged(self, work: RunWork, refusal: str) -> None:
-        """Take in what came of the work on a run."""
+    def add_judged(self, made: MadeRun, refusal: str) -> None:
+        """Take in a run that was judged."""
         if not refusal:
-            self.refusals = []
-            self.runs.append((work.run, work.recording))
+            self.refusals = 0
+            self.runs.append(made)
             return
-        self.refusals.append(refusal)
-        if len(self.refusals) >= _TRIES:
+        self.refusals += 1
+        if self.refusals >= _TRIES:
             self.fail(f"run {self.number} was refused {_TRIES} times: {refusal}")
 
     def conclude(self, step: CampaignStep) -> None:
@@ -245,11 +230,14 @@ class CampaignCourse:
 
     def end(self, reason: str) -> None:
         """Be over, because somebody wants it so."""
-        self.reason, self._ended = reason, CampaignOutcome.ENDED
+        self._end(CampaignOutcome.ENDED, reason)
 
     def fail(self, reason: str) -> None:
         """Be over, because something does not work."""
-        self.reason, self._ended = reason, CampaignOutcome.FAILED
+        self._end(CampaignOutcome.FAILED, reason)
+
+    def _end(self, outcome: CampaignOutcome, reason: str) -> None:
+        self._ended, self.reason = outcome, reason
 
 
 def fault_of_run(run: PlannedRun, recording: Recording) -> str:
@@ -329,14 +317,12 @@ def run_campaign(
     cannot make the first run, or the folder holds another campaign.
     """
     task = CampaignTask(goal, limits, model)
-    planner: RunPlanner | None = None
     kept = None if folder is None else CampaignFolder(Path(folder), task)
     try:
         course = CampaignCourse(task, folder=kept, most_runs=most_runs, evolution=evolution)
         while course.outcome is None:
             if course.work is not None:
-                planner = planner or planner_of(task)
-                course.conclude(course.work.carry_out(planner))
+                course.conclude(find_step(*course.work))
                 if report is not None and not report(course.steps[-1]):
                     course.end("it was ended")
             elif course.next_run is not None:
@@ -347,16 +333,6 @@ def run_campaign(
     if course.outcome is CampaignOutcome.FAILED:
         raise ValueError(course.reason)
     return ForceCampaign(tuple(course.steps), course.outcome is CampaignOutcome.MET, course.reason)
-
-
-def judge_run(work: RunWork, control: Control) -> str:
-    """Judge and keep a run; returns why it is refused, empty where it is not."""
-    return work.carry_out()
-
-
-def find_step(work: StepWork, control: Control) -> CampaignStep:
-    """Identify from the runs so far, and plan the next."""
-    return work.carry_out()
 
 
 def report_campaign(folder: Path, reason: str, control: Control) -> Path:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -39,18 +39,11 @@ _WITHIN = 0.4
 _CLOSE = 1e-3
 """Part of that at which a search ends: the next step of the secant costs less than a miss."""
 
-_CLOSE_IN_CELL = 1e-8
-"""Part of the force over a cell of the nodes at which a search in it ends, where the span is not
-known."""
-
 _MOST_STEPS = 80
 """A bisection alone would need 55."""
 
 _LEAST_GAIN = 0.5
 """A step of the secant that leaves more than this part of the error is followed by a bisection."""
-
-_NEAR = 8
-"""Cells that are looked at one by one: to look at all takes as long as that."""
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _GOLDEN_STEPS = 30
@@ -91,14 +84,6 @@ class SampleInversion(NamedTuple):
     attainable: bool
     least: float
     most: float
-
-
-class FoundCurrent(NamedTuple):
-    """A current [A], the force [N] that it gives, and whether that is what was wanted."""
-
-    current: float
-    force: float
-    attainable: bool
 
 
 class InverseModel:
@@ -198,9 +183,9 @@ class InverseModel:
 
     def current(
         self, response: SampleResponse, wanted: float, last: float | None = None
-    ) -> FoundCurrent:
+    ) -> SampleInversion:
         """The current for a force [N], as :meth:`currents`, of the response :meth:`at` a sample."""
-        return _find_current(response, self._node_list, wanted, last)
+        return _search(response.force, self._node_list, response.at_nodes(), wanted, last)
 
     def follow(
         self, motion: Motion, wanted: ArrayLike, period: float, state: State | None = None
@@ -215,8 +200,7 @@ class InverseModel:
         last: float | None = None
         for place, force in enumerate(forces.tolist()):
             response = self.at(MotionSample.of(motion, place), period=period, state=state)
-            nodes = self._node_list
-            found.append(_search(response.force, nodes, response.at_nodes(), force, last))
+            found.append(self.current(response, force, last))
             last = found[-1].current
             sample = motion.part(slice(place, place + 1)).held_within(*self._range)
             _, state = self.law.follow(self.values, sample, np.array([last]), period, state)
@@ -249,41 +233,6 @@ def in_coil(parameters: ParameterSet) -> Array:
 def coil_time_constant(parameters: ParameterSet) -> float:
     """Time constant [s] of the coil that a set knows; 0 where it knows of none."""
     return parameters.as_dict().get(COIL, 0.0)
-
-
-def _find_current(
-    response: SampleResponse, nodes: list[float], wanted: float, last: float | None = None
-) -> FoundCurrent:
-    """The current of :func:`_search`, in less time where it is near the last one.
-
-    The cells of the nodes are looked at as they lie ever further from the last current: the first
-    that has the wanted force within is the nearest. Only where none of a few has are all looked at.
-    """
-    near = nodes[0] if last is None else last
-    low = min(max(bisect_left(nodes, near) - 1, 0), len(nodes) - 2)
-    high = low + 1
-    at_low, at_high = response.force(nodes[low]), response.force(nodes[high])
-    ends, forces = nodes[low : high + 1], [at_low, at_high]
-    for _ in range(_NEAR):
-        if (forces[0] > wanted) != (forces[1] > wanted):
-            rounding = _ROUNDING * max(abs(forces[0]), abs(forces[1]))
-            close = max(_CLOSE_IN_CELL * abs(forces[1] - forces[0]), rounding)
-            return FoundCurrent(
-                *_root(response.force, wanted, ends, forces, close), attainable=True
-            )
-        downwards = low > 0 and (high == len(nodes) - 1 or near - nodes[low] <= nodes[high] - near)
-        if downwards:
-            low, above = low - 1, at_low
-            at_low = response.force(nodes[low])
-            ends, forces = nodes[low : low + 2], [at_low, above]
-        elif high < len(nodes) - 1:
-            high, below = high + 1, at_high
-            at_high = response.force(nodes[high])
-            ends, forces = nodes[high - 1 : high + 1], [below, at_high]
-        else:
-            break
-    found = _search(response.force, nodes, response.at_nodes(), wanted, last)
-    return FoundCurrent(found.current, found.force, found.attainable)
 
 
 def _search(

@@ -20,7 +20,6 @@ from std_srvs.srv import Trigger
 
 from mr_damper_ros.campaign.conductor import (
     CampaignConductor,
-    CampaignEnd,
     CampaignStatus,
     ConductSettings,
 )
@@ -392,7 +391,8 @@ class CampaignNode(Node):
             self._last = status.sentence
             self.get_logger().info(f"set run {status.run}: {status.sentence}")
 
-    def _end(self, end: CampaignEnd) -> None:
+    def _end(self, end: CampaignCourse) -> None:
+        assert end.outcome is not None
         self._last, self._failed = end.reason, end.outcome is CampaignOutcome.FAILED
         log = self.get_logger().error if self._failed else self.get_logger().info
         log(f"the campaign has ended after {len(end.steps)} runs: {end.reason}")

@@ -17,6 +17,7 @@ from mr_damper_ros.campaign.course import (
     CampaignOutcome,
     advise_run,
     fault_of_run,
+    find_step,
 )
 from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_task
 from mr_damper_ros.campaign.report import write_campaign_report
@@ -229,7 +230,7 @@ def _go_on(course: CampaignCourse, waiting: Sequence[Recording]) -> None:
     waiting = [one for one in waiting if not _taken(course, one)]
     while course.outcome is None:
         if course.work is not None:
-            course.conclude(course.work.carry_out())
+            course.conclude(find_step(*course.work))
         elif course.next_run is None or not waiting:
             return
         else:

@@ -15,8 +15,7 @@ import numpy as np
 
 from mr_damper_ros.control.fallback import FallbackSettings
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
-from mr_damper_ros.control.linear_plant import BUILDINGS, STOREYS, ShearBuilding
-from mr_damper_ros.control.semi_active import StateEstimator, regulator_gain
+from mr_damper_ros.control.semi_active import regulator_gain
 from mr_damper_ros.emulation.commanded_rig import Choice, ForceChoice, commanded
 from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
 from mr_damper_ros.emulation.plant_rig import BuiltInDamper, PlantRig
@@ -42,6 +41,7 @@ from studies.control.ground_motion import (
     el_centro,
 )
 from studies.control.recorded_damper import recorded_damper
+from studies.control.shear_building import BUILDINGS, STOREYS, ShearBuilding, StateEstimator
 
 DAMPERS = 4
 """Side by side: the authors' model multiplies the force of the damper by four."""

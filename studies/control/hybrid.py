@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mr_damper_ros.control.linear_plant import BUILDINGS, DamperMotion, MovingPlant
+from mr_damper_ros.control.linear_plant import DamperMotion, MovingPlant
 from mr_damper_ros.emulation.plant_rig import BuiltInDamper
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
@@ -33,6 +33,7 @@ from mr_damper_ros.signals.arrays import Array
 from studies.control.buildings import DAMPERS, SCALE
 from studies.control.ground_motion import el_centro
 from studies.control.recorded_damper import recorded_damper
+from studies.control.shear_building import BUILDINGS
 
 STEP = 1.0 / 4096.0
 """Seconds of an integration step, as the authors have it; the building is solved exactly for a

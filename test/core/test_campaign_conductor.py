@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from mr_damper_ros.campaign import course as campaign_course
 from mr_damper_ros.campaign.conductor import (
     CampaignConductor,
-    CampaignEnd,
     CampaignStage,
     ConductSettings,
 )
@@ -165,8 +164,8 @@ def begun(
     return conductor, worker
 
 
-def ended(machine: EmulatedMachine) -> CampaignEnd:
-    end: CampaignEnd = machine.until(machine.conductor.poll)
+def ended(machine: EmulatedMachine) -> CampaignCourse:
+    end: CampaignCourse = machine.until(machine.conductor.poll)
     return end
 
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mr_damper_ros.control.linear_plant import BUILDINGS, STOREYS, IsoRoad, MovingPlant, QuarterCar
+from mr_damper_ros.control.linear_plant import IsoRoad, MovingPlant, QuarterCar
 from mr_damper_ros.control.semi_active import (
-    StateEstimator,
     SuspensionSettings,
     controller_of,
     regulator_gain,
@@ -22,6 +21,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import Moment
 from studies.control.buildings import reversals
 from studies.control.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION, el_centro
+from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
 
 CAR = QuarterCar()
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from known import controllable, fixed
 
-from mr_damper_ros.control.inverse_model import TOLERANCE, FoundCurrent, InverseModel
+from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models import MODELS
@@ -124,12 +124,13 @@ def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool)
             assert abs(found.force[0] - nearest) <= TOLERANCE * span + ROUNDING * size
         response = inverse.at(asked.sample, period=PERIOD, state=state)
         one = inverse.current(response, asked.wanted, asked.last)
-        few = FoundCurrent(found.current[0], found.force[0], bool(found.attainable[0]))
-        assert one.attainable == few.attainable
-        # Of the span: each of the two searches ends where it is off by a tenth of that.
-        allowed = (1e-8 if few.attainable else SAME_EXTREMUM) * span + ROUNDING * size
-        assert one.force == pytest.approx(few.force, abs=allowed)
-        between = [response.force(c) for c in np.linspace(one.current, few.current, 5).tolist()]
+        current, force, attainable = found.current[0], found.force[0], bool(found.attainable[0])
+        assert one.attainable == attainable
+        # Of the span: scalars and arrays round differently, and each search ends a tenth of that
+        # off.
+        allowed = (1e-8 if attainable else SAME_EXTREMUM) * span + ROUNDING * size
+        assert one.force == pytest.approx(force, abs=allowed)
+        between = [response.force(c) for c in np.linspace(one.current, current, 5).tolist()]
         # Of the span: by less a force does not tell two currents apart.
         assert max(between) - min(between) <= 4e-7 * span + ROUNDING * size
 

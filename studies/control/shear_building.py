@@ -1,0 +1,106 @@
+"""Buildings that dampers are built into, and the estimator of their states.
+
+The buildings are those of the hybrid simulations of the Universidad Técnica Federico Santa María:
+masses, stiffness, damping, controller and criteria are those that D. Maurel published with his
+scripts (github.com/DanielMaurelE/vRTHS_AMBC_MRdamper, folders Cap8_DisenoControlMR and
+Cap10_vRTHS); the stiffness is that of the benchmark of Silva, Gomez, Maghareh, Dyke and Spencer,
+Mechanical Systems and Signal Processing 135, 2020. The estimator is that of Anderson and Moore,
+Optimal Control: Linear Quadratic Methods, 1990.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm, solve_continuous_are
+
+from mr_damper_ros.control.linear_plant import LinearPlant
+from mr_damper_ros.signals.arrays import Array
+
+STOREYS = 3
+
+_STIFFNESS = 1e7 * np.array(
+    [[2.6055, -2.3134, 0.5937], [-2.3134, 3.2561, -1.4420], [0.5937, -1.4420, 0.9267]]
+)
+"""[N/m]."""
+
+
+@dataclass(frozen=True)
+class ShearBuilding:
+    """A ``mass`` [kg] on each floor, and the same ``damping`` ratio [1] of every mode.
+
+    States: displacements [m] and velocities [m/s] of the three floors against the ground.
+    """
+
+    mass: float
+    damping: float
+
+    @property
+    def dynamics(self) -> Array:
+        """Matrix (6, 6) of the states' derivatives."""
+        squares, modes = np.linalg.eigh(_STIFFNESS / self.mass)
+        by_velocity = modes @ np.diag(2.0 * self.damping * np.sqrt(squares)) @ modes.T
+        return np.block(
+            [
+                [np.zeros((STOREYS, STOREYS)), np.eye(STOREYS)],
+                [-_STIFFNESS / self.mass, -by_velocity],
+            ]
+        )
+
+    @property
+    def by_force(self) -> Array:
+        """What a force that pulls the first floor back adds to them (6,)."""
+        return np.array([0.0, 0.0, 0.0, -1.0 / self.mass, 0.0, 0.0])
+
+    @property
+    def plant(self) -> LinearPlant:
+        """The building, moved by the acceleration of the ground [m/s²]."""
+        return LinearPlant(
+            self.dynamics,
+            self.by_force,
+            by_input=np.array([0.0, 0.0, 0.0, -1.0, -1.0, -1.0]),
+            displacement=np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            velocity=np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0]),
+        )
+
+
+BUILDINGS = {
+    "I": ShearBuilding(1000.0, 0.05),
+    "II": ShearBuilding(1100.0, 0.04),
+    "III": ShearBuilding(1300.0, 0.03),
+}
+
+
+class StateEstimator:
+    """The Kalman filter, settled, of a plant whose outputs are read every ``period`` [s].
+
+    The outputs are ``outputs`` (k, n) x + ``direct`` (k,) F; ``disturbance`` is the density of the
+    plant's input, ``noise`` that of each output. The damper's force is known.
+    """
+
+    def __init__(
+        self,
+        plant: LinearPlant,
+        outputs: Array,
+        direct: Array,
+        *,
+        disturbance: float,
+        noise: float,
+        period: float,
+    ) -> None:
+        count, read = plant.by_force.size, direct.size
+        density = disturbance * np.outer(plant.by_input, plant.by_input)
+        error = solve_continuous_are(plant.dynamics.T, outputs.T, density, noise * np.eye(read))
+        gain = error @ outputs.T / noise
+        whole = np.zeros((count + 1 + read, count + 1 + read))
+        whole[:count, :count] = plant.dynamics - gain @ outputs
+        whole[:count, count] = plant.by_force - gain @ direct
+        whole[:count, count + 1 :] = gain
+        self._step = expm(period * whole)[:count]
+        self.states = np.zeros(count)
+
+    def follow(self, force: float, outputs: Array) -> Array:
+        """The states (n,) a period later, for a force [N] and outputs (k,) that hold."""
+        self.states = self._step @ np.concatenate([self.states, (force,), outputs])
+        return self.states
