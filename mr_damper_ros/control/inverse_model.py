@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
-from mr_damper_ros.models.current_response import CurrentResponse, SampleResponse
 from mr_damper_ros.models.first_order_lag import COIL
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import State
@@ -50,7 +49,7 @@ _GOLDEN_STEPS = 30
 """They narrow a cell to a millionth: the force at an extremum is flat, or has a kink."""
 
 _STEP = 1e-6
-"""Amperes over which is looked whether a force rises."""
+"""Amperes over which the slope of a force is taken."""
 
 _TOGETHER = 32
 """Samples whose forces at the nodes are computed at once."""
@@ -86,6 +85,13 @@ class SampleInversion(NamedTuple):
     most: float
 
 
+class SampleResponse(NamedTuple):
+    """The force [N] of one sample: at a current [A], and at the nodes of the inverse."""
+
+    force: Force
+    at_nodes: Callable[[], list[float]]
+
+
 class InverseModel:
     """The inverse of a parameter set between two currents [A] of the coil.
 
@@ -114,7 +120,7 @@ class InverseModel:
         self._range = parameters.peak_velocity_range
         self._nodes = self.law.current_nodes(self.values, lowest_current, highest_current)
         self._node_list: list[float] = self._nodes.tolist()
-        self._responses = self.law.sample_responses(self.values, self._nodes)
+        self._response = self.law.current_response(self.values)
 
     def currents(
         self,
@@ -138,11 +144,10 @@ class InverseModel:
         found: list[SampleInversion] = []
         for first in range(0, forces.size, _TOGETHER):
             part = slice(first, first + _TOGETHER)
-            held = motion.part(part).held_within(*self._range)
-            several = self._responses.several(held, period, state)
+            samples = MotionSample.each(motion.part(part).held_within(*self._range))
             rows = zip(
-                several.each,
-                several.at_nodes.tolist(),
+                [self._response.at(sample, period, state) for sample in samples],
+                self._response.forces(samples, self._nodes, period, state).tolist(),
                 forces[part].tolist(),
                 near[part],
                 strict=True,
@@ -162,7 +167,12 @@ class InverseModel:
         state: State | None = None,
     ) -> Array:
         """Derivative dF/di (n,) [N/A] at the samples of a motion and these currents (n,) [A]."""
-        return self._response(motion, period, state).slope(_each(current, motion))[:, 0]
+        amperes = _each(current, motion)
+        above, below = (
+            self.force(motion, amperes[:, 0] + step, period=period, state=state)
+            for step in (_STEP, -_STEP)
+        )
+        return np.asarray((above - below) / (2.0 * _STEP))
 
     def force(
         self,
@@ -173,13 +183,21 @@ class InverseModel:
         state: State | None = None,
     ) -> Array:
         """Force (n,) [N] at the samples of a motion and these currents (n,) [A] of the coil."""
-        return self._response(motion, period, state).force(_each(current, motion))[:, 0]
+        samples = MotionSample.each(motion.held_within(*self._range))
+        return self._response.forces(samples, _each(current, motion), period, state)[:, 0]
 
     def at(
         self, sample: MotionSample, *, period: float = 1e-3, state: State | None = None
     ) -> SampleResponse:
         """Force of one sample over the current, ``period`` [s] after the state."""
-        return self._responses.of(sample.held_within(*self._range), period, state)
+        held = sample.held_within(*self._range)
+
+        def at_nodes() -> list[float]:
+            forces = self._response.forces([held], self._nodes, period, state)
+            found: list[float] = forces[0].tolist()
+            return found
+
+        return SampleResponse(self._response.at(held, period, state), at_nodes)
 
     def current(
         self, response: SampleResponse, wanted: float, last: float | None = None
@@ -205,10 +223,6 @@ class InverseModel:
             sample = motion.part(slice(place, place + 1)).held_within(*self._range)
             _, state = self.law.follow(self.values, sample, np.array([last]), period, state)
         return _together(found), state
-
-    def _response(self, motion: Motion, period: float, state: State | None) -> CurrentResponse:
-        held = motion.held_within(*self._range)
-        return self.law.response(self.values, held, period, state)
 
 
 def _together(found: list[SampleInversion]) -> Inversion:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.current_response import CurrentResponse
 from mr_damper_ros.models.first_order_lag import (
@@ -142,32 +143,15 @@ class CurrentDependentModel(Model):
         own = None if state is None else state[: self.memory]
         before = coil_state(state[self.memory :]) if state is not None and lags else None
         in_coil = coil_current(current, time_constant, period, before) if lags else current
-        force, kept = self.force_at(self._all_at(parameters, in_coil), motion, period, own)
+        force, kept = self.force_at(self.all_at(parameters, in_coil), motion, period, own)
         if not lags:
             return force, kept
         shape = parameters.shape[:-1]
         return force, (*kept, np.full(shape, current[-1]), in_coil[..., -1])
 
-    def response(
-        self, parameters: Array, motion: Motion, period: float, state: State | None
-    ) -> CurrentResponse:
+    def current_response(self, parameters: Array) -> CurrentResponse:
         """Force over the current, by the coefficients at all currents at once."""
-        own = None if state is None else state[: self.memory]
-        return _Response(self, parameters, motion, period, own)
-
-    def forces_at(
-        self,
-        parameters: Array,
-        motion: Motion,
-        current: Array,
-        period: float,
-        state: State | None,
-    ) -> Array:
-        """Force (m, n) [N] of the samples (n,) at each of m currents (m, n) of the coil [A]."""
-        sets = current.shape[:1]
-        before = None if state is None else tuple(np.broadcast_to(s, sets) for s in state)
-        coefficients = self._all_at(parameters, current)
-        return self.force_at(coefficients, motion, period, before)[0]
+        return _CurrentResponse(self, parameters)
 
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
@@ -178,7 +162,7 @@ class CurrentDependentModel(Model):
         history = window.history
         late = coil_current(history.current, time_constant, history.period, None)
         in_coil = np.moveaxis(history.at_samples(np.moveaxis(late, -1, 0)), 0, -1)
-        values = self._all_at(parameters, in_coil)
+        values = self.all_at(parameters, in_coil)
         return self.force_at(values, window.motion, history.period, None)[0]
 
     def settled(self, window: Window, parameters: Array | None) -> np.ndarray:
@@ -200,7 +184,7 @@ class CurrentDependentModel(Model):
         value = value * (1.0 + change) if low >= 0.0 else value + change
         return low if value < low else min(value, coefficient.high)
 
-    def _all_at(self, parameters: Array, current: Array) -> list[Array]:
+    def all_at(self, parameters: Array, current: Array) -> list[Array]:
         """The coefficients, each (..., n or 1), at currents (n,) or (..., n)."""
         if np.all(current == current[..., :1]):
             current = current[..., :1]
@@ -214,7 +198,7 @@ class CurrentDependentModel(Model):
 
     def coefficients_along(self, parameters: Array, current: Array) -> list[Array]:
         """The coefficients of one set (p,) at currents (n,), each (n,)."""
-        return [np.broadcast_to(c, current.shape) for c in self._all_at(parameters, current)]
+        return [np.broadcast_to(c, current.shape) for c in self.all_at(parameters, current)]
 
     def _at(self, parameters: Array, place: int, current: Array) -> Array:
         """One coefficient (..., n) at currents (..., n)."""
@@ -256,7 +240,7 @@ class CurrentDependentModel(Model):
         amperes = np.broadcast_arrays(
             np.atleast_1d(np.asarray(current, dtype=float)), np.atleast_1d(peak_velocity)
         )[0]
-        values = self._all_at(parameters, amperes)
+        values = self.all_at(parameters, amperes)
         return np.stack([np.broadcast_to(value, amperes.shape) for value in values])
 
     def coefficient_gradient(
@@ -331,20 +315,21 @@ class CurrentDependentModel(Model):
 
 
 @dataclass(frozen=True, eq=False)
-class _Response(CurrentResponse):
-    """The force of samples over the current; ``state`` is the law's own."""
-
+class _CurrentResponse(CurrentResponse):
     model: CurrentDependentModel
     parameters: Array
-    motion: Motion
-    period: float
-    state: State | None
 
-    def force(self, current: Array) -> Array:
-        """Force (n, m) [N]."""
-        count = self.motion.velocity.size
-        every = np.broadcast_to(current, (count, current.shape[-1])).T
-        forces = self.model.forces_at(self.parameters, self.motion, every, self.period, self.state)
+    def forces(
+        self, samples: Sequence[MotionSample], current: Array, period: float, state: State | None
+    ) -> Array:
+        """Force (n, m) [N], of each current as if it were that of another set."""
+        every = np.broadcast_to(current, (len(samples), current.shape[-1])).T
+        own = None if state is None else state[: self.model.memory]
+        before = None if own is None else tuple(np.broadcast_to(s, len(every)) for s in own)
+        u, v, a, v_m = np.array(samples).T
+        motion = Motion(u, v, a, v_m, sine=None)
+        coefficients = self.model.all_at(self.parameters, every)
+        forces = self.model.force_at(coefficients, motion, period, before)[0]
         return np.broadcast_to(forces, every.shape).T
 
 

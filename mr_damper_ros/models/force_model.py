@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_response import CurrentResponse, SampleResponses, even_nodes
+from mr_damper_ros.models.current_response import CurrentResponse, even_nodes
 from mr_damper_ros.models.formulas import WrittenLaw
 from mr_damper_ros.models.machine_code import as_machine_code
 from mr_damper_ros.models.quantities import (
@@ -101,13 +101,8 @@ class Model(ABC):
         """Starts (k, p) of a search, from what can be read off a record."""
 
     @abstractmethod
-    def response(
-        self, parameters: Array, motion: Motion, period: float, state: State | None
-    ) -> CurrentResponse:
-        """Force of samples (n,) of a motion over the current in the coil; one set (p,).
-
-        They follow the state each on its own: of a law that remembers, ask for one sample.
-        """
+    def current_response(self, parameters: Array) -> CurrentResponse:
+        """Force of a set (p,) over the current in the coil."""
 
     # Parameters
 
@@ -277,10 +272,6 @@ class Model(ABC):
     def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
         """Currents (m,) [A], first and last included, between which a force bends once at most."""
         return even_nodes(lowest, highest)
-
-    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
-        """Force over the current of one sample after the other, for a set (p,); nodes (m,) [A]."""
-        return SampleResponses(partial(self.response, parameters), nodes)
 
     @property
     def formulas(self) -> WrittenLaw | None:

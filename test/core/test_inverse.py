@@ -11,6 +11,7 @@ from known import PLAUSIBLE, controllable
 from mr_damper_ros.control.force_controller import ForceControlSettings, coil_command
 from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, PUBLISHED_METHODS, parameters
@@ -58,7 +59,7 @@ def test_a_hundred_thousand_forces_of_the_published_sets(first, block):
         inverse = InverseModel(ParameterSet(values), LOWEST, HIGHEST)
         every = np.linspace(LOWEST, HIGHEST, 401)
         law = MODELS["sigmoid"]
-        forces = law.response(values, motion, PERIOD, None).force(every)
+        forces = law.current_response(values).forces(MotionSample.each(motion), every, PERIOD, None)
         least, most = forces.min(axis=1), forces.max(axis=1)
         span = most - least
         wanted = rng.uniform(least - 0.3 * span, most + 0.3 * span)
@@ -151,7 +152,7 @@ def test_of_several_currents_the_lowest_or_the_nearest_to_the_last():
     velocity = np.array([0.06])
     motion = Motion(np.zeros(1), velocity, np.ones(1), np.array([0.12]), None)
     law, every = MODELS["sigmoid"], np.linspace(LOWEST, HIGHEST, 2001)
-    force = law.response(values, motion, PERIOD, None).force(every)[0]
+    force = law.current_response(values).forces(MotionSample.each(motion), every, PERIOD, None)[0]
     top = int(force.argmax())
     assert 0 < top < 2000
     wanted = 0.5 * (force[top] + max(force[0], force[-1]))

@@ -109,7 +109,9 @@ def test_the_current_gives_the_nearest_force_of_a_scan(name: str, gradual: bool)
         state = state_after(inverse, asked)
         motion = asked.sample.motion
         scan = np.linspace(LOWEST, HIGHEST, 2001)
-        forces = inverse.law.response(inverse.values, motion, PERIOD, state).force(scan)[0]
+        forces = inverse.law.current_response(inverse.values).forces(
+            MotionSample.each(motion), scan, PERIOD, state
+        )[0]
         found = inverse.currents(motion, asked.wanted, last=asked.last, period=PERIOD, state=state)
         least, most = float(found.least[0]), float(found.most[0])
         span, size = most - least, max(abs(least), abs(most), 1.0)
@@ -150,9 +152,12 @@ def test_the_force_of_a_sample_is_that_of_the_law(name: str) -> None:
         )
         assert response.force(current) == pytest.approx(float(force[0]), rel=SAME, abs=ROUNDING)
         nodes = inverse.law.current_nodes(inverse.values, LOWEST, HIGHEST)
-        arrays = inverse.law.response(inverse.values, asked.sample.motion, PERIOD, state)
+        arrays = inverse.law.current_response(inverse.values)
         np.testing.assert_allclose(
-            response.at_nodes(), arrays.force(nodes)[0], rtol=SAME, atol=ROUNDING
+            response.at_nodes(),
+            arrays.forces([asked.sample], nodes, PERIOD, state)[0],
+            rtol=SAME,
+            atol=ROUNDING,
         )
 
     check()
@@ -187,7 +192,9 @@ def test_of_the_roots_that_a_scan_finds_it_is_the_lowest_or_the_nearest(
             peak_velocity=np.abs(velocity) + rng.uniform(0.0, 0.1, 10),
             sine=None,
         )
-        forces = inverse.law.response(inverse.values, motion, PERIOD, None).force(every)
+        forces = inverse.law.current_response(inverse.values).forces(
+            MotionSample.each(motion), every, PERIOD, None
+        )
         least, most = forces.min(axis=1), forces.max(axis=1)
         wanted = rng.uniform(0.95 * least + 0.05 * most, 0.05 * least + 0.95 * most)
         found = inverse.currents(motion, wanted, last=last, period=PERIOD)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.current_response import SampleResponses, nodes_along
+from mr_damper_ros.models.current_response import CurrentResponse, nodes_along
 from mr_damper_ros.models.first_order_lag import (
     COIL,
     PLAUSIBLE_COIL,
@@ -41,8 +41,7 @@ from mr_damper_ros.models.sigmoid.following import (
     EXTENDED_NAMES,
     EXTENSION_NAMES,
     SIGMOID_COUNT,
-    SigmoidResponse,
-    SigmoidSampleResponses,
+    SigmoidCurrentResponse,
     extension_of,
     follow,
     without_extension,
@@ -165,15 +164,9 @@ class SigmoidModel(Model):
         """The law whose branch follows the velocity where the motion turns."""
         return type(self)(jumps=False) if self._jumps else self
 
-    def response(
-        self, parameters: Array, motion: Motion, period: float, state: State | None
-    ) -> SigmoidResponse:
+    def current_response(self, parameters: Array) -> CurrentResponse:
         """Force over the current, of which only two factors depend on it."""
-        return SigmoidResponse(parameters, motion, period, state, jumps=self._jumps)
-
-    def sample_responses(self, parameters: Array, nodes: Array) -> SampleResponses:
-        """In scalars."""
-        return SigmoidSampleResponses(parameters, nodes, jumps=self._jumps)
+        return SigmoidCurrentResponse(parameters, jumps=self._jumps)
 
     def current_nodes(self, parameters: Array, lowest: float, highest: float) -> Array:
         """Closer together where the two factors change."""
