@@ -3,25 +3,20 @@
 See https://mcap.dev/spec: a file is a row of records, each an operation code (one byte), its
 length (eight bytes) and its content. Three kinds of checksum (CRC-32; zero: none) guard each chunk
 of messages, the data section, and the summary at the end. The library writes none, and checks
-those of the chunks alone; it unpacks a chunk to whatever size that has.
+those of the chunks alone.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 from zlib import crc32
 
 _MAGIC = b"\x89MCAP0\r\n"
 _CHUNK, _DATA_END, _FOOTER = 0x06, 0x0F, 0x02
-_HEAD = 9
-"""Bytes of a record before its content."""
-
-_CHUNK_HEAD = struct.Struct("<QQQII")
-"""First and last time, size and checksum of the unpacked content, length of the next field."""
-
+_HEAD = struct.Struct("<BQ")
 _PIECE = 1 << 20
 
 
@@ -41,90 +36,54 @@ class _Record(NamedTuple):
     length: int
 
 
+class _Guarded(NamedTuple):
+    """The bytes from ``start`` to ``stop``, whose checksum stands at ``place``."""
+
+    what: str
+    place: int
+    start: int
+    stop: int
+
+
 def add_checksums(path: Path) -> None:
     """Add the checksums to a file whose chunks are not compressed, and which has a summary."""
     with path.open("r+b") as file:
-        records = list(_records(file))
-        for record in records:
-            if record.operation == _CHUNK:
-                head = _ChunkHead.read(file, record)
-                _write(file, record.start + 24, crc32(file.read(head.stored)))
-        data_end, footer = _ends(records)
-        _write(file, data_end.start, _crc(file, 0, data_end.start - _HEAD))
-        _write(file, footer.start + 16, _summary_crc(file, footer))
+        for guarded in _guarded(file, list(_records(file))):
+            crc = _crc(file, guarded)
+            file.seek(guarded.place)
+            file.write(crc.to_bytes(4, "little"))
 
 
 def check_mcap(path: Path, maximum_bytes: int | None = None) -> None:
-    """Check the checksums that a file has, and that it unpacks to no more than so many bytes.
+    """Check that a file says to unpack to no more than so many bytes, and its checksums.
 
-    Raises ChecksumError and OversizedError, and others where the file is damaged otherwise.
+    Those of compressed chunks are left to the library. Raises ChecksumError and OversizedError,
+    and others where the file is damaged otherwise.
     """
-    unpacked = 0
     with path.open("rb") as file:
         records = list(_records(file))
-        for record in records:
-            if record.operation != _CHUNK:
-                continue
-            head = _ChunkHead.read(file, record)
-            unpacked += head.size
-            if maximum_bytes is not None and unpacked > maximum_bytes:
-                raise OversizedError(f"it unpacks to more than {maximum_bytes // 1_000_000} MB")
-            _check_chunk(file, head)
-        data_end, footer = _ends(records)
-        expected = _number(file, data_end.start)
-        if expected and expected != _crc(file, 0, data_end.start - _HEAD):
-            raise ChecksumError("the checksum of its data section is wrong")
-        expected = _number(file, footer.start + 16)
-        if expected and expected != _summary_crc(file, footer):
-            raise ChecksumError("the checksum of its summary is wrong")
+        unpacked = sum(_number(file, r.start + 16, 8) for r in records if r.operation == _CHUNK)
+        if maximum_bytes is not None and unpacked > maximum_bytes:
+            raise OversizedError(f"it unpacks to more than {maximum_bytes // 1_000_000} MB")
+        for guarded in _guarded(file, records):
+            expected = _number(file, guarded.place, 4)
+            if expected and expected != _crc(file, guarded):
+                raise ChecksumError(f"the checksum of {guarded.what} is wrong")
 
 
-class _ChunkHead(NamedTuple):
-    """Unpacked ``size`` and checksum, compression, and number of ``stored`` bytes that follow."""
-
-    size: int
-    crc: int
-    compression: str
-    stored: int
-
-    @classmethod
-    def read(cls, file: BinaryIO, record: _Record) -> _ChunkHead:
-        """Read the head; the file is then at the stored bytes."""
-        file.seek(record.start)
-        _, _, size, crc, name_length = _CHUNK_HEAD.unpack(file.read(_CHUNK_HEAD.size))
-        compression = file.read(min(name_length, 100)).decode()
-        (stored,) = struct.unpack("<Q", file.read(8))
-        if file.tell() + stored != record.start + record.length:
-            raise ChecksumError("a chunk does not have the length that it says")
-        return cls(size, crc, compression, stored)
-
-
-def _check_chunk(file: BinaryIO, head: _ChunkHead) -> None:
-    unpack = _unpacker(head.compression)
-    data, crc, size = file.read(head.stored), 0, 0
-    while piece := unpack(data, _PIECE):
-        data = b""
-        size += len(piece)
-        crc = crc32(piece, crc)
-        if size > head.size:
-            break
-    if size != head.size or (head.crc and crc != head.crc):
-        raise ChecksumError("the size or the checksum of a chunk is wrong")
-
-
-def _unpacker(compression: str) -> Callable[[bytes, int], bytes]:
-    """Gives the unpacked content of what it is given in pieces, b"" at the end."""
-    if compression == "zstd":
-        from backports.zstd import ZstdDecompressor
-
-        zstd = ZstdDecompressor()
-        return lambda data, size: b"" if zstd.eof else zstd.decompress(data, size)
-    if compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
-
-        lz4 = LZ4FrameDecompressor()
-        return lambda data, size: b"" if lz4.eof else lz4.decompress(data, size)
-    return lambda data, size: data
+def _guarded(file: BinaryIO, records: list[_Record]) -> Iterator[_Guarded]:
+    """What has checksums, in the order in which they are written: each guards those before it."""
+    for record in records:
+        if record.operation == _CHUNK and _number(file, record.start + 28, 4) == 0:
+            end = record.start + record.length
+            yield _Guarded("a chunk", record.start + 24, record.start + 40, end)
+    data_end = [record.start for record in records if record.operation == _DATA_END]
+    footer = [record.start for record in records if record.operation == _FOOTER]
+    if len(data_end) != 1 or len(footer) != 1:
+        raise ChecksumError("it has no end")
+    yield _Guarded("its data section", data_end[0], 0, data_end[0] - _HEAD.size)
+    begin = _number(file, footer[0], 8) or footer[0] - _HEAD.size
+    yield _Guarded("its summary", footer[0] + 16, begin, footer[0] + 16)
 
 
 def _records(file: BinaryIO) -> Iterator[_Record]:
@@ -135,46 +94,26 @@ def _records(file: BinaryIO) -> Iterator[_Record]:
     position = len(_MAGIC)
     while position < end - len(_MAGIC):
         file.seek(position)
-        operation, length = struct.unpack("<BQ", file.read(_HEAD))
-        start = position + _HEAD
+        operation, length = _HEAD.unpack(file.read(_HEAD.size))
+        start = position + _HEAD.size
         if start + length > end:
             raise ChecksumError("it ends within a record")
         yield _Record(operation, start, length)
         position = start + length
 
 
-def _ends(records: list[_Record]) -> tuple[_Record, _Record]:
-    """The records that end the data section and the summary."""
-    data_end = [record for record in records if record.operation == _DATA_END]
-    footer = [record for record in records if record.operation == _FOOTER]
-    if len(data_end) != 1 or len(footer) != 1:
-        raise ChecksumError("it has no end")
-    return data_end[0], footer[0]
-
-
-def _summary_crc(file: BinaryIO, footer: _Record) -> int:
-    file.seek(footer.start)
-    (start,) = struct.unpack("<Q", file.read(8))
-    return _crc(file, start or footer.start - _HEAD, footer.start + 16)
-
-
-def _crc(file: BinaryIO, start: int, stop: int) -> int:
-    crc = 0
-    file.seek(start)
-    while start < stop:
-        piece = file.read(min(_PIECE, stop - start))
+def _crc(file: BinaryIO, guarded: _Guarded) -> int:
+    crc, left = 0, guarded.stop - guarded.start
+    file.seek(guarded.start)
+    while left > 0:
+        piece = file.read(min(_PIECE, left))
         if not piece:
             raise ChecksumError("it is cut off")
         crc = crc32(piece, crc)
-        start += len(piece)
+        left -= len(piece)
     return crc
 
 
-def _number(file: BinaryIO, position: int) -> int:
+def _number(file: BinaryIO, position: int, size: int) -> int:
     file.seek(position)
-    return int.from_bytes(file.read(4), "little")
-
-
-def _write(file: BinaryIO, position: int, number: int) -> None:
-    file.seek(position)
-    file.write(number.to_bytes(4, "little"))
+    return int.from_bytes(file.read(size), "little")

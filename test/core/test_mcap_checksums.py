@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from backports import zstd
-from lz4 import frame as lz4
 
 from benchmarks.fuzz import checksum_places
 from mr_damper_ros.io.bag_files import BagError, check_bag_files
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.io.mcap_checksums import (
-    ChecksumError,
     OversizedError,
     add_checksums,
     check_mcap,
@@ -101,10 +99,9 @@ def test_a_file_without_checksums_is_read(bag: Path) -> None:
     assert file.read_bytes() == with_checksums
 
 
-def packed(file: Path, compression: str, content: bytes, size: int) -> None:
+def packed(file: Path, content: bytes, size: int) -> None:
     """Replace the file by one with a single chunk, which says that it unpacks to ``size``."""
-    stored = {"zstd": zstd.compress, "lz4": lz4.compress, "": bytes}[compression](content)
-    name = compression.encode()
+    stored, name = zstd.compress(content), b"zstd"
     chunk = struct.pack("<QQQII", 0, 0, size, 0, len(name)) + name
     chunk += struct.pack("<Q", len(stored)) + stored
     magic = b"\x89MCAP0\r\n"
@@ -112,22 +109,8 @@ def packed(file: Path, compression: str, content: bytes, size: int) -> None:
     file.write_bytes(magic + struct.pack("<BQ", CHUNK, len(chunk)) + chunk + end + magic)
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lz4", ""])
-def test_a_chunk_of_the_size_that_it_says_is_sound(tmp_path: Path, compression: str) -> None:
-    packed(tmp_path / "run.mcap", compression, bytes(3_000_000), 3_000_000)
-    check_mcap(tmp_path / "run.mcap", ENOUGH)
-
-
-@pytest.mark.parametrize("compression", ["zstd", "lz4", ""])
-@pytest.mark.parametrize("size", [0, 2_999_999, 3_000_001])
-def test_a_chunk_of_another_size_is_damaged(tmp_path: Path, compression: str, size: int) -> None:
-    packed(tmp_path / "run.mcap", compression, bytes(3_000_000), size)
-    with pytest.raises(ChecksumError, match="the size or the checksum of a chunk is wrong"):
-        check_mcap(tmp_path / "run.mcap", ENOUGH)
-
-
 def test_what_unpacks_to_too_much_is_refused_before_it_does(bag: Path) -> None:
-    packed(bag / "bag.mcap", "zstd", bytes(3_000_000), 3_000_000)
+    packed(bag / "bag.mcap", bytes(3_000_000), 3_000_000)
     with pytest.raises(OversizedError, match="unpacks to more than 2 MB"):
         check_mcap(bag / "bag.mcap", 2_000_000)
     with pytest.raises(BagError, match="the bag 'bag' is too large: it unpacks to more than 2 MB"):
