@@ -2,7 +2,7 @@
 
 A malformed file can end the process that reads it (a segmentation fault), keep it for ever, or
 unpack a few bytes to more than the memory. So a child process reads, with limited time and memory,
-and hands over arrays without objects, or text.
+and hands over arrays, or text.
 """
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ import contextlib
 import csv
 import errno
 import io
-import json
 import os
-import signal
-import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import BrokenExecutor
+from concurrent.futures import TimeoutError as LateError
 from dataclasses import dataclass
 from datetime import date, time, timedelta
 from importlib import import_module
@@ -27,11 +26,12 @@ import numpy as np
 
 from mr_damper_ros.io.columns import Columns, RawTable, RecordError, too_long
 from mr_damper_ros.io.text_table import TextFile
-from mr_damper_ros.processes import child_process
+from mr_damper_ros.processes.process_pool import LocalProcesses
 from mr_damper_ros.signals.arrays import Array
 
-_BYTES_PER_SAMPLE = 100
-"""Memory [B] that may be used: four columns of eight bytes, compressed, unpacked and turned."""
+_BYTES_PER_SAMPLE = 150
+"""Memory [B] that may be used: four columns of eight bytes, compressed, unpacked, turned, and
+handed over."""
 
 _LEAST_MEMORY = 100_000_000
 """Bytes that any file may use."""
@@ -42,24 +42,20 @@ _HEAD_ROWS = 1000
 _SEPARATOR = "\t"
 """Between the cells of a sheet that has become text."""
 
-_VERSION_73, _NO_LIBRARY, _DAMAGED, _TOO_LARGE, _CHOOSE = 3, 4, 5, 6, 7
-"""Exit codes of the child."""
-
 
 @dataclass(frozen=True)
 class Format:
-    """What a file is, what reads it and where that is to be had, in words, and how.
+    """What a file is, the ``module`` that reads it and where that is to be had, in words, and how.
 
-    ``time_limit`` [s] bounds the reading. ``convert`` runs in the child, which has loaded the
-    ``module``: it reads standard input and writes to the file descriptor, at most so many samples
-    of the variable of this name.
+    ``time_limit`` [s] bounds the reading. ``read`` runs in the child: it is given the open
+    file, the name of what to read of it, and how many samples that may hold.
     """
 
     what: str
     module: str
     library: str
     time_limit: float
-    convert: Callable[[int, str, int], None]
+    read: Callable[[BinaryIO, str | None, int], Any]
 
 
 def read_mat(path: Path, columns: Columns, variable: str | None, maximum_samples: int) -> RawTable:
@@ -69,9 +65,7 @@ def read_mat(path: Path, columns: Columns, variable: str | None, maximum_samples
     """
     if any(column.holds_dates for column in columns.wanted):
         raise RecordError("a MAT file holds numbers: give the unit of its time, such as time:s")
-    with _confined("mat", path, maximum_samples) as stream:
-        names = np.load(stream, allow_pickle=False).tolist()
-        variables = {name: np.load(stream, allow_pickle=False) for name in names}
+    variables: dict[str, Array] = _confined("mat", path, maximum_samples)
     shapes = [f"{name} ({v.shape[0]} x {v.shape[1]})" for name, v in variables.items()]
     listed = ", ".join(shapes) or "no matrix of numbers"
     if columns.by_header:
@@ -115,12 +109,9 @@ def read_tdms(path: Path, columns: Columns, variable: str | None, maximum_sample
     """
     groups: dict[str, dict[str, Array]] = {}
     periods: dict[tuple[str, str], float] = {}
-    with _confined("tdms", path, maximum_samples) as stream:
-        names = np.load(stream, allow_pickle=False).tolist()
-        waveform = np.load(stream, allow_pickle=False).tolist()
-        for (group, channel), period in zip(names, waveform, strict=True):
-            groups.setdefault(group, {})[channel] = np.load(stream, allow_pickle=False)
-            periods[group, channel] = period
+    for group, channel, period, values in _confined("tdms", path, maximum_samples):
+        groups.setdefault(group, {})[channel] = values
+        periods[group, channel] = period
     if variable is None and len(groups) == 1:
         variable = next(iter(groups))
     if variable not in groups:
@@ -152,11 +143,9 @@ def read_spreadsheet(
 
     Cells hold numbers or text; a formula is read as the value that was saved with it.
     """
-    stream = _confined("spreadsheet", path, maximum_samples, variable or "")
-    # The text stays there as long as rows may be named.
-    text = TextFile(Path(f"/proc/self/fd/{stream.fileno()}"), path.name, "utf-8", _SEPARATOR)
-    table = text.table(columns, maximum_samples)
-    return RawTable(table.values, lambda row: "" if stream.closed else table.place(row))
+    text = _confined("spreadsheet", path, maximum_samples, variable)
+    lines = TextFile(lambda: io.StringIO(text), path.name, _SEPARATOR)
+    return lines.table(columns, maximum_samples)
 
 
 def _chosen(
@@ -181,122 +170,104 @@ def _chosen(
     return {quantity: vectors[wanted] for quantity, wanted in found.items()}
 
 
-def _confined(kind: str, path: Path, maximum_samples: int, variable: str = "") -> BinaryIO:
+def _confined(kind: str, path: Path, maximum_samples: int, variable: str | None = None) -> Any:
     """What the child makes of a file. Raises RecordError, and OSError where there is none."""
     form = FORMATS[kind]
-    memory = max(_BYTES_PER_SAMPLE * maximum_samples, _LEAST_MEMORY)
-    limits = (str(form.time_limit), str(memory), str(maximum_samples))
-    result = os.memfd_create("result")
-    stream = open(result, "w+b")  # noqa: SIM115 (handed over)
-    with path.open("rb") as file:
-        code = subprocess.run(
-            child_process.command(serve, kind, *limits, variable, str(result)),
-            stdin=file,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=[result],
-            start_new_session=True,
-            check=False,
-        ).returncode
-    stream.seek(0)
-    if code == 0:
-        return stream
-    with stream:
-        if code == _TOO_LARGE:
-            raise too_long(path.name, maximum_samples)
-        if code == _NO_LIBRARY:
-            why = f"is {form.what}, which needs {form.library}, or export the file as CSV"
-        elif code == _VERSION_73:
-            why = "is a MAT file of version 7.3: save it in MATLAB with save(..., '-v7') first"
-        elif code == _CHOOSE:
-            asked = f"no sheet '{variable}'" if variable else "several sheets"
-            why = f"has {asked}: choose one as the variable, of {', '.join(json.load(stream))}"
-        elif code == -signal.SIGALRM:
-            why = (
-                f"could not be read within {form.time_limit:g} s: save a part of it, or export it "
-                "as CSV"
-            )
-        else:
-            why = f"is not {form.what} that can be read: save it again, or export it as CSV"
-    raise RecordError(f"{path.name} {why}")
-
-
-def serve(
-    kind: str, time_limit: str, memory_limit: str, most_samples: str, variable: str, result: str
-) -> None:
-    """Be the child, for at most so many seconds and bytes more than a fresh process has."""
-    # Also while it is in a call into C.
-    signal.setitimer(signal.ITIMER_REAL, float(time_limit))
-    form = FORMATS[kind]
+    child = LocalProcesses(1)
     try:
-        import_module(form.module)
-    except ImportError:
-        raise SystemExit(_NO_LIBRARY) from None
-    try:
-        _limit_memory(int(memory_limit))
-        form.convert(int(result), variable, int(most_samples))
+        task = child.start().submit(_read, kind, str(path), variable, maximum_samples)
+        return task.result(form.time_limit)
+    except LateError:
+        raise RecordError(
+            f"{path.name} could not be read within {form.time_limit:g} s: save a part of it, or "
+            "export it as CSV"
+        ) from None
     except MemoryError:
-        raise SystemExit(_TOO_LARGE) from None
-    except NotImplementedError:
-        raise SystemExit(_VERSION_73) from None
-    except Exception as error:
-        # Damaged bytes surface in the libraries as exceptions of many kinds.
-        too_large = isinstance(error, OSError) and error.errno in (errno.EFBIG, errno.ENOMEM)
-        raise SystemExit(_TOO_LARGE if too_large else _DAMAGED) from None
+        raise too_long(path.name, maximum_samples) from None
+    except BrokenExecutor:
+        raise RecordError(_unreadable(form, path)) from None
+    finally:
+        child.end()
+
+
+def _unreadable(form: Format, path: Path) -> str:
+    return f"{path.name} is not {form.what} that can be read: save it again, or export it as CSV"
+
+
+def _read(kind: str, place: str, variable: str | None, most_samples: int) -> Any:
+    """Be the child. Raises RecordError, and MemoryError for more than so many samples need."""
+    form, path = FORMATS[kind], Path(place)
+    with path.open("rb") as file:
+        try:
+            import_module(form.module)
+        except ImportError:
+            raise RecordError(
+                f"{path.name} is {form.what}, which needs {form.library}, or export the file as CSV"
+            ) from None
+        _limit_memory(max(_BYTES_PER_SAMPLE * most_samples, _LEAST_MEMORY))
+        try:
+            return form.read(file, variable, most_samples)
+        except (RecordError, MemoryError):
+            raise
+        except NotImplementedError:
+            raise RecordError(
+                f"{path.name} is a MAT file of version 7.3: save it in MATLAB with "
+                "save(..., '-v7') first"
+            ) from None
+        except Exception as error:
+            # Damaged bytes surface in the libraries as exceptions of many kinds.
+            if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+                raise MemoryError from None
+            raise RecordError(_unreadable(form, path)) from None
 
 
 def _limit_memory(size: int) -> None:
-    """Let this process take and write so many bytes more than now. Elsewhere than on Linux: not."""
+    """Let this process take so many bytes more than now. Elsewhere than on Linux: no limit."""
     if sys.platform != "linux":
         return
     import resource
 
     pages = int(Path("/proc/self/statm").read_text().split()[5])  # data and stack
-    used = pages * os.sysconf("SC_PAGE_SIZE")
-    for kind, limit in ((resource.RLIMIT_DATA, used + size), (resource.RLIMIT_FSIZE, size)):
-        with contextlib.suppress(ValueError):  # a lower limit is set already
-            resource.setrlimit(kind, (limit, limit))
+    limit = pages * os.sysconf("SC_PAGE_SIZE") + size
+    with contextlib.suppress(ValueError):  # a lower limit is set already
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
-def _convert_mat(result: int, variable: str, most_samples: int) -> None:
-    """The real matrices of numbers: their names, then each."""
+def _matrices(file: BinaryIO, variable: str | None, most_samples: int) -> dict[str, Array]:
+    """The real matrices of numbers, by name."""
     from scipy.io import loadmat  # here: see mr_damper_ros.entry_points
 
-    matrices = {
+    return {
         name: value
-        for name, value in loadmat(sys.stdin.buffer).items()
+        for name, value in loadmat(file).items()
         if isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "fiu"
     }
-    _save(result, np.array(list(matrices), dtype=np.str_), *matrices.values())
 
 
-def _convert_tdms(result: int, variable: str, most_samples: int) -> None:
-    """The channels of numbers or times: group and name of each, their periods [s], then each."""
+def _channels(
+    file: BinaryIO, variable: str | None, most_samples: int
+) -> list[tuple[str, str, float, Array]]:
+    """Group, name, period [s] and values of the channels that hold numbers or times."""
     from nptdms import TdmsFile
 
-    with TdmsFile.open(sys.stdin.buffer) as file:
+    with TdmsFile.open(file) as tdms:
         channels = [
             channel
-            for group in file.groups()
+            for group in tdms.groups()
             for channel in group.channels()
             if channel.dtype.kind in "fiuM" and len(channel) > 0
         ]
         if any(len(channel) > most_samples for channel in channels):
-            raise SystemExit(_TOO_LARGE)
-        names = [(channel.group_name, channel.name) for channel in channels]
-        periods = [float(c.properties.get("wf_increment", np.nan)) for c in channels]
-        _save(
-            result,
-            np.array(names, dtype=np.str_).reshape(-1, 2),
-            np.array(periods, dtype=np.float64),
-            *(_numbers(channel[:]) for channel in channels),
-        )
-
-
-def _save(result: int, *arrays: np.ndarray) -> None:
-    with open(result, "wb") as stream:
-        for values in arrays:
-            np.save(stream, values, allow_pickle=False)
+            raise MemoryError
+        return [
+            (
+                channel.group_name,
+                channel.name,
+                float(channel.properties.get("wf_increment", np.nan)),
+                _numbers(channel[:]),
+            )
+            for channel in channels
+        ]
 
 
 def _numbers(values: Any) -> Array:
@@ -306,29 +277,26 @@ def _numbers(values: Any) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
-def _convert_spreadsheet(result: int, variable: str, most_samples: int) -> None:
+def _sheet(file: BinaryIO, variable: str | None, most_samples: int) -> str:
     """The rows of a sheet, as lines of text."""
     from openpyxl import load_workbook
 
-    book = load_workbook(sys.stdin.buffer, read_only=True, data_only=True)
+    book = load_workbook(file, read_only=True, data_only=True)
     sheets = {page.title: page for page in book.worksheets}
     chosen = variable or (next(iter(sheets)) if len(sheets) == 1 else "")
-    with open(result, "w", encoding="utf-8", newline="") as stream:
-        if chosen not in sheets:
-            json.dump(list(sheets), stream)
-            stream.flush()
-            os._exit(_CHOOSE)
-        for number, row in enumerate(sheets[chosen].iter_rows(values_only=True)):
-            if number == most_samples + _HEAD_ROWS:
-                os._exit(_TOO_LARGE)
-            stream.write(_line(row))
-
-
-def _line(row: Iterable[object]) -> str:
-    line = io.StringIO()
-    cells = [_text(cell) for cell in row]
-    csv.writer(line, delimiter=_SEPARATOR, lineterminator="\n").writerow(cells)
-    return line.getvalue() if any(cells) else "\n"
+    if chosen not in sheets:
+        asked = f"no sheet '{variable}'" if variable else "several sheets"
+        raise RecordError(
+            f"the file has {asked}: choose one as the variable, of {', '.join(sheets)}"
+        )
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter=_SEPARATOR, lineterminator="\n")
+    for number, row in enumerate(sheets[chosen].iter_rows(values_only=True)):
+        if number == most_samples + _HEAD_ROWS:
+            raise MemoryError
+        cells = [_text(cell) for cell in row]
+        writer.writerow(cells if any(cells) else [])
+    return text.getvalue()
 
 
 def _text(cell: object) -> str:
@@ -342,19 +310,19 @@ def _text(cell: object) -> str:
 
 
 FORMATS = {
-    "mat": Format("a MAT file", "scipy.io", "SciPy: install it", 60.0, _convert_mat),
+    "mat": Format("a MAT file", "scipy.io", "SciPy: install it", 60.0, _matrices),
     "tdms": Format(
         "a TDMS file",
         "nptdms",
         "npTDMS: install it (pip install npTDMS==1.13.0)",
         60.0,
-        _convert_tdms,
+        _channels,
     ),
     "spreadsheet": Format(
         "a spreadsheet",
         "openpyxl",
         "openpyxl: install it (pip install openpyxl==3.1.5, or python3-openpyxl of Ubuntu)",
         300.0,  # a full sheet has a million rows
-        _convert_spreadsheet,
+        _sheet,
     ),
 }

@@ -16,6 +16,7 @@ from datetime import datetime, timezone
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -97,19 +98,22 @@ def read_text_table(
     """
     if variable is not None:
         raise RecordError(f"{path.name} is a text file and has no variables: choose no variable")
-    return TextFile(path, path.name, _encoding(path)).table(columns, maximum_samples)
+    encoding = _encoding(path)
+    lines = TextFile(lambda: path.open(encoding=encoding, errors="replace"), path.name)
+    return lines.table(columns, maximum_samples)
 
 
 class TextFile:
-    """A file with its encoding, what separates its fields, and its number of filled lines.
+    """Text that can be opened again and again, its separator, and its number of filled lines.
 
     ``name`` is what messages call it; ``separator`` is found out where it is not given.
     """
 
-    def __init__(self, path: Path, name: str, encoding: str, separator: str | None = None) -> None:
-        self._path = path
+    def __init__(
+        self, opened: Callable[[], TextIO], name: str, separator: str | None = None
+    ) -> None:
+        self._open = opened
         self._name = name
-        self._encoding = encoding
         last: deque[str] = deque(maxlen=_LOOKED_AT)
         self._row_count = 0
         for _, line in self._filled_lines():
@@ -225,7 +229,7 @@ class TextFile:
 
     def _filled_lines(self) -> Iterator[tuple[int, str]]:
         """Line numbers, from 1, and the lines that are not empty."""
-        with self._path.open(encoding=self._encoding, errors="replace") as file:
+        with self._open() as file:
             number = 0
             while line := file.readline(_LONGEST_LINE + 1):
                 number += 1

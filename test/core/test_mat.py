@@ -67,7 +67,7 @@ def test_a_file_that_crashes_the_reader_is_one_sentence(tmp_path: Path) -> None:
 def test_a_reader_that_is_killed_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(binary_tables, "serve", pool_tasks.crash)
+    monkeypatch.setattr(binary_tables, "_read", pool_tasks.crash)
     with pytest.raises(RecordError) as caught:
         matrix(written(tmp_path / "run.mat", {"data": MATRIX}))
     assert str(caught.value) == UNREADABLE
