@@ -44,13 +44,13 @@ class ConductSettings(CheckedSettings):
 
     manual: bool = option(
         False,
-        "A person sets the press and the supply: nothing is commanded; the log, the diagnostics "
-        "and the feedback of the action say what to set, and the samples are taken once they are "
-        "as wanted. The current stays the same within a run.",
+        "An operator sets the press and the supply. The node commands nothing: log, "
+        "diagnostics and action feedback say what to set, and recording starts once the "
+        "samples agree. The current is constant within a run.",
     )
     rest_time: float = option(
         0.0,
-        "Time [s] that the damper rests before each run, to cool: a force that drifts is no law's.",
+        "Rest [s] of the damper before each run, to cool: no force law models a drifting force.",
         minimum=0.0,
         maximum=86400.0,
     )

@@ -43,22 +43,22 @@ class DriveSettings(CheckedSettings):
 
     settle_timeout: float = option(
         60.0,
-        "Longest time [s] until the machine moves steadily as commanded, besides ten cycles of a "
-        "sine or ten times the length of another motion; then the campaign ends and says what is "
-        "wrong. A press that is set by hand is waited for without end.",
+        "Longest time [s] until the machine moves steadily as commanded, in addition to ten "
+        "cycles of a sine or ten times the length of another motion. Then the campaign ends "
+        "and reports the reason. A manual press has no time limit.",
         minimum=1.0,
         maximum=3600.0,
     )
     amplitude_tolerance: float = option(
         0.1,
-        "How far amplitude and frequency may be off those commanded, relative. The samples are "
-        "used as they were measured, whatever was commanded.",
+        "Largest relative deviation of amplitude and frequency from the command. The samples "
+        "are used as measured in any case.",
         minimum=0.001,
         maximum=0.3,
     )
     current_tolerance: float = option(
         0.05,
-        "How far the measured current may be off the one commanded [A].",
+        "Largest deviation of the measured current from the command [A].",
         minimum=0.001,
         maximum=10.0,
     )

@@ -22,31 +22,31 @@ class FallbackSettings(CheckedSettings):
 
     safe_current: float = option(
         0.0,
-        "What is commanded where nothing can be relied on [A], also when the node ends. It must "
-        "lie within the range of currents that the parameters were identified at: the force at a "
-        "current outside of it is not valid, so that control would never begin.",
+        "Current [A] that is commanded when the predicted force is invalid, and when the node "
+        "ends. It must lie within the identified range of currents: outside it the force is "
+        "invalid, so control would never start.",
         minimum=-10.0,
         maximum=10.0,
     )
     in_doubt: str = option(
         HOLD,
-        f"What a doubt of a moment does: {HOLD} leaves the current as it is, which suits a force "
-        f"that is valid again soon; {SLIDE} moves it towards the safe current from the first "
-        "sample in doubt on, so that it is there when the doubt has lasted.",
+        f"Reaction to a force that has just become invalid: {HOLD} keeps the current, which "
+        f"suits a force that is soon valid again; {SLIDE} moves it towards the safe current "
+        "from the first invalid sample on, and reaches it after doubt_time.",
         choices=(HOLD, SLIDE),
     )
     doubt_time: float = option(
         0.3,
-        "Time [s] in doubt, less that without, after which the command goes to the safe current; "
-        "also the time without doubt after which it comes back, twice as long each time that it "
-        "does not last.",
+        "Time [s] of invalid force, minus time of valid force, after which the command goes "
+        "to the safe current. Control returns after the same time of valid force; this wait "
+        "doubles each time control is lost again.",
         minimum=0.0,
         maximum=60.0,
     )
     fade_time: float = option(
         0.1,
-        "Time [s] in which the command passes through the range of currents on its way to the safe "
-        "current, and at least on its way back.",
+        "Time [s] for a ramp through the whole range of currents on the way to the safe "
+        "current; also the shortest time on the way back.",
         minimum=0.001,
         maximum=60.0,
     )

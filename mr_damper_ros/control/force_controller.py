@@ -48,14 +48,14 @@ class FeedbackSettings(CheckedSettings):
 
     feedback_gain: float = option(
         0.0,
-        "Gain [1/s] of the feedback of the measured force: 1 takes about a second to make good a "
-        "damper that has got weaker. 0: feedforward alone, for a rig without a load cell.",
+        "Gain [1/s] of the feedback of the measured force: 1 takes about a second to "
+        "compensate for a weaker damper. 0: feedforward only, for a rig without a load cell.",
         minimum=0.0,
         maximum=100.0,
     )
     feedback_limit: float = option(
         0.2,
-        "The feedback changes the wanted force by no more than this part.",
+        "Largest relative change of the desired force by the feedback.",
         minimum=0.0,
         maximum=0.9,
     )
@@ -142,50 +142,50 @@ class ForceControlSettings(CheckedSettings):
 
     lowest_current: float = option(
         0.0,
-        "The lowest current that is commanded [A], within those that the parameters were "
-        "identified at.",
+        "Lowest current that is commanded [A], within the identified range.",
         minimum=-10.0,
         maximum=10.0,
     )
     highest_current: float = option(
         2.0,
-        "Highest current [A] that is commanded; the damper's data sheet says what it bears.",
+        "Highest current [A] that is commanded; see the rated current in the damper's data sheet.",
         minimum=-10.0,
         maximum=10.0,
     )
     slew_rate: float = option(
-        0.0, "Fastest change of the command [A/s]; 0 for no limit.", minimum=0.0, maximum=1e6
+        0.0, "Largest rate of change of the command [A/s]; 0: no limit.", minimum=0.0, maximum=1e6
     )
     fallback: FallbackSettings = group(FallbackSettings, flat=True)
     demand_timeout: float = option(
         0.2,
-        "Age [s] of the desired force, by its stamp against that of the samples, beyond which the "
+        "Age [s] of the desired force, by its stamp relative to the samples, after which the "
         "safe current is commanded.",
         minimum=0.001,
         maximum=3600.0,
     )
     horizon: float = option(
         0.01,
-        "Time in which a lagging coil should have its current [s]; at least a block. The lag is "
-        "coil_time_constant of the parameters. Shorter follows faster and asks more of the supply.",
+        "Time [s] in which a lagging coil should reach its current; at least a block. The lag "
+        "is coil_time_constant of the parameters. A shorter time tracks faster and demands "
+        "more of the supply.",
         minimum=0.0001,
         maximum=1.0,
     )
     force_deadband: float = option(
         5.0,
-        "Against chatter: the current stays as long as another would bring the force closer by no "
-        "more than this [N].",
+        "Against chatter: the current stays constant as long as another current would improve "
+        "the force by no more than this [N].",
         minimum=0.0,
         maximum=1e6,
     )
     probe_step: float = option(
         0.0,
-        "Where a desired force needs a current beyond those that the damper was identified at, the "
-        "diagnostics say so. With a step [A] here the controller then tries so much more, and as "
-        "much again with every second in which it was needed and the measured force confirmed the "
-        "predicted one, up to highest_current; once that is wrong it goes back to what was "
-        "identified for half a minute. 0: it stays within the identified currents. It needs a load "
-        "cell (maximum_error).",
+        "Step [A] for probing beyond the identified currents; 0: never. If a desired force "
+        "needs a current outside the identified range, the diagnostics say so. With a step, "
+        "the controller extends the range by this step, and by another one after each second "
+        "in which the extension was needed and the measured force confirmed the predicted "
+        "force, up to highest_current. If the force becomes wrong, it returns to the "
+        "identified range for half a minute. This needs a load cell (maximum_error).",
         minimum=0.0,
         maximum=1.0,
     )

@@ -140,15 +140,15 @@ class OptimalSettings(CheckedSettings):
     spring: float = option(20e3, "Stiffness [N/m] of the spring.", minimum=1.0, maximum=1e9)
     tyre: float = option(250e3, "Stiffness [N/m] of the tyre.", minimum=1.0, maximum=1e9)
     weight_acceleration: float = option(
-        1.0, "Weight of the body's acceleration squared.", minimum=0.0, maximum=1e12
+        1.0, "Weight of the squared body acceleration.", minimum=0.0, maximum=1e12
     )
     weight_travel: float = option(
-        1e3, "Weight of the suspension's travel squared.", minimum=0.0, maximum=1e12
+        1e3, "Weight of the squared suspension stroke.", minimum=0.0, maximum=1e12
     )
     weight_tyre: float = option(
-        1e4, "Weight of the tyre's travel squared.", minimum=0.0, maximum=1e12
+        1e4, "Weight of the squared tyre deflection.", minimum=0.0, maximum=1e12
     )
-    weight_force: float = option(1e-9, "Weight of the force squared.", minimum=1e-15, maximum=1e6)
+    weight_force: float = option(1e-9, "Weight of the squared force.", minimum=1e-15, maximum=1e6)
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,8 @@ class SuspensionSettings(CheckedSettings):
     )
     function: str = option(
         "",
-        "One's own controller in the place of it, as module:function. The function takes a "
-        "mr_damper_ros.control.semi_active.Moment and returns the force [N] to want.",
+        "Your own controller instead, as module:function. The function takes a "
+        "mr_damper_ros.control.semi_active.Moment and returns the desired force [N].",
     )
     damping: float = option(
         2500.0,
@@ -176,10 +176,12 @@ class SuspensionSettings(CheckedSettings):
         0.6, "Share of the skyhook in hybrid; the rest is groundhook.", minimum=0.0, maximum=1.0
     )
     low: float = option(700.0, "Low damping [N s/m] of add and sh_add.", minimum=0.0, maximum=1e6)
-    high: float = option(4000.0, "High damping [N s/m] of these.", minimum=0.0, maximum=1e6)
+    high: float = option(
+        4000.0, "High damping [N s/m] of add and sh_add.", minimum=0.0, maximum=1e6
+    )
     crossover: float = option(
         12.0,
-        "Frequency [rad/s] where the skyhook of sh_add meets the acceleration-driven part.",
+        "Crossover frequency [rad/s] of sh_add between skyhook and acceleration-driven control.",
         minimum=0.0,
         maximum=1e4,
     )

@@ -30,32 +30,32 @@ class EvolutionSettings(CheckedSettings):
 
     strategy: str = option(
         "rand1bin",
-        "rand1bin, best1bin, currenttobest1bin or rand2bin, in SciPy's words: how a new individual "
-        "is made from others.",
+        "Mutation strategy, as SciPy calls it: rand1bin, best1bin, currenttobest1bin or rand2bin.",
         choices=STRATEGIES,
     )
     mutation: float = option(
         0.8,
-        "Differential weight F, between 0 and 2: the length of the steps.",
+        "Differential weight F, between 0 and 2: the step length.",
         minimum=0.01,
         maximum=1.99,
     )
     recombination: float = option(
         0.8,
-        "Crossover probability CR, 0 to 1: how much of an individual is exchanged at once.",
+        "Crossover probability CR, between 0 and 1: the fraction of an individual that is "
+        "exchanged at once.",
         minimum=0.0,
         maximum=1.0,
     )
     generations: int = option(
         500,
-        "Generations at most; the search ends earlier where the population has converged.",
+        "Maximum number of generations; the search ends earlier if the population has converged.",
         minimum=1,
         maximum=1_000_000,
     )
     population: int = option(15, "Individuals per unknown parameter.", minimum=5, maximum=1000)
     seed: int = option(
         0,
-        "Seed of the random numbers: the same seed and data give the same result.",
+        "Seed of the random numbers; the same seed and data give the same result.",
         minimum=0,
         maximum=2**32 - 1,
     )

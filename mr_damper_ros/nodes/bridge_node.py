@@ -221,48 +221,49 @@ class BridgeParameters(ParameterTable):
 
     source: str = option(
         "emulated",
-        "Where the samples come from: emulated (an emulated rig), bag (a recorded bag), record (a "
-        "text, CSV or MAT file), stream (a serial line, TCP, UDP), daq (a data acquisition device) "
-        "or topics (of other nodes).",
+        "Source of the samples: emulated (an emulated rig), quarter_car (an emulated car), "
+        "bag (a recorded bag), record (a text, CSV or MAT file), stream (a serial line, TCP, "
+        "UDP), daq (a data acquisition device) or topics (of other nodes).",
         choices=tuple(ALL_SOURCES),
     )
     autostart: bool = option(
         True,
-        "Configure and activate at the start. With false, a lifecycle manager or `ros2 lifecycle "
-        "set` does both: configuring opens the source, activating streams from its beginning.",
+        "Configure and activate at the start. If false, a lifecycle manager or `ros2 "
+        "lifecycle set` does both: configuring opens the source, activating starts the "
+        "stream.",
         start_only=True,
     )
     rate: float = option(
         1.0,
-        "Speed relative to the data's time: 2.0 is twice as fast. 0.0 streams as fast as those "
-        "subscribers can take it that keep all messages, as the identifier does; others may lose "
-        "some.",
+        "Speed relative to the time of the data: 2.0 is twice as fast. 0.0: as fast as the "
+        "subscribers that keep all messages, such as the identifier, can receive; other "
+        "subscribers may lose messages.",
         minimum=0.0,
         maximum=1000.0,
     )
     loop: bool = option(
         False,
-        "Start a recording again at its end, for ever: stamps and seq go on, with one second "
-        "left out of the stamps in between. The emulated rig never ends anyway.",
+        "Repeat a recording for ever: stamps and seq continue, with a gap of one second in "
+        "the stamps. The emulated rig is endless in any case.",
     )
     block_size: int = option(
         10,
-        "Samples per message. 1 has the least delay; a message costs about the same with 1 or 1000 "
-        "samples, so more samples cost less.",
+        "Samples per message. 1 has the smallest delay; a message costs about the same with 1 "
+        "or 1000 samples, so larger blocks cost less.",
         minimum=1,
         maximum=MOST_SAMPLES,
     )
     current_rate: float = option(
         10.0,
-        "Readings of the supply current per second [Hz], of the data's time. There is an extra "
-        "reading where the current moves by more than 5 mA in between.",
+        "Readings of the supply current per second of data [Hz]. An extra reading is "
+        "published if the current changes by more than 5 mA in between.",
         minimum=0.01,
         maximum=100_000.0,
     )
     mirror_rate: float = option(
         50.0,
-        "Messages per second [Hz], of the data's time, on joint_states (position: displacement "
-        "[m], effort: force [N], velocity: mean since the message before [m/s]); 0.0 for none.",
+        "Messages per second of data [Hz] on joint_states (position: displacement [m], "
+        "effort: force [N], velocity: mean since the last message [m/s]); 0.0: none.",
         minimum=0.0,
         maximum=100_000.0,
     )
@@ -271,20 +272,21 @@ class BridgeParameters(ParameterTable):
     )
     force_lateness: float = option(
         0.0,
-        "Time [s] by which the force is measured later than the displacement, through a filter or "
-        "a multiplexer; negative for earlier. It is set right. `check_rig` tells it.",
+        "Delay [s] of the force relative to the displacement, caused by a filter or a "
+        "multiplexer; negative if the force is earlier. It is compensated. `check_rig` "
+        "measures it.",
         minimum=-0.1,
         maximum=0.1,
     )
     wait_for_subscribers: int = option(
         0,
-        "Number of nodes that must have subscribed to the topics before the first sample is sent.",
+        "Number of subscribing nodes to wait for before the first sample is sent.",
         minimum=0,
         maximum=1000,
     )
     wait_timeout: float = option(
         10.0,
-        "Longest time [s] to wait for them; then it streams to those that are there.",
+        "Longest time [s] to wait for the subscribers; then streaming starts without them.",
         minimum=0.0,
         maximum=86400.0,
     )

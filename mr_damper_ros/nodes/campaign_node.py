@@ -50,7 +50,7 @@ class GoalOptions(ParameterTable):
 
     error: float = option(
         0.01,
-        "Worst error of the force to be reached, relative to the largest force of a cycle.",
+        "Required worst error of the force, relative to the largest force of a cycle.",
         minimum=1e-5,
         maximum=0.9,
     )
@@ -86,21 +86,21 @@ class MachineOptions(ParameterTable):
     peak_velocity: float = option(0.2, "Largest peak velocity [m/s].", minimum=1e-5, maximum=10.0)
     force: float = option(
         2000.0,
-        "Largest force [N] of either sign. No run is planned that may exceed it, as far as the "
-        "damper is known; where a sample exceeds it, the campaign ends and the machine rests.",
+        "Largest force [N] of either sign. No run is planned whose predicted force exceeds "
+        "it. If a sample exceeds it, the campaign ends and the machine rests.",
         minimum=1.0,
         maximum=1e6,
     )
     current: float = option(1.5, "Largest current [A].", minimum=0.0, maximum=50.0)
     duration: float = option(
         4.0,
-        "Time [s] of a run, once it is steady. Besides, the motion grows and fades within two "
-        "cycles each, and two are looked at.",
+        "Steady time [s] of a run. In addition, the motion grows and fades within two cycles "
+        "each, and two cycles are checked.",
         minimum=0.1,
         maximum=3600.0,
     )
     heat: float = option(
-        0.0, "Heat [J] that a run may bring in; 0: as much as it does.", minimum=0.0, maximum=1e9
+        0.0, "Largest heat [J] dissipated in a run; 0: no limit.", minimum=0.0, maximum=1e9
     )
     lowest_frequency: float = option(
         0.1, "Lowest frequency [Hz] of the motion.", minimum=1e-3, maximum=100.0
@@ -110,15 +110,15 @@ class MachineOptions(ParameterTable):
     )
     sample_rate: float = option(
         1000.0,
-        "Samples per second [Hz] that it gives; they tell what a run is worth.",
+        "Sample rate of the machine [Hz], used to compute the information of a run.",
         minimum=10.0,
         maximum=100_000.0,
     )
 
     motions: str = option(
         MotionKind.SINE.value,
-        "How the machine can move, one or more words: sine, sweep (a swept sine), random (with a "
-        "spectrum). By hand there are sines alone.",
+        "Motions that the machine supports, one or more of: sine, sweep (a swept sine), "
+        "random (with a spectrum). A manual press makes sines only.",
     )
 
     def limits(self, *, manual: bool) -> MachineLimits:
@@ -154,24 +154,24 @@ class CampaignParameters(ParameterTable):
 
     folder: str = option(
         "",
-        "Folder of the campaign: its runs as bags, what was found after each, the last set "
-        "(set.yaml) and the report (campaign.html). One that holds an unfinished campaign of the "
-        'same goal goes on. "": no goal is accepted.',
+        "Folder of the campaign: runs as bags, the result after each run, the last set "
+        "(set.yaml) and the report (campaign.html). An unfinished campaign with the same goal "
+        'continues. "": no goal is accepted.',
     )
     autostart: bool = option(
         False,
-        "Begin, or go on, with the configured goal at the start, without waiting for a goal of "
+        "Start or continue with the configured goal at once, without waiting for a goal of "
         "the action: the machine moves.",
     )
     model: str = option(DEFAULT_MODEL, "Force law that is identified.", choices=tuple(MODELS))
-    most_runs: int = option(20, "Runs that a campaign makes at most.", minimum=1, maximum=999)
+    most_runs: int = option(20, "Maximum number of runs of a campaign.", minimum=1, maximum=999)
     conduct: ConductSettings = group(ConductSettings, flat=True)
     goal: GoalOptions = group(GoalOptions)
     machine: MachineOptions = group(MachineOptions)
     samples_timeout: float = option(
         1.0,
-        "Time [s] without samples, on the clock of this computer, after which the machine is to "
-        "rest; the run is made anew when they come again.",
+        "Time [s] without samples, on the clock of this computer, after which the machine is "
+        "stopped; the run is repeated when samples return.",
         minimum=0.05,
         maximum=60.0,
     )

@@ -59,8 +59,8 @@ class ControllerParameters(SetOptions):
 
     samples_timeout: float = option(
         0.2,
-        "Time [s] without samples, on the clock of this computer, after which the safe current is "
-        "commanded, again and again.",
+        "Time [s] without samples, on the clock of this computer, after which the safe "
+        "current is commanded repeatedly.",
         minimum=0.01,
         maximum=60.0,
     )
@@ -68,7 +68,7 @@ class ControllerParameters(SetOptions):
     grid: GridSettings = group(GridSettings, flat=True)
     error_memory: float = option(
         10.0,
-        "Time [s] over which the diagnostics take what was wanted and what came.",
+        "Averaging time [s] of desired and achieved force in the diagnostics.",
         minimum=0.1,
         maximum=3600.0,
     )

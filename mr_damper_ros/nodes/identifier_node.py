@@ -68,22 +68,21 @@ class IdentifierParameters(ParameterTable):
     work: PipelineSettings = group(PipelineSettings, flat=True)
     initial_parameters: str = option(
         "literature",
-        "Parameter file (YAML) to start from, for example one written by `identify` or by the "
-        "service ~/save_parameters; or literature, the start of the thesis' searches (a model "
-        "other than the sigmoid law then starts from what it reads off the first window). The "
-        "service ~/reset goes back to it. The ranges that a file states stay until samples refute "
-        "them: a window at one current says how strong the damper is, not that it is unknown at "
-        "all others.",
+        "Parameter file (YAML) to start from, for example from `identify` or from the service "
+        "~/save_parameters; or literature, the start of the thesis' searches (other laws than "
+        "the sigmoid then start from the first window). The service ~/reset returns to it. "
+        "The ranges in a file stay until samples contradict them: a window at one current "
+        "rescales the set and does not narrow it to that current.",
     )
     state_dir: str = option(
         "",
-        'Folder in which parameter sets are kept, "" for none: the set in use, under the name of '
-        "the node, with all that has been learnt besides (baselines, reservoir, usual residual), "
-        "which is read again at the next start; and those of the services ~/save_parameters and "
-        "~/load_parameters, which take plain names, no paths. A damaged file, or one of another "
-        "model or a newer version, or that cannot be a damper's, is never used: it is renamed and "
-        "named in the diagnostics until the service ~/acknowledge is called. A folder and a name "
-        "of a node belong to one node at a time.",
+        'Folder for parameter sets; "": none. It holds the state under the name of the node '
+        "(the set in use, baselines, reservoir, residual baseline), which is loaded at the "
+        "next start, and the sets of the services ~/save_parameters and ~/load_parameters, "
+        "which take plain names, not paths. A file that is damaged, of another law, of a "
+        "newer version or not plausible for a damper is never used: it is renamed and "
+        "reported in the diagnostics until the service ~/acknowledge is called. Only one node "
+        "at a time may use a folder and node name.",
     )
     frame_id: str = option("damper", "Frame of the published messages, x along the damper's rod.")
 

@@ -162,31 +162,32 @@ class LiveParameters(ParameterTable):
 
     host: str = option(
         "127.0.0.1",
-        "Address to serve the page at. 127.0.0.1: for this computer alone; others come through a "
-        "tunnel (ssh -L 8770:127.0.0.1:8770 RIG). 0.0.0.0: for everybody who reaches this "
-        "computer, unencrypted and without a password.",
+        "Address of the page. 127.0.0.1: this computer only; others use a tunnel (ssh -L "
+        "8770:127.0.0.1:8770 RIG). 0.0.0.0: everybody who can reach this computer, "
+        "unencrypted and without a password.",
     )
     port: int = option(
         8770,
-        "Port of the page; 0 takes any that is free. The node says at its start where the page is.",
+        "Port of the page; 0: any free port. The node logs the address of the page at its start.",
         minimum=0,
         maximum=65535,
     )
     allow_commands: bool = option(
         False,
         "Whether the page has buttons that save or reset the parameters of the identifier and "
-        "acknowledge what it has set aside; false: the page only shows.",
+        "acknowledge rejected files; false: the page is read-only.",
     )
     allowed_hosts: str = option(
         "",
-        "Other names and addresses under which browsers may ask for the page, separated by blanks: "
-        "rig.example 192.168.7.20. Localhost, this computer's host name (also with .local) and the "
-        "address that a request comes to are always allowed; any other name is refused, since a "
-        "web site can make a name of its own point to this computer. Needed behind a proxy or "
-        "address translation.",
+        "Further host names and addresses of the page, separated by blanks: rig.example "
+        "192.168.7.20. Localhost, the host name of this computer (also with .local) and the "
+        "address of the request are always allowed. Other names are refused, because a web "
+        "site can make its own name point to this computer. Needed behind a proxy or address "
+        "translation.",
     )
     identifier: str = option(
-        "identifier", "Name of the node that these commands go to, in the namespace of this one."
+        "identifier",
+        "Name of the identifier that receives these commands, in the namespace of this node.",
     )
 
 

@@ -46,32 +46,32 @@ class ModelParameters(SetOptions):
     predictor: PredictorSettings = group(PredictorSettings, flat=True)
     newest_first: bool = option(
         True,
-        "Where the samples of a running machine come so late that their forces would soon be too "
-        "old (max_age), go straight to the newest: the blocks before them are only followed, no "
-        "force is published for them, and the diagnostics count them (`latency`). A recording that "
-        "is played is predicted block by block in any case.",
+        "If live samples are so late that their forces would soon be outdated (max_age), skip "
+        "to the newest: earlier blocks update the motion, their forces are not published, and "
+        "the diagnostics count them (`latency`). Every block of a played recording is "
+        "predicted.",
     )
     grid: GridSettings = group(GridSettings, flat=True)
     error_memory: float = option(
         10.0,
-        "Time [s] over which the error against the measured force is taken for the diagnostics.",
+        "Averaging time [s] of the prediction error in the diagnostics.",
         minimum=0.1,
         maximum=3600.0,
     )
     wrench_rate: float = option(
         50.0,
-        "Messages at most per second of data on damper/predicted_wrench "
-        "(geometry_msgs/WrenchStamped), a mirror for standard tools: the last sample of each valid "
-        "block; 0 for none.",
+        "Largest number of messages per second of data on damper/predicted_wrench "
+        "(geometry_msgs/WrenchStamped), for standard tools: the last sample of each valid "
+        "block; 0: none.",
         minimum=0.0,
         maximum=10_000.0,
     )
     signals_rate: float = option(
         100.0,
-        "Messages at most per second of data on damper/signals (DamperSignals): displacement, "
-        "velocity, current, measured and predicted force at one stamp, for plotting tools and for "
-        "the page of the node live; 0 for none. Raise it for motion that is faster than some "
-        "hertz.",
+        "Largest number of messages per second of data on damper/signals (DamperSignals): "
+        "displacement, velocity, current, measured and predicted force at one stamp, for "
+        "plotting tools and for the page of the node live; 0: none. Increase it for motion "
+        "faster than a few hertz.",
         minimum=0.0,
         maximum=10_000.0,
     )

@@ -40,18 +40,18 @@ class SetOptions(ParameterTable):
 
     parameter_file: str = option(
         "",
-        'Parameter file (YAML) to work with; "" for none. An identifier\'s set takes its place '
-        "once it holds for all the currents that the file states, or once the force of the file is "
-        "wrong; a mere start of an identifier never does. Give the identifier the same file as "
-        "initial_parameters, and it starts from there. With a file no identifier is needed.",
+        'Parameter file (YAML) to use; "": none. A set from an identifier replaces it once it '
+        "covers all currents of the file, or once the force of the file is wrong; the start "
+        "set of an identifier never does. Give the identifier the same file as "
+        "initial_parameters. With a file no identifier is needed.",
     )
     trusted_source: str = option(
         "",
-        'Name of the one node whose parameters and reports are used, such as /identifier; "" for '
-        "any. Two nodes that publish damper/parameters are an error in the diagnostics unless one "
-        "is named here. The graph of nodes tells who publishes. Where several do, the field node "
-        "of the messages counts as well. Both can be forged: only SROS2 authenticates "
-        "(doc/security.md).",
+        "Name of the only node whose parameters and reports are used, such as /identifier; "
+        '"": any. Without a name, two nodes that publish damper/parameters are an error in '
+        "the diagnostics. The ROS graph tells which nodes publish; if several do, the field "
+        "node of the messages is checked as well. Both can be forged: only SROS2 "
+        "authenticates (doc/security.md).",
     )
 
 

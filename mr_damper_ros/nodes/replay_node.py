@@ -157,39 +157,37 @@ class ReplayParameters(ParameterTable):
     ~/step steer it.
     """
 
-    bag: str = option("", "Path of the bag to play: a folder, or a single file.")
+    bag: str = option("", "Path of the bag to play: a folder or a file.")
     topics: str = option(
         "",
-        f"Topics to play, as recorded, separated by blanks; {INPUTS}: those of the test machine "
-        "alone, in whatever namespace; empty: all of them but /clock.",
+        f"Topics to play, as recorded, separated by blanks; {INPUTS}: only those of the test "
+        "machine, in any namespace; empty: all except /clock.",
     )
     rate: float = option(
         1.0,
-        "Speed relative to the recording: 2.0 is twice as fast. 0.0 plays as fast as those "
-        "subscribers can take it that keep all messages, as the identifier does; others may lose "
-        "some.",
+        "Speed relative to the recording: 2.0 is twice as fast. 0.0: as fast as the "
+        "subscribers that keep all messages, such as the identifier, can receive; other "
+        "subscribers may lose messages.",
         minimum=0.0,
         maximum=1000.0,
     )
     loop: bool = option(
         False,
-        "Start again at the end, for ever. Stamps and /clock then jump back to the beginning, "
-        "which identifier and model notice: they start their windows again and keep the "
-        "parameters.",
+        "Repeat for ever. Stamps and /clock then jump back to the beginning; identifier and "
+        "model detect this, restart their windows and keep the parameters.",
     )
     start_paused: bool = option(
-        False, "Wait at the first message for ~/resume, or for ~/step, which lets one message pass."
+        False, "Wait at the first message for ~/resume, or for ~/step, which plays one message."
     )
     wait_for_subscribers: int = option(
         1,
-        "Number of nodes that must have subscribed to the topics before the first message is sent, "
-        "so that they miss nothing of the beginning.",
+        "Number of subscribing nodes to wait for before the first message is sent.",
         minimum=0,
         maximum=1000,
     )
     wait_timeout: float = option(
         10.0,
-        "Longest time [s] to wait for them; the bag is played to those that are there then.",
+        "Longest time [s] to wait for the subscribers; then the bag is played without them.",
         minimum=0.0,
         maximum=86400.0,
     )

@@ -49,28 +49,28 @@ class SupplyParameters(ParameterTable):
 
     address: str = option(
         _EMULATED,
-        "Where the instrument is: host:port (5025 for most), a VISA resource name such as "
+        "Address of the instrument: host:port (5025 for most), a VISA resource name such as "
         "USB0::0x2A8D::0x1202::MY1::INSTR (needs PyVISA), or emulated, an instrument in this "
         "process.",
     )
     profile: str = option(
         "",
-        "What the instrument understands: scpi (most bench supplies), keysight_n7900, or the path "
-        "of a YAML file of your own (doc/supply.md). Empty for scpi, or that of the emulated "
+        "Command set of the instrument: scpi (most bench supplies), keysight_n7900, or the "
+        "path of your own YAML file (doc/supply.md). Empty: scpi, or that of the emulated "
         "instrument.",
     )
     autostart: bool = option(
         True,
-        "Configure and activate at the start. With false, a lifecycle manager or `ros2 lifecycle "
-        "set` does both: configuring connects, activating switches the output on.",
+        "Configure and activate at the start. If false, a lifecycle manager or `ros2 "
+        "lifecycle set` does both: configuring connects, activating switches the output on.",
         start_only=True,
     )
     current: float = option(
         0.0,
-        "Current [A] that is set by hand, between smallest_current and largest_current. It may be "
-        "set while the node works, and holds until a command comes or the output is switched off: "
-        "`ros2 param set /supply current 0.5`. Commands that have stopped, and activating the node "
-        "again, do not bring it back: set it again, also where it is to be the same.",
+        "Manual setpoint of the current [A], between smallest_current and largest_current. It "
+        "can be set while the node runs, and holds until a command arrives or the output is "
+        "switched off: `ros2 param set /supply current 0.5`. After a command time-out or an "
+        "activation it is not restored: set it again, even to the same value.",
         minimum=-1000.0,
         maximum=1000.0,
         read_only=False,
@@ -78,7 +78,7 @@ class SupplyParameters(ParameterTable):
     commands: CommandSettings = group(CommandSettings, flat=True)
     largest_voltage: float = option(
         12.0,
-        "Largest voltage [V] that the supply may put on the coil.",
+        "Largest voltage [V] at the coil.",
         minimum=0.0,
         maximum=1000.0,
     )
@@ -87,23 +87,23 @@ class SupplyParameters(ParameterTable):
     )
     tolerance: float = option(
         0.05,
-        "Difference [A] between measured and set current that is an error where it lasts for a "
-        "second.",
+        "Difference [A] between measured current and setpoint that is an error if it lasts "
+        "for a second.",
         minimum=0.0,
         maximum=1000.0,
     )
     link_timeout: float = option(
         0.5,
-        "Time [s] in which the whole of an answer must come, be it byte by byte. Then the link "
-        "counts as lost: the node is inactive at once, and switches the output off over a new "
-        "link.",
+        "Time [s] within which a complete answer must arrive. Otherwise the link counts as "
+        "lost: the node becomes inactive at once and switches the output off over a new link.",
         minimum=0.01,
         maximum=60.0,
     )
     watchdog: float = option(
         1.0,
-        "Time [s] without a line from here after which the instrument switches off by itself, "
-        "where its profile has a watchdog; rounded up to what it can count.",
+        "Time [s] without a command line after which the watchdog of the instrument switches "
+        "its output off, if its profile has one; rounded up to the resolution of the "
+        "instrument.",
         minimum=0.05,
         maximum=3600.0,
     )

@@ -41,7 +41,7 @@ class SuspensionParameters(ParameterTable):
 
     control: SuspensionSettings = group(SuspensionSettings, flat=True)
     largest_force: float = option(
-        10_000.0, "Largest force [N] that is wanted, of either sign.", minimum=0.0, maximum=1e9
+        10_000.0, "Largest desired force [N] of either sign.", minimum=0.0, maximum=1e9
     )
     frame_id: str = option("damper", "Frame of the desired forces.")
 

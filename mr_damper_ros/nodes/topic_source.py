@@ -41,41 +41,41 @@ _FIELD = re.compile(r"(?P<path>\w+(?:\.\w+)*)(?:\[(?P<element>[^\]]+)\])?")
 class TopicOptions(ParameterTable):
     """The topics of ``source: topics``."""
 
-    displacement_topic: str = option("", "Topic with the displacement.")
+    displacement_topic: str = option("", "Topic of the displacement.")
     displacement_type: str = option(
         "sensor_msgs/JointState",
-        "Type of its messages; they must have a header, whose stamp is the time of the value.",
+        "Message type; it must have a header, whose stamp is the time of the value.",
     )
     displacement_field: str = option(
         "position[0]",
-        "Where in a message it is: names with dots in between, such as wrench.force.x, and in "
-        "brackets the number of an element, or in a joint state the name of a joint, such as "
+        "Field of the message: names separated by dots, such as wrench.force.x; in brackets "
+        "the index of an element or, in a joint state, the name of a joint, such as "
         "position[rod].",
     )
     displacement_scale: float = option(
-        1.0, "Metres per unit of it; negative where compression counts positive."
+        1.0, "Metres per unit of the field; negative if compression is positive."
     )
-    force_topic: str = option("", "Topic with the force; empty where it is the same.")
+    force_topic: str = option("", "Topic of the force; empty: the topic of the displacement.")
     force_type: str = option("sensor_msgs/JointState", "Type of its messages.")
     force_field: str = option("effort[0]", "Where in a message it is.")
     force_scale: float = option(
-        1.0, "Newtons per unit of it; negative where compression counts positive."
+        1.0, "Newtons per unit of the field; negative if compression is positive."
     )
     stamps: str = option(
         "clock",
-        "What stamps that jitter mean: clock, the samples were taken evenly and their time was "
-        "read unevenly; sampling, each was taken when its stamp says.",
+        "Meaning of stamp jitter: clock, the sampling is uniform and the stamps are "
+        "inaccurate; sampling, each sample was taken at the time of its stamp.",
         choices=("clock", "sampling"),
     )
     own_clocks: bool = option(
         False,
-        "Each topic is stamped by a clock of its own: both are brought to that of this computer by "
-        "when messages arrive.",
+        "Whether each topic has its own clock: both are then mapped to the clock of this "
+        "computer by arrival times.",
     )
     hold_back: float = option(
         0.0,
-        "Time [s] that values wait for others which they may have overtaken. Within one topic of "
-        "ROS they do not overtake each other.",
+        "Time [s] for which values are held back to restore their order. Messages of one ROS "
+        "topic keep their order.",
         minimum=0.0,
         maximum=1.0,
     )

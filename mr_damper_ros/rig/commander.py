@@ -123,33 +123,35 @@ class CommandSettings(CheckedSettings):
 
     largest_current: float = option(
         2.0,
-        "Largest current [A] that the coil bears: larger commands are cut to it, and counted.",
+        "Rated current of the coil [A]: larger commands are limited to it and counted.",
         minimum=0.0,
         maximum=1000.0,
     )
     smallest_current: float = option(
         0.0,
-        "Smallest current [A], which may be negative for a supply of both polarities.",
+        "Smallest current [A]; negative for a bipolar supply.",
         minimum=-1000.0,
         maximum=0.0,
     )
     slew_rate: float = option(
         0.0,
-        "Fastest change of the current [A/s]; 0: at once. Whatever makes it safe happens at once.",
+        "Largest rate of change of the current [A/s]; 0: no limit. Switching to a safe state "
+        "is immediate.",
         minimum=0.0,
         maximum=1e6,
     )
     command_timeout: float = option(
         0.5,
-        "Time [s] that a command holds from its stamp on. When the commands stop, the current is "
-        "zero until another one comes or the current is set by hand. Older commands are refused.",
+        "Time [s] for which a command holds from its stamp on. When commands stop, the "
+        "current is zero until another command arrives or the current is set by hand. Older "
+        "commands are refused.",
         minimum=0.01,
         maximum=3600.0,
     )
     stamp_tolerance: float = option(
         STAMP_TOLERANCE,
-        "Time [s] that a command may be stamped ahead of this computer's clock; one further ahead "
-        "is refused. Make it larger only where two clocks cannot be set to the same time.",
+        "Largest time [s] by which a command may be stamped ahead of this computer's clock; "
+        "others are refused. Increase it only if two clocks cannot be synchronised.",
         minimum=0.0,
         maximum=3600.0,
     )

@@ -183,15 +183,15 @@ class GridSettings(CheckedSettings):
 
     stamps: str = option(
         "auto",
-        "What stamps that jitter mean: 'clock', the samples were taken evenly and their time was "
-        "read unevenly, as a controller's are; 'sampling', each was taken when its stamp says; "
-        "'auto' finds out from the motion and starts as clock.",
+        "Meaning of stamp jitter: 'clock', the sampling is uniform and the stamps are "
+        "inaccurate, as with a controller; 'sampling', each sample was taken at the time of "
+        "its stamp; 'auto' decides from the motion and starts as clock.",
         choices=("auto", "clock", "sampling"),
     )
     longest_gap: float = option(
         0.05,
-        "Lost samples are bridged where they stand for at most this long [s]; after a longer gap "
-        "the motion is learnt anew. 0: none is bridged.",
+        "Longest gap of lost samples that is interpolated [s]; after a longer gap the motion "
+        "is learnt again. 0: no gap is interpolated.",
         minimum=0.0,
         maximum=1.0,
     )

@@ -128,30 +128,30 @@ class AcceptanceSettings(CheckedSettings):
 
     maximum_nrmse: float = option(
         0.5,
-        "Largest error on the held-back samples, RMSE / standard deviation of the force: a fit "
-        "worse than this explains too little to be of use.",
+        "Largest error on the validation samples, RMSE / standard deviation of the force; a "
+        "fit with a larger error is rejected.",
         minimum=0.0,
         maximum=10.0,
     )
     residual_factor: float = option(
         3.0,
-        "A residual this many times the usual one is taken for a disturbance or a sensor fault, "
-        "unless it lasts for several windows.",
+        "A residual of this many times the residual baseline counts as a disturbance or "
+        "sensor fault, unless it lasts for several windows.",
         minimum=1.0,
         maximum=1e6,
     )
     change_limit: float = option(
         3.0,
-        "Factor, up or down, by which temperature and wear change the force at most. What differs "
-        "more from the first accepted force is not taken however often it comes (verdict "
-        "BEYOND_LIMITS): check the sensors, and call the service reset where the damper is "
-        "another.",
+        "Largest factor, up or down, by which temperature and wear change the force. Forces "
+        "that differ more from the first accepted one are always rejected (verdict "
+        "BEYOND_LIMITS): check the sensors, and call the service reset if the damper was "
+        "replaced.",
         minimum=1.0,
         maximum=1e6,
     )
     step_limit: float = option(
         0.5,
-        "A relative change of the force beyond this must be confirmed by the next window.",
+        "A larger relative change of the force must be confirmed by the next window.",
         minimum=0.0,
         maximum=1e6,
     )

@@ -40,13 +40,13 @@ class EngineSettings(CheckedSettings):
     work: PipelineSettings = group(PipelineSettings, flat=True)
     fit_delay: float = option(
         0.3,
-        "Time [s] of the data from the start of a window's fit until its outcome takes effect.",
+        "Time [s] of data from the start of a window fit until its outcome takes effect.",
         minimum=0.0,
         maximum=3600.0,
     )
     search_delay: float = option(
         1.0,
-        "Time [s] of the data from the start of a global identification until its outcome takes "
+        "Time [s] of data from the start of a global identification until its outcome takes "
         "effect.",
         minimum=0.0,
         maximum=3600.0,

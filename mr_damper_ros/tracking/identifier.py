@@ -32,24 +32,23 @@ class PipelineSettings(CheckedSettings):
 
     fit_time_budget: float = option(
         30.0,
-        "A fit that takes longer [s] is stopped, and the best so far is judged like any other. The "
-        "limit is generous, so that the result depends on the data and not on how busy the "
-        "computer is.",
+        "Time limit of a fit [s]; then the best result so far is judged. The limit is "
+        "generous, so that results depend on the data and not on the load of the computer.",
         minimum=0.01,
         maximum=3600.0,
     )
     waiting_windows: int = option(
         1000,
-        "Windows that may wait for their fit; when there are more, the oldest is dropped and "
-        "counted in the diagnostics. With 1 the newest window replaces the waiting one, which is "
-        "right for a live rig; a large number is right for a bag that is replayed faster than it "
-        "can be fitted. A window takes 32 bytes per sample.",
+        "Largest number of windows that wait for their fit; beyond it, the oldest is dropped "
+        "and counted in the diagnostics. 1 keeps only the newest window, which suits a live "
+        "rig; a large number suits a bag that is played faster than it can be fitted. A "
+        "window takes 32 bytes per sample.",
         minimum=1,
         maximum=1_000_000,
     )
     search_time_budget: float = option(
         600.0,
-        "A global identification that takes longer [s] is stopped, and the best so far is judged.",
+        "Time limit of a global identification [s]; then the best result so far is judged.",
         minimum=0.01,
         maximum=86_400.0,
     )

@@ -55,23 +55,23 @@ class PredictorSettings(ValiditySettings):
 
     bandwidth: float = option(
         0.0,
-        "Bandwidth of the observer that estimates velocity and acceleration from the displacement "
-        "[Hz]. Wider follows faster motion, narrower passes less noise of the displacement sensor. "
-        "0: it follows the motion and the noise by itself. Any other is brought between 0.02 % and "
-        "a quarter of the sample rate.",
+        "Bandwidth [Hz] of the observer that estimates velocity and acceleration from the "
+        "displacement. A larger bandwidth follows faster motion; a smaller one passes less "
+        "displacement noise. 0: it adapts to motion and noise. Other values are limited to "
+        "between 0.02 % and a quarter of the sample rate.",
         minimum=0.0,
         maximum=10_000.0,
     )
     gradual_reversal: bool = option(
         True,
-        "Whether the branch of the sigmoid's hysteresis follows the velocity where the motion "
-        "turns, as recorded forces do; false: it jumps with the sign of the acceleration, as the "
-        "thesis' law does.",
+        "Whether the hysteresis branch of the sigmoid follows the velocity near reversals, as "
+        "recorded forces do; false: it jumps with the sign of the acceleration, as in the "
+        "thesis.",
     )
     centre_memory: float = option(
         10.0,
-        "Time over which the centre of the motion is taken [s]: the law needs the displacement "
-        "from the centre. A whole cycle of the motion must fit in.",
+        "Time [s] over which the centre of the motion is estimated, to which the displacement "
+        "is referred. It must cover a whole cycle.",
         minimum=0.01,
         maximum=3600.0,
     )

@@ -66,15 +66,15 @@ class Screening(CheckedSettings):
 
     minimum_amplitude: float = option(
         0.5e-3,
-        "Least amplitude of the motion [m]: half the span of the displacement. Below it the force "
-        "says little about the damper.",
+        "Smallest amplitude of the motion [m], half the span of the displacement. Below it "
+        "the force contains little information on the damper.",
         minimum=0.0,
         maximum=1.0,
     )
     current_tolerance: float = option(
         0.05,
-        "Change of the current [A] within a window up to which the window is one operating point; "
-        "beyond, its samples are taken apart by their current.",
+        "Largest change of the current [A] within a window that counts as one operating "
+        "point; otherwise the samples are grouped by current.",
         minimum=0.0,
         maximum=100.0,
     )

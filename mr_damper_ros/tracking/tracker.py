@@ -76,51 +76,51 @@ class TrackerSettings(CheckedSettings):
 
     model: str = option(
         OF_THE_SET,
-        f"Force law that is identified; {OF_THE_SET}: that of the parameters to start from, "
-        f"{DEFAULT_MODEL} where none are given.",
+        f"Force law to identify; {OF_THE_SET}: that of the initial parameters, or "
+        f"{DEFAULT_MODEL} without any.",
         choices=(OF_THE_SET, *MODELS),
     )
     smallest_change: float = option(
         0.02,
-        "Relative change of the force that calls for an early fit (see looks). False alarms come "
-        "hours apart where the force hardly rises above its noise, and practically never "
-        "otherwise.",
+        "Relative change of the force that triggers an early fit (see looks). False alarms "
+        "occur at intervals of hours if the force is close to its noise, and practically "
+        "never otherwise.",
         minimum=0.001,
         maximum=1.0,
     )
     tracker: str = option(
         "window",
-        "How the damper is followed: window (the fit of each window on its own) or recursive (an "
-        "extended Kalman filter, which uses every sample once and starts from the fit of a "
-        "window; unscented is an earlier name of it).",
+        "Tracking method: window (each window is fitted on its own) or recursive (an extended "
+        "Kalman filter, which uses every sample once and starts from the fit of a window; "
+        "unscented is an earlier name of it).",
         choices=tuple(TRACKERS),
     )
     drift_rate: float = option(
         1e-3,
-        "For tracker recursive: the random walk of the force [1/sqrt(s)] that the filter expects, "
-        "relative to the force. Larger follows faster and averages less.",
+        "For tracker recursive: expected random walk of the force [1/sqrt(s)], relative to "
+        "the force. A larger value tracks faster and averages less.",
         minimum=1e-9,
         maximum=1.0,
     )
     method: str = option(
         "nelder_mead",
-        "How a window is fitted: nelder_mead (simplex search, as in the thesis, then a "
-        "least-squares polish) or least_squares (Levenberg-Marquardt alone: the same minimum, "
-        "about five times faster).",
+        "Fit of a window: nelder_mead (simplex search, as in the thesis, refined by least "
+        "squares) or least_squares (Levenberg-Marquardt only: the same minimum, about five "
+        "times faster).",
         choices=WINDOW_METHODS,
     )
     robust: bool = option(
         False,
-        "Whether the influence of outliers in the force is bounded (Huber's weights). Costs some "
-        "milliseconds per window; without outliers it changes nothing that matters.",
+        "Whether the influence of force outliers is bounded (Huber's weights). It costs some "
+        "milliseconds per window and has no noticeable effect without outliers.",
     )
     global_period: int = option(
         20,
-        "A global identification runs after this many windows that fit, the first ones sooner "
-        "(after 1, 2, 3, 4, 6, 9 and so on); 0 for never. It needs windows at two operating points "
-        "at least. Windows whose force does not follow the current as the set has it lead to one "
-        "sooner. With model sigmoid_lag it also runs after the first accepted window, since "
-        "without it nothing is known of the lag.",
+        "Number of good windows between two global identifications, with shorter intervals at "
+        "the start (after 1, 2, 3, 4, 6, 9 and so on); 0: never. It needs windows at two "
+        "operating points. It runs sooner if the dependence on current does not fit, and with "
+        "model sigmoid_lag after the first accepted window, because window fits do not "
+        "determine the lag.",
         minimum=0,
         maximum=1_000_000,
     )

@@ -121,57 +121,56 @@ class ValiditySettings(CheckedSettings):
 
     max_age: float = option(
         0.5,
-        "A force for samples older than this [s], by the clock of this computer, is marked "
-        "invalid: the computer is overloaded, or the clocks differ. It counts where the "
-        "stamps are within a minute of the clock, so not for a recording that is played. 0 for no "
-        "limit, for example for the replay at another rate of what was recorded just now.",
+        "Age of samples [s], by the clock of this computer, after which their force is "
+        "invalid: the computer is overloaded, or the clocks differ. It is checked only if the "
+        "stamps are within a minute of the clock, so not for a played recording. 0: no limit, "
+        "for example to replay a very recent recording at another rate.",
         minimum=0.0,
         maximum=3600.0,
     )
     current_timeout: float = option(
         1.0,
-        "A force whose supply current is older than this [s] is marked invalid, and one whose "
-        "current is stamped so far ahead of the samples. Set it to a few periods of the current's "
-        "topic.",
+        "Age of the supply current [s] after which the force is invalid; also the largest "
+        "time by which its stamp may be ahead of the samples. Set it to a few periods of the "
+        "current's topic.",
         minimum=0.0,
         maximum=3600.0,
     )
     parameters_timeout: float = option(
         600.0,
-        "A force is also marked invalid once no window has confirmed the parameters for this long "
-        "[s], by the data's stamps: the identifier has ended, or refuses what it gets. The thesis' "
-        "damper loses a quarter of its force in ten minutes as it heats. 0 for no limit; "
-        "parameters from parameter_file have none.",
+        "Time [s] without a confirming window, by the stamps of the data, after which the "
+        "force is invalid: the identifier has ended, or rejects its input. The thesis' damper "
+        "loses a quarter of its force in ten minutes as it heats up. 0: no limit; parameters "
+        "from parameter_file have none.",
         minimum=0.0,
         maximum=1e9,
     )
     velocity_margin: float = option(
         0.25,
-        "How far the peak velocity may leave the range in which the parameters were identified "
-        "before the force is marked invalid, relative: 0.25 is 25 %.",
+        "Relative margin of the peak velocity beyond the identified range, outside which the "
+        "force is invalid: 0.25 is 25 %.",
         minimum=0.0,
         maximum=100.0,
     )
     current_margin: float = option(
         0.1,
-        "Part of the width of the identified range by which the current may leave it before the "
-        f"force is marked invalid; {CURRENT_READING} A are always allowed.",
+        "Margin of the current beyond the identified range, as a fraction of its width, "
+        f"outside which the force is invalid; {CURRENT_READING} A are always allowed.",
         minimum=0.0,
         maximum=100.0,
     )
     force_margin: float = option(
         0.3,
-        "Part by which the force may exceed the largest that the damper has been measured to give "
-        "before it is marked invalid.",
+        "Relative margin beyond the largest measured force of this damper, above which the "
+        "force is invalid.",
         minimum=0.0,
         maximum=1e6,
     )
     maximum_error: float = option(
         0.2,
-        "Error of the predicted force against the measured one, as a part of the latter's recent "
-        "peak, beyond which the force is marked invalid: that of a sample, and the root mean "
-        "square over a half-cycle. 0: the measured force is not looked at, for a rig that has no "
-        "load cell.",
+        "Error of the predicted force relative to the recent peak of the measured force, "
+        "above which the force is invalid: of a sample, and the root mean square over a "
+        "half-cycle. 0: the measured force is ignored, for a rig without a load cell.",
         minimum=0.0,
         maximum=100.0,
     )

@@ -156,40 +156,40 @@ class WindowSettings(CheckedSettings):
 
     window: float = option(
         2.0,
-        "Length of a window [s]. Longer windows give smaller standard errors and follow a drift "
-        "more slowly. Where it holds no cycle of the motion, which 2 s do from 0.5 Hz on, the "
-        "window reaches further back: to where it does.",
+        "Length of a window [s]. Longer windows give smaller standard errors and track drift "
+        "more slowly. If it contains less than a cycle of the motion (2 s suffice from 0.5 Hz "
+        "on), the window is extended into the past.",
         minimum=0.01,
         maximum=3600.0,
     )
     hop: float = option(
         1.0,
-        "Time from the start of one window to the start of the next [s], at most `window`. Half a "
-        "window uses every sample twice.",
+        "Time from the start of one window to the start of the next [s], at most `window`. "
+        "Half a window uses every sample twice.",
         minimum=0.001,
         maximum=3600.0,
     )
     longest_window: float = option(
         30.0,
-        "Length up to which a window grows [s] until it holds a cycle of the motion, as it must be "
-        "held by every fit: 30 s are enough for 0.05 Hz.",
+        "Largest length to which a window is extended [s] to contain a cycle of the motion; "
+        "30 s suffice for 0.05 Hz.",
         minimum=0.01,
         maximum=3600.0,
     )
     centre_memory: float = option(
         MEMORY,
-        "Time over which the peak velocity is followed [s]; a whole cycle of the motion must fit "
-        "in. Keep it equal to `centre_memory` of model and controller: a set is used at the peak "
-        "velocities at which it was identified.",
+        "Time [s] over which the peak velocity is estimated; it must cover a whole cycle. "
+        "Keep it equal to `centre_memory` of model and controller, so that a set is used at "
+        "the peak velocities at which it was identified.",
         minimum=0.01,
         maximum=3600.0,
     )
     looks: int = option(
         3,
-        "How many times within a hop the newest samples are compared with the set in use. Where "
-        "the force has suddenly changed, by a leak for example, its scale is fitted at once, and "
-        "the windows that follow leave out what came before. 0: never; a change then shows at the "
-        "end of a window.",
+        "Number of change checks per hop, which compare the newest samples with the set in "
+        "use. After a sudden change of the force, such as a leak, its scale is fitted at "
+        "once, and later windows exclude the samples before the change. 0: never; changes are "
+        "then detected at the end of a window.",
         minimum=0,
         maximum=1000,
     )

@@ -30,19 +30,18 @@ _FULL = 0.999
 
 def _scale(name: str, unit: str) -> float:
     return option(  # type: ignore[no-any-return]
-        1.0, f"{unit} per volt of the {name}; negative turns the sign."
+        1.0, f"Scale of the {name} [{unit}/V]; negative reverses the sign."
     )
 
 
 def _offset(name: str, unit: str) -> float:
-    return option(0.0, f"What is added to the {name} then [{unit}].")  # type: ignore[no-any-return]
+    return option(0.0, f"Offset added to the scaled {name} [{unit}].")  # type: ignore[no-any-return]
 
 
 def _range(name: str) -> float:
     return option(  # type: ignore[no-any-return]
         10.0,
-        f"The channel of the {name} goes from minus this to plus this [V]; what is at its end is "
-        "left out.",
+        f"Range of the {name} channel, plus and minus this [V]; clipped samples are left out.",
         minimum=1e-6,
         maximum=1e12,
     )
@@ -54,23 +53,24 @@ class DaqOptions(ParameterTable):
 
     driver: str = option(
         "simulated",
-        "What it is: nidaqmx (National Instruments), labjack (T4, T7, T8), mcc (Measurement "
+        "Driver: nidaqmx (National Instruments), labjack (T4, T7, T8), mcc (Measurement "
         "Computing), lsl (a stream of the lab streaming layer), or simulated.",
         choices=tuple(DRIVERS),
     )
     device: str = option(
         "",
-        "Which one: Dev1 of NI, a serial number, name or address of LabJack, name or number of MCC "
-        "(empty: the only one), the name of an LSL stream.",
+        "Device: Dev1 of NI; a serial number, name or address of LabJack; name or number of "
+        "MCC (empty: the only one); the name of an LSL stream.",
     )
     rate: float = option(
         1000.0,
-        "Samples per second [Hz] that the device is told to take; an LSL stream has its own.",
+        "Requested sample rate [Hz]; an LSL stream has its own.",
         minimum=1.0,
         maximum=100_000.0,
     )
     differential: bool = option(
-        True, "Channels of NI, LabJack and MCC are wired differentially, not to ground."
+        True,
+        "Whether channels of NI, LabJack and MCC are wired differentially instead of to ground.",
     )
     displacement_channel: str = option(
         "",
@@ -84,7 +84,7 @@ class DaqOptions(ParameterTable):
     force_scale: float = _scale("force", "Newtons")
     force_offset: float = _offset("force", "N")
     force_range: float = _range("force")
-    current_channel: str = option("", "Channel of the current in the coil; empty: there is none.")
+    current_channel: str = option("", "Channel of the coil current; empty: none.")
     current_scale: float = _scale("current", "Amperes")
     current_offset: float = _offset("current", "A")
     current_range: float = _range("current")

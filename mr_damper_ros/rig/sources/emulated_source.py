@@ -56,16 +56,16 @@ class _RigOptions(ParameterTable):
 
     hot_force: float = option(
         1.0,
-        "Factor on the force at 71 °C, below 1 for a damper that weakens as it heats up; from 28 "
-        "°C to 71 °C the force changes linearly. The thesis' damper loses about a quarter (0.74), "
-        "which is already in thesis_temperatures.",
+        "Factor on the force at 71 °C, below 1 for a damper that weakens as it heats up; the "
+        "force changes linearly from 28 °C to 71 °C. The thesis' damper loses about a quarter "
+        "(0.74), which thesis_temperatures already includes.",
         minimum=0.0,
         maximum=10.0,
     )
     current: float = option(
         1.5,
-        "Supply current [A]: the knob of the supply. It may be turned while the rig runs: `ros2 "
-        "param set /bridge emulated.current 0.5`. It holds until a command comes on "
+        "Manual setpoint of the supply current [A]. It can be set while the rig runs: `ros2 "
+        "param set /bridge emulated.current 0.5`. It holds until a command arrives on "
         "supply/current_command.",
         minimum=-MOST_CURRENT,
         maximum=MOST_CURRENT,
@@ -73,26 +73,28 @@ class _RigOptions(ParameterTable):
     )
     command_timeout: float = option(
         0.5,
-        "Time [s] that a command holds from its stamp on. When the commands stop, the current is "
-        "zero until another one comes or the knob is turned, and the machine comes to rest.",
+        "Time [s] for which a command holds from its stamp on. When commands stop, the "
+        "current is zero until another command arrives or the current is set by hand, and the "
+        "machine comes to rest.",
         minimum=0.01,
         maximum=3600.0,
     )
     coil_time_constant: float = option(
         0.0,
-        "Time constant [s] with which the current in the coil, and so the force, follows the "
-        "supply's.",
+        "Time constant [s] of the coil: its current, and so the force, follows the supply "
+        "current with this lag.",
         minimum=0.0,
         maximum=1.0,
     )
     force_noise: float = option(
         5.53,
-        "Standard deviation of the noise of the force [N]; 5.53 is the thesis' remaining error.",
+        "Standard deviation of the force noise [N]; 5.53 is the residual error reported in "
+        "the thesis.",
         minimum=0.0,
         maximum=1e6,
     )
     displacement_noise: float = option(
-        0.0, "Standard deviation [m] of the noise of the displacement.", minimum=0.0, maximum=0.1
+        0.0, "Standard deviation [m] of the displacement noise.", minimum=0.0, maximum=0.1
     )
     sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=1.0, maximum=100_000.0)
     initial_temperature: float = option(
@@ -100,8 +102,8 @@ class _RigOptions(ParameterTable):
     )
     heat_capacity: float = option(
         430.0,
-        "Heat capacity of the damper [J/K]. It takes up the power that the damper dissipates: with "
-        "a smaller one it drifts faster.",
+        "Heat capacity of the damper [J/K], which absorbs the dissipated power: a smaller "
+        "value makes the damper drift faster.",
         minimum=0.1,
         maximum=1e6,
     )
@@ -119,26 +121,26 @@ class EmulatedOptions(_RigOptions):
 
     damper: str = option(
         _THESIS_TEMPERATURES,
-        f"The damper in the machine: {_THESIS_TEMPERATURES} (the thesis' at 28 °C and 71 °C, its "
-        "force in between by the emulated temperature), a condition of the thesis such as "
-        "5.0mm_1Hz_1.5A, or the path of a parameter file (YAML) of any model.",
+        f"The damper in the machine: {_THESIS_TEMPERATURES} (that of the thesis at 28 °C and "
+        "71 °C, its force interpolated by the emulated temperature), a condition of the "
+        "thesis such as 5.0mm_1Hz_1.5A, or the path of a parameter file (YAML) of any model.",
     )
     excitation: str = option(
         "sine",
-        "How the machine moves until commands come: sine; chirp (a sine whose frequency goes up to "
-        "the highest and back within sweep_time) or steps (four frequencies within sweep_time); "
-        "random (from the frequency to the highest one); recorded (the displacement of "
-        "motion_file, once, after which it stands still).",
+        "Motion of the machine until commands arrive: sine; chirp (a sine whose frequency "
+        "rises to the highest one and falls back within sweep_time); steps (four frequencies "
+        "within sweep_time); random (between both frequencies); recorded (the displacement of "
+        "motion_file, once; then the machine rests).",
         choices=("sine", "chirp", "steps", "random", "recorded"),
     )
     amplitude: float = option(
         0.005,
-        "Amplitude of the motion [m]; three standard deviations of a random one.",
+        "Amplitude of the motion [m]; for random motion, three standard deviations.",
         minimum=1e-6,
         maximum=0.5,
     )
     frequency: float = option(
-        1.0, "Frequency of the sine, or the lowest one [Hz].", minimum=1e-3, maximum=100.0
+        1.0, "Frequency of the sine, or the lowest frequency [Hz].", minimum=1e-3, maximum=100.0
     )
     highest_frequency: float = option(
         3.0,
@@ -148,42 +150,42 @@ class EmulatedOptions(_RigOptions):
     )
     sweep_time: float = option(
         30.0,
-        "Time [s] of a chirp or of four steps, which then begin again.",
+        "Duration [s] of a chirp or of four steps, which then repeat.",
         minimum=1.0,
         maximum=86400.0,
     )
     motion_file: str = option("", "Path of the text, CSV or MAT file of a recorded motion.")
     motion_columns: str = option(
-        "", "What its columns hold, as for source: record, such as time:s,displacement:mm,..."
+        "", "Columns of the file, as for source: record, such as time:s,displacement:mm,..."
     )
     largest_amplitude: float = option(
         0.05,
-        "Largest amplitude [m] of a commanded motion; commands beyond are refused.",
+        "Largest amplitude [m] of a commanded motion; larger commands are refused.",
         minimum=1e-6,
         maximum=0.5,
     )
     largest_velocity: float = option(
         1.0,
-        "Largest peak velocity [m/s] of a commanded motion; commands beyond are refused.",
+        "Largest peak velocity [m/s] of a commanded motion; larger commands are refused.",
         minimum=1e-6,
         maximum=10.0,
     )
     ambient_temperature: float = option(
         22.0,
-        "Temperature of the air around it [°C]. It may be changed while the rig runs.",
+        "Ambient temperature [°C]. It can be changed while the rig runs.",
         minimum=-50.0,
         maximum=200.0,
         read_only=False,
     )
     conductance: float = option(
         0.5,
-        "Heat that it loses to the air per kelvin above it [W/K]; 0.0 for none.",
+        "Heat loss to the air [W/K]; 0.0: none.",
         minimum=0.0,
         maximum=1e4,
     )
     faults: str = option(
         "",
-        "What goes wrong, as name[:value][@begin[-end]] with times in seconds since the start, "
+        "Faults, as name[:value][@begin[-end]] with times in seconds since the start, "
         "separated by blanks: force_gain:10@20-30 displacement_stuck@60. The names are in "
         "doc/faults.md.",
     )
@@ -336,7 +338,7 @@ class QuarterCarOptions(_RigOptions):
     )
     road: str = option(
         "C",
-        f"Road of an ISO 8608 class, or {_BUMP}: one of 60 mm by 3 m, three seconds after the "
+        f"Road class of ISO 8608, or {_BUMP}: a bump of 60 mm by 3 m, three seconds after the "
         "start.",
         choices=(*ROUGHNESS, _BUMP),
     )

@@ -119,18 +119,18 @@ class RecordOptions(ParameterTable):
     file: str = option("", "Path of a text, CSV or MAT file.")
     columns: str = option(
         "",
-        "What its columns hold, and the units, such as time:s,displacement:mm,force:N,current:A; "
-        "a column to skip is a minus sign, all that follow the last one are three dots.",
+        "Columns and their units, such as time:s,displacement:mm,force:N,current:A; a minus "
+        "sign skips a column, three dots at the end skip all that follow.",
     )
     current: float = option(
         math.nan,
-        "Supply current [A] of the whole record, where no column holds it; .nan where one does.",
+        "Constant supply current [A] of a record without a current column; .nan if it has one.",
     )
     period: float = option(
         math.nan,
-        "Time between two samples [s], where no column holds the time; .nan where one does.",
+        "Sample period [s] of a record without a time column; .nan if it has one.",
     )
-    variable: str = option("", "Name of the matrix in a MAT file that holds more than one.")
+    variable: str = option("", "Name of the matrix in a MAT file with several matrices.")
 
     def objection(self) -> str:
         """Say what is missing."""

@@ -137,29 +137,30 @@ class StreamOptions(ParameterTable):
 
     address: str = option(
         "",
-        "Where it comes from: serial:/dev/ttyACM0, tcp:192.168.1.30:5000 (this computer connects), "
-        "udp:0.0.0.0:5000 (the address of this computer at which datagrams arrive), or simulated.",
+        "Address of the sender: serial:/dev/ttyACM0, tcp:192.168.1.30:5000 (this computer "
+        "connects), udp:0.0.0.0:5000 (the local address that receives datagrams), or "
+        "simulated.",
     )
     baud: int = option(115200, "Speed of a serial line [Bd].", minimum=50, maximum=20_000_000)
     columns: str = option(
         "",
-        "What a line or a record holds, in its order, and the units, such as "
-        "time:us,displacement:mm,force:N or count:16,displacement:mm,force:-0.5*N,current:A; a "
-        "minus sign is a column to skip. count is a number that counts up, and has 8, 16, 32 or 64 "
+        "Columns of a line or record in order, with units, such as "
+        "time:us,displacement:mm,force:N or count:16,displacement:mm,force:-0.5*N,current:A; "
+        "a minus sign skips a column. count is a running sample number of 8, 16, 32 or 64 "
         "bits.",
     )
     rate: float = option(
-        math.nan, "Samples per second [Hz], where no column holds the time; from 1 to 100000."
+        math.nan, "Sample rate [Hz] of a stream without a time column, from 1 to 100000."
     )
     layout: str = option(
         "",
-        "Of binary records: < (low byte first) or > and a letter for each column, as of Python's "
-        "struct, such as <Hff; empty for lines of text.",
+        "Layout of binary records in the syntax of Python's struct: < (little-endian) or > "
+        "and one letter per column, such as <Hff; empty: lines of text.",
     )
     mark: str = option("", "Bytes before each binary record, in hexadecimal, such as AA55.")
     check: str = option(
         "none",
-        "What follows each binary record: none, the sum of its bytes and those of the mark "
+        "Check after each binary record: none, the sum of its bytes including the mark "
         "(sum8), their exclusive or (xor8), or their CRC-16/XMODEM (crc16, high byte first).",
         choices=("none", "sum8", "xor8", "crc16"),
     )
