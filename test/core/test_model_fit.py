@@ -25,15 +25,8 @@ FITTED = 1.05
 """RMSE over the noise, which 2000 samples tell to 1.6 %."""
 
 
-SPREAD = (0.6, 1.7)
-"""Least and most of a stated standard error over the scatter, which 20 draws tell to a sixth."""
-
-
 ROUNDING = 1e-9
 """Relative, and of numbers of size 1."""
-
-BY_DIFFERENCES = (0.01, 1e-6)
-"""Relative to the largest derivative, and for those that are zero: a bent law in steps of 1e-4."""
 
 
 @cache
@@ -94,7 +87,8 @@ def test_the_standard_errors_are_those_of_the_scatter() -> None:
     ]
     scatter = np.std([fit.scales for fit in fits], axis=0, ddof=1)
     stated = np.mean([np.sqrt(np.diag(fit.covariance)) for fit in fits], axis=0)
-    least, most = SPREAD
+    # Least and most of a stated standard error over the scatter, which 20 draws tell to a sixth.
+    least, most = (0.6, 1.7)
     assert np.all((stated / scatter > least) & (stated / scatter < most))
 
 
@@ -139,7 +133,8 @@ def test_the_jacobian_is_that_of_differences(name: str) -> None:
     misfit = WindowProblem(MODELS[name], window(name), known.EXAMPLES[name])
     start = misfit.start
     jacobian = misfit.jacobian(start)
-    relative, least = BY_DIFFERENCES
+    # Relative to the largest derivative, and for those that are zero: a bent law in steps of 1e-4.
+    relative, least = (0.01, 1e-6)
     for column in range(start.size):
         step = 1e-4 * (abs(start[column]) or 0.1) * np.eye(start.size)[column]
         expected = (misfit.residual(start + step) - misfit.residual(start - step)) / (

@@ -19,9 +19,6 @@ N, CYCLE = 2000, 800.0
 SCATTER = (0.75, 1.3)
 """Of a standard deviation from so many runs, and an estimate that is good for a fifth."""
 
-FEW_RUNS = (0.6, 1.6)
-"""The same of fewer runs."""
-
 
 def noise(memory: float, seed: int) -> Array:
     """Noise of unit variance whose autocorrelation falls as memory^lag, shape (N,)."""
@@ -86,7 +83,8 @@ def test_an_irregular_scale_is_as_uncertain_as_it_scatters(widening: float) -> N
         for k in range(60)
     ]
     assert all(scale.standard_error == 0.1 for scale in found[:5])  # not known yet: the misfit
-    low, high = (bound * 0.01 * max(widening, 1.0) for bound in FEW_RUNS)
+    # The same of fewer runs.
+    low, high = (bound * 0.01 * max(widening, 1.0) for bound in (0.6, 1.6))
     assert low < np.median([scale.standard_error for scale in found[20:]]) < high
 
 

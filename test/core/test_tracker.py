@@ -36,10 +36,6 @@ SINE_ERROR = 1e-3
 """Relative error of amplitude, frequency and peak velocity of a sine without noise."""
 
 
-HELD_BACK_SHARE = (0.1, 0.45)
-"""Least and most of any fifth of a window that is held back."""
-
-
 WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
 """The known damper with four fifths of its yield force: a start that is wrong, but not much."""
 
@@ -290,7 +286,8 @@ def test_a_quarter_is_held_back_all_over_the_window(count: int) -> None:
     mask = held_back_samples(count)
     # Samples by which a quarter that is made of whole chunks may be too large or too small.
     assert mask.sum() == pytest.approx(count / 4, abs=10)
-    least, most = HELD_BACK_SHARE
+    # Least and most of any fifth of a window that is held back.
+    least, most = (0.1, 0.45)
     for part in np.array_split(mask, 5):
         assert least < part.mean() < most
 
