@@ -25,7 +25,6 @@ N, MOTIONS, TRIALS = 100, 20, 200
 SCATTER = (0.8, 1.25)
 """Of a standard deviation from 200 trials (5 %); each estimate is from twenty motions (16 %)."""
 
-
 LEVELS = 0.25
 """Relative scatter of the strength from motion to motion."""
 

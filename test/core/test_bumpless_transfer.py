@@ -9,11 +9,9 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.kinematics.motion import Motion, Sine
+from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.following import without_extension
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.bumpless_transfer import FADES, ForceInUse
@@ -168,21 +166,6 @@ def test_a_slow_hysteresis_is_followed_again_over_the_way_that_it_remembers(
     expected = model.force(changed, motion, current, period)[last:]
     # [N] of 500: ten ways to the yield leave a part in twenty thousand, half a second 0.6 N.
     np.testing.assert_allclose(force, expected, rtol=0.0, atol=0.1)
-
-
-@pytest.mark.parametrize("rate", [500, 20_000])
-def test_a_set_that_starts_again_has_settled_at_any_rate(rate: int) -> None:
-    late = without_extension(THESIS_28_CELSIUS)
-    late[16] = 2e-6  # compliance [m/N]: a lag of some ten milliseconds
-    found = ParameterSet(late, set_id="late", model="sigmoid_lag")
-    motion = Motion.of_sine(Sine(8e-3, 2.0, 0.0, 0.0, 0.0), np.arange(2 * rate) / rate, 0.1)
-    made = in_use(found, 1.0 / rate)
-    follow(made, motion.part(slice(rate)), 10)
-    made.use(found, gradual=True, fade=False, restart=True)
-    force = follow(made, motion.part(slice(rate, None)), 10)
-    expected = found.law.continuous.force(late, motion, 1.0, 1.0 / rate)[rate:]
-    # Of the force's span: what is left of a lag after the time that it is given to settle.
-    assert np.max(np.abs(force - expected)) < 1e-3 * np.ptp(expected)
 
 
 def test_a_set_that_starts_again_forgets_what_could_not_be_known() -> None:

@@ -196,31 +196,6 @@ def test_swept_and_random_runs_are_made_on_a_machine(
     assert np.abs(velocity).max() <= LIMITS.peak_velocity
 
 
-def test_a_machine_that_makes_sines_alone_is_told_so(
-    planned: list[PlannedRun], tmp_path: Path
-) -> None:
-    planned[:] = BROAD[1:]
-    conductor, _ = begun(tmp_path, ConductSettings(drive=DriveSettings(settle_timeout=1.0)))
-    machine = EmulatedMachine(conductor, obeys=False)
-    machine.set(MachineCommand(PeriodicMotion(MotionKind.SINE, 0.005, 2.5), 0.3))
-    end = ended(machine)
-    assert end.outcome is CampaignOutcome.FAILED
-    assert "from a swept sine as wanted" in end.reason
-
-
-def test_the_samples_are_those_of_the_run(planned: list[PlannedRun], tmp_path: Path) -> None:
-    conductor, _ = begun(tmp_path)
-    ended(EmulatedMachine(conductor))
-    for run, recording in read_campaign_runs(tmp_path):
-        assert recording.sample_count == round(run.duration * RATE)
-        assert np.abs(recording.displacement).max() == pytest.approx(run.amplitude, rel=0.01)
-        stretch = round(run.stretch * RATE)
-        for place, current in enumerate(run.currents):
-            part = recording.current[place * stretch : (place + 1) * stretch]
-            # [s]: what is cut off after a step of the current; commands must show within it.
-            assert np.all(part[round(0.1 * RATE) :] == current)
-
-
 def test_between_the_runs_the_machine_rests(planned: list[PlannedRun], tmp_path: Path) -> None:
     conductor, _ = begun(tmp_path)
     machine = EmulatedMachine(conductor)
@@ -338,19 +313,6 @@ def test_lost_samples_begin_the_run_anew(planned: list[PlannedRun], tmp_path: Pa
     assert [one.sample_count for one in recordings] == [600, 600]
 
 
-def test_it_pauses_and_resumes(planned: list[PlannedRun], tmp_path: Path) -> None:
-    conductor, _ = begun(tmp_path)
-    machine = EmulatedMachine(conductor)
-    machine.until(lambda: conductor.status().stage is CampaignStage.RECORDING)  # type: ignore[union-attr]
-    conductor.pause()
-    for _ in range(100):
-        machine.block()
-    assert conductor.status().stage is CampaignStage.PAUSED  # type: ignore[union-attr]
-    assert np.abs(machine.seen[0, -10:]).max() < 1e-9
-    conductor.resume()
-    assert ended(machine).outcome is CampaignOutcome.MET
-
-
 def test_it_is_stopped_and_goes_on_later(planned: list[PlannedRun], tmp_path: Path) -> None:
     conductor, _ = begun(tmp_path)
     machine = EmulatedMachine(conductor)
@@ -382,14 +344,6 @@ def test_an_identification_that_fails_is_told_and_its_run_kept(
     assert end.outcome is CampaignOutcome.FAILED
     assert "run 1 could not be identified: the worker process died" in end.reason
     assert len(read_campaign_runs(tmp_path)) == 1
-
-
-def test_the_damper_rests_before_each_run(planned: list[PlannedRun], tmp_path: Path) -> None:
-    conductor, _ = begun(tmp_path, ConductSettings(rest_time=5.0))
-    machine = EmulatedMachine(conductor)
-    machine.until(lambda: conductor.command != REST)
-    assert machine.time >= 5.0
-    ended(machine)
 
 
 def test_by_hand_it_says_what_to_set_and_waits(planned: list[PlannedRun], tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from campaign_of_three import GOAL, LIMITS, RUNS, TASK, perform, plan_quickly
 
 import mr_damper_ros as mr
-from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome, fault_of_run
+from mr_damper_ros.campaign.course import CampaignCourse, fault_of_run
 from mr_damper_ros.campaign.folder import (
     CampaignFolder,
     read_campaign_runs,
@@ -148,17 +148,6 @@ def test_a_refused_run_is_kept_beside_and_made_again(quick: list[int], tmp_path:
     assert "load cell" in recording.details["provenance"]
 
 
-def test_a_run_that_is_refused_twice_ends_the_campaign(quick: list[int], tmp_path: Path) -> None:
-    folder = CampaignFolder(tmp_path, TASK)
-    course = CampaignCourse(TASK, folder=folder)
-    for _ in range(2):
-        course.take(replace(perform(RUNS[0]), force=np.zeros(1000)))
-    folder.close()
-    assert course.outcome is CampaignOutcome.FAILED
-    assert "refused 2 times" in course.reason
-    assert course.next_run is None
-
-
 @pytest.mark.parametrize(
     ("change", "part"),
     [
@@ -182,18 +171,6 @@ def test_a_damaged_step_is_named(quick: list[int], tmp_path: Path) -> None:
     (tmp_path / "steps" / "step_002.json").write_text("{")
     with pytest.raises(ValueError, match=r"step_002\.json is damaged: remove it"):
         mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
-
-
-def test_a_removed_step_is_found_again_from_the_runs(quick: list[int], tmp_path: Path) -> None:
-    mr.run_campaign(GOAL, LIMITS, perform, folder=tmp_path)
-    (tmp_path / "steps" / "step_003.json").unlink()
-    quick.clear()
-
-    def never(run: PlannedRun) -> Recording:
-        raise AssertionError(run)
-
-    assert mr.run_campaign(GOAL, LIMITS, never, folder=tmp_path).reached
-    assert quick == [4]
 
 
 def test_a_campaign_of_before_there_were_other_motions_goes_on(tmp_path: Path) -> None:

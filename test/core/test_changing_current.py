@@ -32,7 +32,6 @@ SAMPLES = 2000
 TOLERANCE = 0.05
 LAG = 0.012
 
-
 LAW, SIXTEEN = MODELS["sigmoid_lag"], MODELS["sigmoid"]
 LATE = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, LAG])
 

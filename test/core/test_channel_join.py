@@ -25,9 +25,6 @@ DURATION = 8.0
 PAIRED = 1e-4
 """Seconds by which two samples that are joined may have been taken apart."""
 
-THESIS_NOISE, THESIS_BAR = 5.53, 1.02
-"""Standard deviation of the noise in the bags [N], and how much more may be left."""
-
 
 @dataclass(frozen=True)
 class Sent:

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,14 +22,6 @@ def output(function: Callable[..., object], *arguments: str) -> str:
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
-
-
-def gone(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
-        return True
-    return state == "Z"
 
 
 def test_a_function_is_called_with_its_arguments() -> None:
@@ -83,43 +74,6 @@ def test_an_interrupt_of_the_terminal_is_not_heeded() -> None:
         child.stdin.write(b"go on\n")
         child.stdin.close()
         assert child.stdout.read() == b"go on\n"
-
-
-def test_it_dies_with_its_parent() -> None:
-    parent = (
-        f"import sys; sys.path[:] = {sys.path!r}; import subprocess, pool_tasks; "
-        "from mr_damper_ros.processes import child_process; "
-        "child = subprocess.Popen(child_process.command(pool_tasks.answering), "
-        "stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True); "
-        "child.stdout.readline(); "
-        "print(child.pid, flush=True); child.wait()"
-    )
-    with subprocess.Popen([sys.executable, "-c", parent], stdout=subprocess.PIPE) as middle:
-        assert middle.stdout is not None
-        child = int(middle.stdout.readline())
-        middle.kill()
-    deadline = time.monotonic() + PATIENCE
-    while not gone(child):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-def test_a_busy_loop_does_not_outlive_a_test_run() -> None:
-    parent = (
-        f"import sys; sys.path[:] = {sys.path!r}; "
-        "from benchmarks.helper_programs import start_busy_loop; "
-        "print(start_busy_loop().pid, flush=True); sys.stdin.read()"
-    )
-    command = [sys.executable, "-c", parent]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as middle:
-        assert middle.stdout is not None
-        child = int(middle.stdout.readline())
-        assert not gone(child)
-        middle.kill()
-    deadline = time.monotonic() + PATIENCE
-    while not gone(child):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_one_whose_parent_has_died_before_ends_at_once() -> None:

@@ -26,7 +26,6 @@ PERIOD = 2e-3
 ROUNDING = 1e-9
 """Relative."""
 
-
 CYCLES = 2.0
 """A sine grows within so many."""
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from studies.control import buildings as building_chapter
 from studies.control import report as control_report
 from studies.control.buildings import BANG_BANG, ON, WEIGHTED, BuildingResult, BuildingRun
 from studies.control.car_drives import Drive, DriveResult
 from studies.control.heated import HeatedDrive, HeatedResult
-from studies.control.hybrid import HybridResult, HybridRun, missed
+from studies.control.hybrid import HybridResult, HybridRun
 
 
 def invented(text: str) -> float:
@@ -107,38 +105,6 @@ def test_the_report_holds_all_chapters_figures_and_tables(report: Path) -> None:
     assert len(rows) == 9 * 5
     weighted = [row for row in rows if row["controller"] == WEIGHTED]
     assert {float(row["RMS displ."]) for row in weighted} == {20.0}
-
-
-def test_a_case_is_won_in_both_criteria_against_both() -> None:
-    def worse(task: BuildingRun) -> BuildingResult:
-        result = shaken(task)
-        if task.strategy == WEIGHTED and task.building == "I":
-            return BuildingResult(**{**vars(result), "acceleration": 0.27})
-        return result
-
-    tasks = building_chapter.tasks(8.0)
-    found = building_chapter.Buildings({task: worse(task) for task in tasks}, 8.0)
-    assert building_chapter.cases_won(found) == 6
-
-
-def test_what_is_missing_at_the_end_is_missed() -> None:
-    reference = np.ones(100)
-    assert missed(np.ones(100), reference) == 0.0
-    assert missed(np.ones(75), reference) == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize(
-    ("begin", "least"),
-    [
-        (lambda duration: Drive("skyhook", "C", 0.01, duration=duration), 2.0),
-        (lambda duration: HeatedDrive(learns=False, duration=duration), 4.9),
-    ],
-)
-def test_a_drive_of_which_nothing_would_count_is_refused(
-    begin: Callable[[float], object], least: float
-) -> None:
-    with pytest.raises(ValueError, match="the drive is"):
-        begin(least)
 
 
 def test_what_came_of_a_force_counts_by_its_size() -> None:

@@ -12,9 +12,6 @@ from mr_damper_ros.signals.clocks import CountedTimes
 RATE = 1000.0
 BEGIN = 5_000_000_000
 
-SETTLED = 2000
-"""Samples after which only the latest are looked at."""
-
 ONE_WAY = 1e-3
 """Seconds: the shortest time on the way is one millisecond here, which stays in the times."""
 

@@ -32,10 +32,8 @@ AT_THE_NOISE = 1.1
 STANDARD_ERRORS = 5.0
 """By which an estimate may miss the truth: none of some fifty does by chance."""
 
-
 LAG = 0.02
 """Time constant [s] of the coil where it shows."""
-
 
 SAME = 1e-12
 """Relative: rounding."""

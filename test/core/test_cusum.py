@@ -21,10 +21,8 @@ from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 POINT = (0.03, 1.0)
 
-
 MEAN_ERROR, SPREAD_ERROR = 0.25, 0.2
 """Of 0 and of 1, which 200 scores tell to 7 % and 5 %."""
-
 
 SCALE_ERROR = 0.01
 """Relative: a tenth of the change that is found."""

@@ -14,58 +14,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from streamed import START, Streamed, source_of
 
-from mr_damper_ros.rig.sources import SOURCES, analog_input, daq_source
+from mr_damper_ros.rig.sources import analog_input, daq_source
 from mr_damper_ros.rig.sources.device_source import Portions
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
-from mr_damper_ros.settings.option_table import build
-from mr_damper_ros.signals.blocks import RigBlock
 
-START = 1_700_000_000_000_000_000
-PATIENCE = 30.0
 CHANNELS = {"displacement_channel": "ai0", "force_channel": "ai1"}
 
 
-def daq(**options: Any) -> Source:
-    kind = SOURCES["daq"]
-    return kind(build(kind.options, options), StreamSettings(10))
-
-
-class StreamedDevice:
-    """Blocks of a source until something is so."""
-
-    def __init__(self, **options: Any) -> None:
-        self.source = daq(**options)
-        assert self.source.settings.objection() == ""
-        self.found = self.source.open()
-        self._blocks = self.source.blocks(START)
-        self.blocks: list[RigBlock] = []
-        self._deadline = time.monotonic() + PATIENCE
-
-    def until(self, done: Callable[[], object]) -> None:
-        while not done():
-            assert time.monotonic() < self._deadline, self.source.state()
-            block = next(self._blocks)
-            if block.sample_count:
-                self.blocks.append(block)
-
-    def samples(self) -> int:
-        return sum(block.sample_count for block in self.blocks)
-
-    def joined(self, name: str) -> np.ndarray:
-        return np.concatenate([getattr(block, name) for block in self.blocks])
-
-    def numbers(self) -> np.ndarray:
-        parts = [block.sequence + np.arange(block.sample_count) for block in self.blocks]
-        return np.concatenate([np.empty(0, dtype=int), *parts])
-
-
 @pytest.fixture
-def rig() -> Iterator[Callable[..., StreamedDevice]]:
-    made: list[StreamedDevice] = []
+def rig() -> Iterator[Callable[..., Streamed]]:
+    made: list[Streamed] = []
 
-    def make(**options: Any) -> StreamedDevice:
-        made.append(StreamedDevice(**options))
+    def make(**options: Any) -> Streamed:
+        made.append(Streamed("daq", **options))
         return made[-1]
 
     yield make
@@ -76,9 +38,9 @@ def rig() -> Iterator[Callable[..., StreamedDevice]]:
 # -- any device --------------------------------------------------------------------------------
 
 
-def test_volts_become_metres_newtons_and_amperes(rig: Callable[..., StreamedDevice]) -> None:
+def test_volts_become_metres_newtons_and_amperes(rig: Callable[..., Streamed]) -> None:
     made = rig(displacement_scale=-0.001, force_scale=100.0, force_offset=7.0, current_scale=2.0)
-    made.until(lambda: made.samples() >= 300)
+    made.until(lambda: made.samples >= 300)
     # The simulated device: 5 V and 7 V at 1 Hz, and 1.5 V.
     phase = np.arcsin(made.joined("displacement") / -0.005)
     assert np.ptp(made.joined("displacement")) > 0.002
@@ -90,7 +52,7 @@ def test_volts_become_metres_newtons_and_amperes(rig: Callable[..., StreamedDevi
 
 
 def test_a_channel_at_the_end_of_its_range_is_left_out_and_told(
-    rig: Callable[..., StreamedDevice],
+    rig: Callable[..., Streamed],
 ) -> None:
     made = rig(force_range=6.0)
     made.until(lambda: np.diff(made.numbers()).max(initial=1) > 1)
@@ -99,13 +61,6 @@ def test_a_channel_at_the_end_of_its_range_is_left_out_and_told(
     assert "the force is at the end of its range of 6 V" in state.fault
     assert state.values["force at the end of its range"]
     assert state.values["displacement at the end of its range"] == 0
-
-
-def test_a_current_at_the_end_of_its_range_is_not_known(rig: Callable[..., StreamedDevice]) -> None:
-    made = rig(current_range=1.5)
-    made.until(lambda: made.samples() >= 100)
-    assert np.isnan(made.joined("current")).all()
-    assert (np.diff(made.numbers()) == 1).all()
 
 
 def fake_device(portions: list[Any]) -> Portions[Any]:
@@ -125,12 +80,10 @@ def readings(first: int, count: int = 50) -> analog_input.Readings:
 
 
 @pytest.fixture
-def fake(
-    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
-) -> Callable[..., StreamedDevice]:
+def fake(monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]) -> Callable[..., Streamed]:
     """A rig whose device gives these portions, connection by connection."""
 
-    def make(*connections: list[Any]) -> StreamedDevice:
+    def make(*connections: list[Any]) -> Streamed:
         turns = iter(connections)
 
         def read(library: None, channels: analog_input.AnalogChannels) -> Portions[Any]:
@@ -142,9 +95,9 @@ def fake(
     return make
 
 
-def test_a_device_that_is_lost_goes_on_after_a_gap(fake: Callable[..., StreamedDevice]) -> None:
+def test_a_device_that_is_lost_goes_on_after_a_gap(fake: Callable[..., Streamed]) -> None:
     made = fake([readings(0), OSError("the cable")], [readings(1000)])
-    made.until(lambda: made.samples() >= 100)
+    made.until(lambda: made.samples >= 100)
     steps = np.diff(made.numbers())
     # Half a second passes before it is connected to again.
     assert steps.max() > 300
@@ -154,12 +107,12 @@ def test_a_device_that_is_lost_goes_on_after_a_gap(fake: Callable[..., StreamedD
 
 
 def test_what_a_device_left_out_is_missing_in_the_count(
-    fake: Callable[..., StreamedDevice],
+    fake: Callable[..., Streamed],
 ) -> None:
     hole = readings(0)
     hole.values[1, 20:23] = np.nan
     made = fake([hole])
-    made.until(lambda: made.samples() >= 40)
+    made.until(lambda: made.samples >= 40)
     # The seven after the last whole block wait for others.
     assert sorted(set(range(43)) - set((made.numbers() - made.numbers()[0]).tolist())) == [
         *(20, 21, 22)
@@ -178,7 +131,7 @@ def test_what_a_device_left_out_is_missing_in_the_count(
     ],
 )
 def test_what_is_missing_is_said(options: dict[str, Any], part: str) -> None:
-    objection = daq(**options).settings.objection()
+    objection = source_of("daq", **options).settings.objection()
     assert part in objection
     assert bool(objection) == bool(part)
 
@@ -192,7 +145,7 @@ def test_a_library_that_is_missing_is_one_sentence(
     ]
     monkeypatch.setitem(__import__("sys").modules, library, None)
     with pytest.raises(ValueError, match="is not installed: pip install"):
-        daq(driver=driver, device="x", **CHANNELS).open()
+        source_of("daq", driver=driver, device="x", **CHANNELS).open()
 
 
 # -- National Instruments ----------------------------------------------------------------------
@@ -266,16 +219,16 @@ NI = {"driver": "nidaqmx", "device": "Dev1", **CHANNELS}
 
 
 def test_nidaqmx_reads_the_channels_of_a_task_until_the_device_is_gone(
-    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]
 ) -> None:
     ramp = 1e-3 * np.arange(200)
     made = fake_ni(monkeypatch, np.stack([ramp, -ramp]))
     running = rig(**NI, displacement_scale=0.01, force_scale=1000.0, force_range=5.0)
-    running.until(lambda: running.samples() >= 200)
+    running.until(lambda: running.samples >= 200)
     np.testing.assert_allclose(running.joined("displacement"), 0.01 * ramp)
     np.testing.assert_allclose(running.joined("force"), -1000.0 * ramp)
     assert {block.period for block in running.blocks} == {1.0 / 999.5}
-    running.until(lambda: "no such device" in running.source.state().fault)
+    running.until(lambda: "no such device" in running.fault)
     calls = made[0].calls
     constants = pytest.importorskip("nidaqmx.constants")
     volts = constants.VoltageUnits.VOLTS.value
@@ -284,13 +237,6 @@ def test_nidaqmx_reads_the_channels_of_a_task_until_the_device_is_gone(
     assert calls[1] == ("Dev1/ai1", "", wiring, -5.0, 5.0, volts, "")
     assert (calls[2][0], calls[2][4]) == (1000.0, 10_000)
     assert calls[3:] == [("start",), ("clear",)]
-
-
-def test_nidaqmx_without_its_driver_is_told(rig: Callable[..., StreamedDevice]) -> None:
-    pytest.importorskip("nidaqmx")
-    running = rig(**NI)
-    running.until(lambda: "Dev1: " in running.source.state().fault)
-    assert "NI-DAQmx" in running.source.state().fault
 
 
 # -- LabJack -----------------------------------------------------------------------------------
@@ -356,7 +302,7 @@ LABJACK = {"driver": "labjack", "displacement_channel": "AIN0", "force_channel":
 
 
 def test_labjack_streams_its_channels_until_the_device_is_gone(
-    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]
 ) -> None:
     ljm = pytest.importorskip("labjack.ljm.ljm")
     ramp = 1e-3 * np.arange(200)
@@ -365,7 +311,7 @@ def test_labjack_streams_its_channels_until_the_device_is_gone(
     fake = FakeLjm(values)
     monkeypatch.setattr(ljm, "_staticLib", fake)
     running = rig(**LABJACK, force_range=1.0)
-    running.until(lambda: running.samples() >= 190)
+    running.until(lambda: running.samples >= 190)
     expected = np.delete(ramp, 50)
     np.testing.assert_allclose(running.joined("displacement"), expected[:190])
     assert {block.period for block in running.blocks} == {1.0 / 1000.5}
@@ -374,25 +320,25 @@ def test_labjack_streams_its_channels_until_the_device_is_gone(
     assert fake.written["AIN2_RANGE"] == 1.0
     assert fake.written["AIN2_NEGATIVE_CH"] == 3.0
     assert fake.written["LJM_STREAM_SCANS_RETURN"] == 2.0
-    running.until(lambda: "1227" in running.source.state().fault)
+    running.until(lambda: "1227" in running.fault)
 
 
 def test_a_channel_that_a_labjack_does_not_have_is_told(
-    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]
 ) -> None:
     ljm = pytest.importorskip("labjack.ljm.ljm")
     monkeypatch.setattr(ljm, "_staticLib", FakeLjm(np.empty((2, 0))))
     running = rig(**{**LABJACK, "force_channel": "ai2"})
-    running.until(lambda: "it has no channel ai2" in running.source.state().fault)
+    running.until(lambda: "it has no channel ai2" in running.fault)
 
 
 def test_labjack_without_its_library_is_told(
-    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., StreamedDevice]
+    monkeypatch: pytest.MonkeyPatch, rig: Callable[..., Streamed]
 ) -> None:
     ljm = pytest.importorskip("labjack.ljm.ljm")
     monkeypatch.setattr(ljm, "_staticLib", None)
     running = rig(**LABJACK)
-    running.until(lambda: "LJM is not installed" in running.source.state().fault)
+    running.until(lambda: "LJM is not installed" in running.fault)
 
 
 # -- Measurement Computing ---------------------------------------------------------------------
@@ -498,24 +444,24 @@ def fake_mcc(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[np.ndarray],
 
 
 def test_mcc_scans_from_the_lowest_to_the_highest_channel_until_the_device_is_gone(
-    fake_mcc: Callable[[np.ndarray], FakeUl], rig: Callable[..., StreamedDevice]
+    fake_mcc: Callable[[np.ndarray], FakeUl], rig: Callable[..., Streamed]
 ) -> None:
     ramp = 1e-3 * np.arange(200)
     fake = fake_mcc(np.stack([-ramp, np.zeros(200), ramp]))
     running = rig(**MCC, rate=15.0, displacement_range=4.0, force_range=5.0)
-    running.until(lambda: running.samples() >= 200)
+    running.until(lambda: running.samples >= 200)
     np.testing.assert_allclose(running.joined("displacement"), ramp)
     np.testing.assert_allclose(running.joined("force"), -ramp)
     assert {block.period for block in running.blocks} == {1.0 / 999.5}
     low, high, mode, span, held, _, option, flags, _ = fake.scan
     assert (low, high, mode.name, span.name) == (1, 3, "DIFFERENTIAL", "BIP5VOLTS")
     assert (held, option.name, flags.name) == (150, "CONTINUOUS", "DEFAULT")
-    running.until(lambda: "no such device" in running.source.state().fault)
+    running.until(lambda: "no such device" in running.fault)
     assert fake.calls[-3:] == ["ulAInScanStop", "ulDisconnectDaqDevice", "ulReleaseDaqDevice"]
 
 
 def test_what_an_mcc_device_does_not_have_is_told(
-    fake_mcc: Callable[[np.ndarray], FakeUl], rig: Callable[..., StreamedDevice]
+    fake_mcc: Callable[[np.ndarray], FakeUl], rig: Callable[..., Streamed]
 ) -> None:
     fake_mcc(np.zeros((2, 0)))
     for wrong, sentence in (
@@ -524,11 +470,11 @@ def test_what_an_mcc_device_does_not_have_is_told(
         ({"device": "DEADBEEF"}, "there is no such device; found: USB-1608G (01ABCDEF)"),
     ):
         running = rig(**{**MCC, **wrong})
-        running.until(lambda: sentence in running.source.state().fault)  # noqa: B023
+        running.until(lambda: sentence in running.fault)  # noqa: B023
 
 
 def test_channels_of_mcc_are_numbers() -> None:
-    objection = daq(**{**MCC, "force_channel": "ai0"}).settings.objection()
+    objection = source_of("daq", **{**MCC, "force_channel": "ai0"}).settings.objection()
     assert "MCC has no channel 'ai0'" in objection
 
 
@@ -541,14 +487,14 @@ def test_mcc_without_its_library_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(ctypes, "CDLL", none)
     with pytest.raises(ValueError, match="libuldaq"):
-        daq(**MCC).open()
+        source_of("daq", **MCC).open()
 
 
 # -- lab streaming layer: real streams ---------------------------------------------------------
 
 
 def test_a_stream_of_the_lab_streaming_layer_comes_with_the_stamps_of_its_sender(
-    rig: Callable[..., StreamedDevice],
+    rig: Callable[..., Streamed],
 ) -> None:
     pylsl = pytest.importorskip("pylsl")
     name = f"press {time.monotonic_ns()}"
@@ -568,7 +514,7 @@ def test_a_stream_of_the_lab_streaming_layer_comes_with_the_stamps_of_its_sender
         while sent < (pylsl.local_clock() - begin) * 500.0:
             outlets[0].push_sample([float(sent), 2.0 * math.sin(sent / 50.0)], begin + sent / 500.0)
             sent += 1
-        return running.samples() >= 300
+        return running.samples >= 300
 
     running.until(send)
     k = running.joined("force")
@@ -576,10 +522,10 @@ def test_a_stream_of_the_lab_streaming_layer_comes_with_the_stamps_of_its_sender
     np.testing.assert_allclose(running.joined("displacement"), 0.002 * np.sin(k / 50.0))
     assert {round(block.period, 9) for block in running.blocks} == {0.002}
     outlets.clear()
-    running.until(lambda: "stream" in running.source.state().fault)
+    running.until(lambda: "stream" in running.fault)
 
 
-def test_a_stream_that_nobody_sends_is_told(rig: Callable[..., StreamedDevice]) -> None:
+def test_a_stream_that_nobody_sends_is_told(rig: Callable[..., Streamed]) -> None:
     pytest.importorskip("pylsl")
     running = rig(driver="lsl", device="nobody's", **CHANNELS)
-    running.until(lambda: "no stream 'nobody's' on the network" in running.source.state().fault)
+    running.until(lambda: "no stream 'nobody's' on the network" in running.fault)

@@ -118,16 +118,6 @@ def test_two_parameters_of_which_only_a_product_or_a_ratio_counts(power: float, 
     assert combination.words == f"k2 and f0 only as a {word}"
 
 
-def test_a_large_move_is_told_in_the_unit_of_the_parameter() -> None:
-    values = np.ones(16)
-    values[known.index("I1")] = 0.0
-    jacobian = 100.0 * np.random.default_rng(0).normal(size=(400, 16))
-    jacobian[:, known.index("I1")] = jacobian[:, known.index("a2")]
-    (combination,) = determination(SIGMOID, jacobian, np.ones(16), values).open
-    assert "I1 " in combination.words
-    assert " A" in combination.words
-
-
 # -- currents within a window ----------------------------------------------------------------
 
 
@@ -202,12 +192,6 @@ def test_no_advice_for_what_the_rig_cannot_tell() -> None:
     """Without current, nothing tells how the coefficients depend on it."""
     chosen = windows((0.0,))
     assert advised(chosen, RigRange.of_windows(chosen)) == ()
-
-
-def test_the_worst_standard_error_falls_from_run_to_run() -> None:
-    errors = [run.worst_error for run in advised([window(5e-3, 1.0, 1.0)])]
-    assert len(errors) > 1
-    assert errors == sorted(errors, reverse=True)
 
 
 @pytest.mark.parametrize(

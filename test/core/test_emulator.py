@@ -38,10 +38,8 @@ SINE = SineMotion(0.005, 1.0, phase=0.3)
 SILENT = RigSettings(force_noise=0.0)
 THERMAL = ThermalModel(capacity=20.0)
 
-
 ROUNDING = 1e-13
 """Relative: the same products in another order."""
-
 
 MOTIONS = [
     pytest.param(SineMotion(0.005, 3.0, phase=4.481, offset=0.01), id="sine"),

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from benchmarks import honest_errors
 from mr_damper_ros.emulation.emulator import scaled
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -17,7 +16,6 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.evidence import Lead, evidence_of, held_back_samples
 
 N = 1000
-
 
 CHANCE = 0.15
 """Three standard errors of the mean of so many leads, of their deviation two more."""
@@ -96,8 +94,3 @@ def test_a_set_that_is_right_here_alone_loses_elsewhere() -> None:
     blunt = known.PLAUSIBLE.copy()
     blunt[known.index("a0")] *= 0.3
     assert loss_of(blunt) > 0.5
-
-
-@pytest.mark.parametrize("tracker", ["window", "recursive"])
-def test_a_constant_damper_keeps_its_set(tracker: str) -> None:
-    assert honest_errors.exchanges(tracker, windows=15) <= 1

@@ -36,7 +36,6 @@ POINTS = 5000
 SAME = 1e-9
 """Relative; of a force next to nothing, of a newton."""
 
-
 LATE = np.array([*PLAUSIBLE, 3e-8, 2000.0, -40.0, 0.008])
 
 SETS = {

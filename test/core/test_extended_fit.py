@@ -33,7 +33,6 @@ LEAD_IN = 500
 STANDARD_ERRORS = 4.0
 """By which an estimate may miss the truth: of a few dozen, one in some hundred tests would not."""
 
-
 BY_DIFFERENCES = 1e-4
 """Relative to the largest derivative: what the curvature adds to a difference of such steps."""
 

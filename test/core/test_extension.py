@@ -24,7 +24,6 @@ ROUNDING = 1e-9
 LARGEST = 1e3
 """Largest constant that is lagged; its rounding is as much larger."""
 
-
 CHANGING = 5e-3 + 4e-3 * np.abs(np.sin(np.arange(COUNT) / 50.0))
 
 

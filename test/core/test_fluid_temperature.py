@@ -26,7 +26,6 @@ from mr_damper_ros.tracking.fluid_temperature import (
 )
 from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale
 
-COLD, HOT = 28.0, 71.0
 POINT = (0.0314, 1.5)
 
 

@@ -212,12 +212,6 @@ def after(
     return last
 
 
-def test_before_the_motion_is_known_the_current_is_safe() -> None:
-    command = after(controlled(WHOLE, safe_current=0.3), 0.5)
-    assert command.doubt.kind is DoubtKind.SETTLING
-    assert command.current == 0.3
-
-
 def test_without_parameters_the_current_is_safe() -> None:
     command = after(ForceController(settings(safe_current=0.2)))
     assert command.doubt.kind is DoubtKind.MISSING
@@ -385,25 +379,6 @@ def test_no_doubt_drives_the_current_up() -> None:
         else:
             current = fallback.away_from(before, STEP)
             assert current <= before
-
-
-def test_a_current_that_hurries_the_coil_is_not_held() -> None:
-    """While the coil's current rises the command is above what it should have."""
-    late = lagging_coil("sigmoid_lag", 0.05)
-    loop = ControlLoop(
-        controlled(late), ModelDamper(late, PERIOD), excitation=SineMotion(5e-3, 1.0)
-    )
-    for block in loop.blocks(4.0):
-        loop.controller.want(block.end_ns, 600.0 if block.end_ns - T0 > 3.2e9 else 0.0)
-        last = loop.controller.command(block)
-        loop.command(last.current)
-        if last.current > 1.0:
-            break
-    stale = replace(block, start_ns=block.start_ns + 10**7, sequence=block.sequence + 10)
-    loop.controller.want(0, 600.0)
-    in_doubt = loop.controller.command(stale)
-    assert in_doubt.doubt
-    assert in_doubt.current < last.current
 
 
 def test_what_was_commanded_is_given_up() -> None:

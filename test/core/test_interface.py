@@ -183,11 +183,6 @@ def test_the_law_that_the_runs_support_can_be_asked_for(monkeypatch: pytest.Monk
     assert str(found).startswith("NRMSE on segments that were left out")
 
 
-def test_the_parts_of_the_stream_work_without_arguments() -> None:
-    assert mr.WindowTracker().parameters.source == "literature"
-    assert mr.ForcePredictor().parameters is None
-
-
 def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
     import dataclasses
 

@@ -21,7 +21,6 @@ from mr_damper_ros.signals.arrays import Array
 EXACT = 1e-10
 """Relative, of a phase in rad: rounding of an offset of a thousand amplitudes, in half a cycle."""
 
-
 PERIOD = 1e-3
 TIME = np.arange(2000) * PERIOD
 
@@ -166,7 +165,6 @@ MOTIONS = {"triangle": ROUNDED_TRIANGLE, "random": RANDOM}
 NEAR_THE_BEST = 4.0
 """The filter's length comes from the data: it may cost this factor against the best length."""
 
-
 NOISELESS_VELOCITY = {"triangle": 2e-5, "random": 2e-6}
 """Relative: what a polynomial of fourth order over the shortest filter misses of the motion."""
 
@@ -224,10 +222,6 @@ def test_without_noise_the_derivatives_of_any_motion_are_right(name: str) -> Non
 # -- causal differentiator -------------------------------------------------------------------
 
 
-BELOW_THE_BANDWIDTH = 1.2
-"""Times the first term of the error of a sine, which others follow at a twentieth of the band."""
-
-
 def followed(u: Array, bandwidth: float = 40.0, period: float = PERIOD) -> tuple[Array, ...]:
     return CausalDifferentiator(period, bandwidth).follow(u)
 
@@ -260,23 +254,6 @@ def test_a_cubic_motion_is_followed_without_error(
         assert np.max(np.abs(estimate - truth)[late]) < 1e-11 * 1e-2 / tau**k
 
 
-def errors_until_settled() -> list[float]:
-    """Errors [m/s] of the velocity of a motion of constant speed, until the observer settles."""
-    speed = 0.1
-    observer = CausalDifferentiator(PERIOD, 40.0)
-    errors: list[float] = []
-    while not observer.settled:
-        _, v, _ = observer.follow(np.array([speed * len(errors) * PERIOD]))
-        errors.append(abs(v[0] - speed))
-    return errors
-
-
-def test_the_start_has_died_away_where_the_observer_says_that_it_is_settled() -> None:
-    errors = errors_until_settled()
-    # Of the largest error: twelve time constants of four equal poles leave 3e-3 of it.
-    assert errors[-1] < 5e-3 * max(errors)
-
-
 @known.fixed(25)
 @given(sizes=st.lists(st.integers(1, 97), min_size=1, max_size=8))
 def test_the_stream_does_not_depend_on_the_size_of_its_blocks(sizes: list[int]) -> None:
@@ -291,26 +268,6 @@ def test_the_stream_does_not_depend_on_the_size_of_its_blocks(sizes: list[int]) 
         # Relative to the largest value: sums taken in another order differ in their last digits.
         allowed = 1e-11 * np.max(np.abs(complete))
         np.testing.assert_allclose(np.concatenate(pieces), complete, 0.0, allowed, err_msg=name)
-
-
-def test_a_sine_well_below_the_bandwidth_is_followed() -> None:
-    run = known.run(amplitude=5e-3, frequency=2.0)
-    _, v, a = followed(run.displacement, bandwidth=40.0)
-    late, part = slice(500, None), 2.0 / 40.0
-    # Four equal poles: the binomial coefficients of the fourth order.
-    assert relative(v[late], run.velocity[late]) < BELOW_THE_BANDWIDTH * 4.0 * part**3
-    assert relative(a[late], run.acceleration[late]) < BELOW_THE_BANDWIDTH * 6.0 * part**2
-
-
-def test_after_a_reset_the_past_is_forgotten() -> None:
-    u = RANDOM.at(np.arange(300) * PERIOD).displacement
-    observer = CausalDifferentiator(PERIOD, 40.0)
-    first = observer.follow(u)
-    assert observer.settled
-    observer.reset()
-    assert not observer.settled
-    for before, after in zip(first, observer.follow(u), strict=True):
-        np.testing.assert_array_equal(before, after)
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, -1.0, 0.19, 251.0, math.nan, math.inf])

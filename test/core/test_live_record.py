@@ -164,17 +164,6 @@ def test_a_summary_says_what_is_missing_and_how_it_stands() -> None:
     assert max(map(len, text.splitlines())) <= 100
 
 
-def test_a_narrow_summary_wraps_and_loses_no_word() -> None:
-    record = LiveRecord()
-    record.set_parameters(a_set("f0", "a0", "k0"))
-    record.add_concern(Concern("model: input", 1, "nobody publishes the samples, is it on?", {}))
-    text = summary(record, width=60)
-    assert max(map(len, text.splitlines())) <= 60
-    assert "nobody publishes the samples, is it on?" in " ".join(text.split())
-    assert "k0 2 ± 0.1" in text
-    assert "no signals yet: the node model runs, and no samples come" in " ".join(text.split())
-
-
 class Clock:
     """Seconds that pass only where a test says so."""
 

@@ -20,10 +20,8 @@ from mr_damper_ros.signals.arrays import Array
 RUNNING = known.PLAUSIBLE
 RANDOM = BandLimitedRandom(rms=4e-3, low=0.2, high=2.0, seed=2)
 
-
 AS_WELL = 1.001
 """Most that the RMSE may be of that of the fit to the window alone."""
-
 
 FAST = 0.3
 """Peak velocity [m/s] that the running set holds for."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from known import EXAMPLES, PLAUSIBLE, fixed, run
 from scipy.integrate import solve_ivp
@@ -18,7 +18,6 @@ PERIOD = 1e-3
 
 ROUNDING = 1e-9
 """[N]: the same sums in another order, of forces of a few kilonewtons."""
-
 
 HALVED = 2.5
 """Least factor on the error where the step is halved: 4 in the limit, as it is of second order."""
@@ -81,20 +80,23 @@ def cut(w, first, last):
     )
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "model", {id(m): m for law in MODELS.values() for m in (law, law.continuous)}.values()
+)
 @fixed(10)
 @given(st.lists(st.integers(1, 90), min_size=1, max_size=5))
-def test_the_force_does_not_depend_on_how_the_motion_is_cut_into_blocks(name, sizes):
-    w = motion(400, 5e-3)
+@example([1])
+def test_the_force_does_not_depend_on_how_the_motion_is_cut_into_blocks(model, sizes):
+    w, values = motion(400, 5e-3), EXAMPLES[model.name]
     # A current that changes within blocks makes the lag change too.
     current = np.where(np.arange(400) // 37 % 2, 0.5, 1.5)
-    stream = MODELS[name].stream(5e-3)
+    stream = model.stream(5e-3)
     parts, first, place = [], 0, 0
     while first < 400:
         last = first + sizes[place % len(sizes)]
-        parts.append(stream.follow(EXAMPLES[name], cut(w, first, last), current[first:last]))
+        parts.append(stream.follow(values, cut(w, first, last), current[first:last]))
         first, place = last, place + 1
-    whole = MODELS[name].force(EXAMPLES[name], w, current, 5e-3)
+    whole = model.force(values, w, current, 5e-3)
     np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0.0, atol=ROUNDING)
 
 

@@ -65,17 +65,6 @@ def test_catching_up_changes_no_prediction(
         prompt.catch_up()
 
 
-def test_a_block_that_leaves_the_sine_is_followed_as_it_is() -> None:
-    follower = MotionFollower(PERIOD, 40.0, 10.0)
-    *before, last = blocks(STEADY, 10)
-    for block in before:
-        follower.follow(block.displacement)
-    follower.catch_up()
-    motion = follower.follow(last.displacement + np.linspace(0.0, 1e-3, 10))
-    assert not follower.steady
-    assert motion.velocity[-1] > follower.follow(last.displacement).velocity[0]
-
-
 @pytest.mark.parametrize("size", [1, 10])
 @pytest.mark.parametrize("end", [2003, 2017, 2030])
 def test_what_comes_after_a_sine_is_followed_as_if_there_had_been_none(size: int, end: int) -> None:
@@ -93,19 +82,6 @@ def test_what_comes_after_a_sine_is_followed_as_if_there_had_been_none(size: int
             np.testing.assert_allclose(found.velocity, velocity, atol=1e-12)
     assert was_steady > 100 // size
     assert not follower.steady
-
-
-def test_single_samples_are_followed_as_blocks_are() -> None:
-    single, whole = (MotionFollower(PERIOD, 40.0, 10.0) for _ in range(2))
-    part = STEADY[:2500]
-    motions = [single.follow(part[place : place + 1]) for place in range(part.size)]
-    blocks_of_20 = [whole.follow(part[place : place + 20]) for place in range(0, part.size, 20)]
-    for name in ("velocity", "peak_velocity"):
-        one = np.concatenate([getattr(motion, name) for motion in motions])
-        other = np.concatenate([getattr(motion, name) for motion in blocks_of_20])
-        # With single samples the sine may be found some samples sooner, but long before 2 s.
-        # [m/s]; the samples that a sine without noise was fitted to do not matter.
-        np.testing.assert_allclose(one[2000:], other[2000:], atol=1e-9)
 
 
 def test_a_rest_is_one_for_as_long_as_it_lasts() -> None:

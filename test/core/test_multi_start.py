@@ -13,7 +13,7 @@ import pytest
 from known import SIGMOID
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings, GlobalProgress
-from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
+from mr_damper_ros.estimation.global_fit import GlobalFit
 from mr_damper_ros.estimation.multi_start import (
     MultiStart,
     SearchRecord,
@@ -68,19 +68,6 @@ def stopping(after: int) -> Callable[[GlobalProgress], bool]:
 
 
 # -- several seeds -----------------------------------------------------------------------------
-
-
-def test_each_search_is_that_of_its_seed() -> None:
-    found = searched(2)
-    assert list(found.fits) == [3, 4]
-    for seed, fit in found.fits.items():
-        alone = identify_global(
-            SIGMOID,
-            windows(),
-            LITERATURE,
-            EvolutionSettings(generations=20, population=6, seed=seed),
-        )
-        assert_same(fit, alone)
 
 
 def test_the_cost_counts_in_units_of_the_noise() -> None:

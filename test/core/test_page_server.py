@@ -113,19 +113,6 @@ def test_another_name_is_refused_whatever_is_asked(
     assert b"allowed_hosts" in body
 
 
-def test_the_address_that_a_viewer_reaches_is_allowed(record: LiveRecord) -> None:
-    with closing(PageServer(record, "0.0.0.0", 0)) as server:
-        port = urlsplit(server.address).port or 0
-        assert raw(("127.0.0.3", port), b"GET / HTTP/1.1\r\nHost: 127.0.0.3\r\n").status == 200
-        assert raw(("127.0.0.3", port), b"GET / HTTP/1.1\r\nHost: 127.0.0.4\r\n").status == 403
-
-
-@pytest.mark.parametrize("name", ["http://rig", "rig example", "", "rig:port"])
-def test_an_allowed_host_is_a_name_or_an_address(record: LiveRecord, name: str) -> None:
-    with pytest.raises(ValueError, match="neither a name nor an address"):
-        PageServer(record, "127.0.0.1", 0, allowed_hosts=[name])
-
-
 class Answer:
     """What a server says before it closes the connection; status 0 where it says nothing."""
 
@@ -341,24 +328,6 @@ def test_one_address_has_its_share_of_connections_and_leaves_room_for_others(
     assert eventually_served(server), "places that were left are not taken again"
 
 
-def test_there_is_an_end_of_connections_of_all_addresses(
-    record: LiveRecord, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(page_server, "CONNECTIONS", 3)
-    # A server of its own: what other tests have just closed may still count in the shared one.
-    with closing(PageServer(record, "127.0.0.1", 0, title="/left")) as server:
-        with ExitStack() as stack:
-            for number in range(3):
-                source = (f"127.0.0.{number + 2}", 0)
-                asked = http.client.HTTPConnection(*place_of(server), PATIENCE, source)
-                stack.enter_context(closing(asked))
-                asked.request("GET", "/status")
-                assert asked.getresponse().read()
-            with pytest.raises(ConnectionError):
-                ask(server, "/status")
-        assert eventually_served(server)
-
-
 @pytest.mark.parametrize(
     "begun",
     [
@@ -383,20 +352,6 @@ def dribble(slow: socket.socket) -> None:
     for _ in range(300):
         pause.wait(0.1)
         slow.sendall(b"x")
-
-
-def test_a_connection_that_asks_nothing_is_closed(
-    server: PageServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(page_server, "_IDLE", 0.3)
-    with socket.create_connection(place_of(server), timeout=PATIENCE) as silent:
-        assert silent.recv(1) == b""
-
-
-def test_a_port_that_is_taken_is_an_error(server: PageServer, record: LiveRecord) -> None:
-    port = urlsplit(server.address).port or 0
-    with pytest.raises(OSError, match="in use"):
-        PageServer(record, "127.0.0.1", port)
 
 
 def test_it_is_gone_once_it_is_closed(record: LiveRecord) -> None:

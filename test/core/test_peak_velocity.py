@@ -31,7 +31,6 @@ OF_FEW = 0.02
 """Relative: how much more that is where there are but one or two of them, and where the speed at
 which they begin is not that at which they end."""
 
-
 ROUNDING = 1e-12
 """Relative: sums of other parts of the same samples."""
 

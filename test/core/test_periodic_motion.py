@@ -17,7 +17,6 @@ from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 ROUNDING = 1e-9
 """Relative."""
 
-
 SWEEP = PeriodicMotion(MotionKind.SWEEP, 0.008, 0.6, 3.4, 2.0)
 RANDOM = PeriodicMotion(MotionKind.RANDOM, 0.008, 0.6, 3.4, 2.0, 3)
 SINE = PeriodicMotion(MotionKind.SINE, 0.008, 2.5)

@@ -20,7 +20,7 @@ from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import Moment
 from studies.control.buildings import reversals
-from studies.control.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION, el_centro
+from studies.control.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION
 from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
 
 CAR = QuarterCar()
@@ -55,18 +55,6 @@ def test_what_a_damper_takes_warms_it() -> None:
     block = rig.next_block(1500)
     assert block.temperature[0] == 28.0
     assert block.temperature[-1] > 28.5
-
-
-def test_without_dampers_the_plant_is_alone() -> None:
-    ground = el_centro()
-    building = BUILDINGS["I"]
-    rig = PlantRig(BuiltInDamper(invented_damper(0.0)), building.plant, ground, 0.0, dampers=0)
-    rig.next_block(1000)
-    alone = MovingPlant(building.plant, 2.5e-4)
-    for number in range(4000):
-        alone.step(0.0, float(ground.at(np.array([2.5e-4 * number]))[0]))
-    # Relative, of what a settled filter and the exact states agree by.
-    np.testing.assert_allclose(rig.plant.state, alone.state, rtol=1e-6, atol=1e-12)
 
 
 def test_a_choice_takes_effect_with_the_next_block() -> None:

@@ -32,7 +32,6 @@ ZEROS = (400.0, -300.0, 150.0, -250.0)
 
 AMPLITUDES = (3e-3, 5e-3, 7e-3, 9e-3)
 
-
 HONEST = 3.0
 """Stated standard errors by which the strength, a scale or a zero may miss the truth."""
 

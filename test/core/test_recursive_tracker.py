@@ -31,7 +31,6 @@ SAMPLES = 1000
 STILL = 1e-9
 """A drift rate [1/sqrt(s)] of nothing: the filter then only averages."""
 
-
 WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
 
 
@@ -114,13 +113,6 @@ def test_outliers_hardly_move_a_robust_filter() -> None:
     )
     # Of the error of the plain filter: outliers keep the weight of errors of usual size.
     assert robust < 0.25 * plain
-
-
-def test_a_fit_that_leaves_a_scale_open_starts_no_filter() -> None:
-    fit = fit_window(SIGMOID, known.run().window, known.PLAUSIBLE)
-    covariance = fit.covariance.copy()
-    covariance[5] = covariance[:, 5] = np.nan
-    assert FilterState.of(dataclasses.replace(fit, covariance=covariance), 0) is None
 
 
 # -- as a tracker ----------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from mr_damper_ros.tracking.force_scale import ForceScale, ScaleScatter
 
 N, CYCLE = 2000, 800.0
 
-
 SCATTER = (0.75, 1.3)
 """Of a standard deviation from so many runs, and an estimate that is good for a fifth."""
 

@@ -53,16 +53,6 @@ def test_there_is_no_jump(model_name: str) -> None:
     assert np.abs(np.diff(gradual)).max() < (1.0 + 1e-6) * usual
 
 
-def test_noise_of_the_acceleration_does_not_matter() -> None:
-    sine = motion()
-    noise = np.random.default_rng(1).standard_normal(sine.velocity.size)
-    noisy = Motion(sine.displacement, sine.velocity, noise, sine.peak_velocity, None)
-    start = round(0.5 / PERIOD)
-    np.testing.assert_array_equal(
-        forces("sigmoid", noisy)[1][start:], forces("sigmoid", sine)[1][start:]
-    )
-
-
 @settings(deadline=None, max_examples=50)
 @given(
     velocity=st.lists(st.floats(-0.1, 0.1), min_size=2, max_size=60),
@@ -82,10 +72,3 @@ def test_the_branch_is_that_sample_by_sample(
         branch = float(np.clip(branch + (now - before) / max(abs(half_width), 1e-9), -1.0, 1.0))
         expected.append(branch)
     np.testing.assert_allclose(np.concatenate((first, second)), expected, atol=1e-7)
-
-
-@pytest.mark.parametrize("model_name", sorted(MODELS))
-def test_a_law_without_jumps_is_its_own(model_name: str) -> None:
-    model = MODELS[model_name]
-    assert model.continuous.name == model_name
-    assert model.continuous.continuous is model.continuous

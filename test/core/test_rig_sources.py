@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from streamed import START, source_of
 
 from mr_damper_ros.io.bag_files import BagError
 from mr_damper_ros.io.bag_reader import read_bag
@@ -20,18 +21,12 @@ from mr_damper_ros.models.published import THESIS_28_CELSIUS, ConditionError
 from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.recorded_source import recorded_blocks
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
+from mr_damper_ros.rig.sources.source import StreamSettings
 from mr_damper_ros.settings.option_table import build
 from mr_damper_ros.signals.blocks import RigBlock
 from mr_damper_ros.signals.recording import Recording
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
-START = 1_700_000_000_000_000_000
-
-
-def source(name: str, block_size: int = 10, **settings: Any) -> Source:
-    kind = SOURCES[name]
-    return kind(build(kind.options, settings), StreamSettings(block_size))
 
 
 def joined(blocks: list[RigBlock], quantity: str) -> np.ndarray:
@@ -44,7 +39,7 @@ def recording(count: int, name: str = "part") -> Recording:
 
 
 def test_the_recordings_of_a_bag_come_as_they_are() -> None:
-    bag = source("bag", bag=str(BAG))
+    bag = source_of("bag", bag=str(BAG))
     assert "provenance: re-synthesised" in bag.open()[0]
     blocks = list(bag.blocks(START))
     expected = read_bag(BAG)[0]
@@ -58,7 +53,7 @@ def test_the_recordings_of_a_bag_come_as_they_are() -> None:
 def test_a_record_comes_in_si_units(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("".join(f"{k % 7},{k % 5}\n" for k in range(100)), encoding="utf-8")
-    record = source(
+    record = source_of(
         "record", file=str(path), columns="displacement:mm,force:kN", current=0.5, period=0.002
     )
     assert record.open() == [
@@ -81,7 +76,7 @@ def test_recordings_are_counted_through_with_a_second_between_them() -> None:
 
 
 def test_the_knob_of_the_supply_works_between_two_blocks() -> None:
-    rig = source("emulated", block_size=50, current=0.5)
+    rig = source_of("emulated", block_size=50, current=0.5)
     rig.open()
     blocks = rig.blocks(START)
     before = next(blocks)
@@ -93,7 +88,7 @@ def test_the_knob_of_the_supply_works_between_two_blocks() -> None:
 
 
 def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_time() -> None:
-    rig = source("emulated", block_size=10, current=0.5, command_timeout=0.01)
+    rig = source_of("emulated", block_size=10, current=0.5, command_timeout=0.01)
     rig.open()
     assert rig.commander is not None
     blocks = rig.blocks(START)
@@ -109,7 +104,7 @@ def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_tim
 
 
 def test_the_air_around_the_emulated_rig_can_be_changed_while_it_runs() -> None:
-    rig = source("emulated", block_size=1000, conductance=1e4, heat_capacity=0.1)
+    rig = source_of("emulated", block_size=1000, conductance=1e4, heat_capacity=0.1)
     rig.open()
     blocks = rig.blocks(START)
     assert next(blocks).temperature[-1] == pytest.approx(22.0, abs=0.1)
@@ -119,7 +114,7 @@ def test_the_air_around_the_emulated_rig_can_be_changed_while_it_runs() -> None:
 
 @pytest.mark.parametrize("excitation", ["chirp", "steps", "random"])
 def test_the_emulated_rig_moves_within_its_amplitude_and_band(excitation: str) -> None:
-    rig = source(
+    rig = source_of(
         "emulated", 20_000, excitation=excitation, frequency=0.5, highest_frequency=4.0,
         sweep_time=20.0,
     )  # fmt: skip
@@ -142,7 +137,7 @@ def test_the_emulated_rig_moves_as_recorded_and_then_stands_still(tmp_path: Path
     path = tmp_path / "motion.csv"
     rows = zip(time, recorded, strict=True)
     path.write_text("".join(f"{t:.6f},{u:.9f},{9.0 + t}\n" for t, u in rows), encoding="utf-8")
-    rig = source(
+    rig = source_of(
         "emulated", 1000, excitation="recorded", motion_file=str(path),
         motion_columns="time:s,displacement:mm,force:N",
     )  # fmt: skip
@@ -157,7 +152,7 @@ def test_the_emulated_damper_is_the_one_that_was_named(damper: str, tmp_path: Pa
     if damper == "file":
         damper = str(tmp_path / "set.yaml")
         Path(damper).write_text(ParameterSet(THESIS_28_CELSIUS).to_yaml(), encoding="utf-8")
-    rig = source("emulated", block_size=1000, damper=damper, current=0.5, force_noise=0.0)
+    rig = source_of("emulated", block_size=1000, damper=damper, current=0.5, force_noise=0.0)
     assert rig.open() == []
     force = next(rig.blocks(START)).force
     assert np.isfinite(force).all()
@@ -182,7 +177,7 @@ def test_what_cannot_be_opened_is_refused(
     name: str, settings: dict[str, Any], error: type[Exception], part: str
 ) -> None:
     with pytest.raises(error, match=part):
-        source(name, **settings).open()
+        source_of(name, **settings).open()
 
 
 @pytest.mark.parametrize(

@@ -100,15 +100,6 @@ def test_a_measured_current_that_changes_begins_a_run(tmp_path: Path) -> None:
     assert [run.duration for run in runs] == pytest.approx([4.0, 4.0, 4.0])
 
 
-def test_a_velocity_is_cut_as_well(tmp_path: Path) -> None:
-    parts = [rest(2.0), cycles(5e-3, 1.0, 6.0), rest(2.0), cycles(5e-3, 1.0, 6.0), rest(2.0)]
-    for part in parts:
-        part[0] = np.gradient(part[0]) * RATE
-    path = write(tmp_path / "velocity.csv", parts)
-    found = durations(path, "time:s,velocity:m/s,force:N")
-    assert found == pytest.approx([6.0, 6.0], abs=2.0 * TO_A_BLOCK)
-
-
 # ---- the program ----
 
 
@@ -128,11 +119,6 @@ def test_each_run_becomes_a_bag_with_its_current(two_runs: Path) -> None:
     for number, current in ((1, 0.0), (2, 0.5)):
         (run,) = read_bag(two_runs.parent / "bags" / f"two_{number}")
         assert run.current[0] == current
-
-
-def test_a_run_may_be_left_out(two_runs: Path) -> None:
-    assert imported(two_runs, "--split", "--currents", "-,0.5") == 0
-    assert [path.name for path in (two_runs.parent / "bags").iterdir()] == ["two_2"]
 
 
 def test_each_run_is_asked_for_its_current(two_runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

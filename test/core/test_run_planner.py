@@ -32,7 +32,6 @@ LIMITS = MachineLimits(0.01, 0.2, 5000.0, 1.5, 2.0, sample_rate=500.0)
 CLAIMS = (1.0 / 3.0, 3.0)
 """Claimed over true error of one damper: of the largest of many normal deviates."""
 
-
 LAW = known.SIGMOID
 EVERY = np.ones(len(LAW.parameters), dtype=bool)
 

@@ -25,10 +25,8 @@ LOWEST, HIGHEST = 0.0, 2.0
 SAME = 1e-9
 """Relative: the same operations, in another order."""
 
-
 SAME_EXTREMUM = 2e-7
 """Of the span: an extremum that is a kink is found to a millionth of a cell of the nodes."""
-
 
 ROUNDING = 1e-9
 """[N] for a force of one newton."""
@@ -92,7 +90,6 @@ def state_after(inverse: InverseModel, asked: Asked) -> State:
 
 
 SCALES = st.lists(st.floats(0.2, 3.0), min_size=5, max_size=5)
-
 
 LAWS = [(name, True) for name in MODELS] + [
     (name, False) for name, law in MODELS.items() if law.continuous is not law

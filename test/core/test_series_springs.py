@@ -26,7 +26,6 @@ EXAMPLE_AT_REST = np.zeros(len(LAW.parameters))
 """Without the gas, and the same at every current."""
 EXAMPLE_AT_REST[:6] = EXAMPLE[:6]
 
-
 SAME = 1e-9
 """Relative: rounding, and how far the search for a flow goes."""
 

@@ -35,7 +35,6 @@ STRONGER = 1.2
 NEAR = 0.05
 """NRMSE: what the observer leaves where the motion turns, the coil, and the factor."""
 
-
 SIGMOID = replace(ParameterSet(known.PLAUSIBLE), set_id="sigmoid")
 TANH = DAMPERS["viscous_tanh"]
 LAWS = [pytest.param(SIGMOID, id="sigmoid"), pytest.param(TANH, id="viscous tanh")]
@@ -239,26 +238,12 @@ def at(set_id: str, current: float, stamp_ns: int, source: str = "nelder_mead") 
     return KnownSet(parameters, stamp_ns, currents=(current, current))
 
 
-def test_a_set_of_long_ago_is_not() -> None:
-    sets = model_bank.CurrentSchedule()
-    sets.add(at("low", LOW, known.T0))
-    assert sets.at_current(LOW, known.T0 + 59 * NANOSECONDS) is not None
-    assert sets.at_current(LOW, known.T0 + 61 * NANOSECONDS) is None
-
-
 def test_after_a_sudden_change_the_sets_of_before_are_forgotten() -> None:
     sets = model_bank.CurrentSchedule()
     sets.add(at("high", HIGH, known.T0))
     sets.add(at("early", LOW, known.T0 + 1, EARLY_SOURCE))
     assert sets.at_current(HIGH, known.T0 + 2) is None
     assert sets.at_current(LOW, known.T0 + 2) is not None
-
-
-def test_the_sets_of_another_law_are_forgotten() -> None:
-    """What is remembered of the motion is of no use to them."""
-    said = [Said(5.0, window_of(TANH, LOW, "low"))]
-    came = course(said, TANH, whole=whole_of(SIGMOID))
-    assert came.set_at(STEP - 0.1) == came.set_at(END - 0.1) == "low"
 
 
 def test_a_factor_is_believed_in_as_far_as_it_stands_out() -> None:

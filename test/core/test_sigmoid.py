@@ -38,7 +38,6 @@ from mr_damper_ros.signals.arrays import Array
 ROUNDING = 1e-9
 """Relative: the routine and the law round differently, no more."""
 
-
 ROWS = [(c, m) for c in thesis.CONDITIONS for m in thesis.PUBLISHED_METHODS]
 ROW_IDS = [f"{c.name}-{m}" for c, m in ROWS]
 
@@ -49,11 +48,6 @@ def cycle(condition: Condition, samples: int = 240) -> tuple[Array, Array, Array
     omega = 2.0 * np.pi * condition.frequency
     u = condition.amplitude * np.sin(angle)
     return u, omega * condition.amplitude * np.cos(angle), -(omega**2) * u
-
-
-def loop(condition: Condition, method: str) -> Array:
-    """Force over one cycle of a condition by one row of the tables."""
-    return sine_force(thesis.parameters(condition, method), *cycle(condition), condition.current)
 
 
 def routine(x: Array, d: Array, v: Array, a: Array, i_ref: float) -> Array:
@@ -254,14 +248,6 @@ def test_derivatives_of_the_damping_by_the_seven_coefficients(
     assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
 
 
-def test_the_damping_is_the_force_of_the_sigmoid_over_its_velocity() -> None:
-    c = Coefficients(*np.array([1000.0, 200.0, 0.0, 0.0, -0.02, 0.003, 0.0]))
-    v, a = np.array([0.1, 0.1, -0.01, 0.0]), np.array([1.0, -1.0, 1.0, -1.0])
-    shifted = v + np.sign(a) * c.v_h + c.v_d
-    damping = secant_damping(c, v, a)
-    np.testing.assert_allclose(damping * shifted, force_from_coefficients(c, v, a))
-
-
 def test_derivatives_of_the_coefficients_by_the_parameters() -> None:
     v_m, i = np.array([0.0, 0.01, 0.1, 0.3]), np.array([0.0, 0.5, 1.0, 1.5])
 
@@ -297,24 +283,3 @@ def test_peaks_of_the_temperature_sets(
     assert round(run.clean.min()) == bottom
     # The sets of the temperature tables have two decimals: their peaks are right within this.
     assert run.clean.max() == pytest.approx(published, rel=0.02)
-
-
-def difference_of_methods(condition: Condition) -> float:
-    """Relative norm of the difference of the two methods' loops."""
-    simplex, evolution = (loop(condition, method) for method in thesis.PUBLISHED_METHODS)
-    return float(np.linalg.norm(simplex - evolution) / np.linalg.norm(simplex))
-
-
-def named(*names: str) -> set[Condition]:
-    return {thesis.find(name) for name in names}
-
-
-COPIED = named("5.0mm_1Hz_1.0A", "5.0mm_3Hz_1.0A", "5.0mm_5Hz_1.0A")
-DISAGREEING = named("2.5mm_5Hz_0.0A", "7.5mm_5Hz_1.0A", "7.5mm_1Hz_1.5A", "7.5mm_3Hz_1.5A")
-AGREEING = [c for c in thesis.CONDITIONS if c not in COPIED | DISAGREEING]
-
-
-@pytest.fixture(scope="module")
-def differences() -> dict[Condition, float]:
-    """Difference of the two methods in the conditions without errata."""
-    return {c: difference_of_methods(c) for c in AGREEING}

@@ -69,14 +69,6 @@ def test_the_memory_of_a_set_comes_back_with_it(tmp_path: Path) -> None:
     assert same(ParameterSet.from_yaml(path.read_text()), SET)
 
 
-def test_a_set_edited_by_hand_has_no_memory(tmp_path: Path) -> None:
-    state = StateDirectory(tmp_path)
-    path = state.save("running", SET, '{"windows":3}')
-    path.write_text(path.read_text().partition("\n")[2])
-    kept, memory = state.load_with_memory("running")
-    assert (same(kept, SET), memory) == (True, "")
-
-
 def test_what_a_killed_process_left_behind_is_removed(tmp_path: Path) -> None:
     state = StateDirectory(tmp_path)
     path = state.save("running", SET)

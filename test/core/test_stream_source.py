@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import random
@@ -11,16 +12,16 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from streamed import START, Streamed, source_of
+from waiting import until
 
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
-from mr_damper_ros.rig.sources import SOURCES
 from mr_damper_ros.rig.sources.device_source import DeviceReader, HostClock, Portions
 from mr_damper_ros.rig.sources.row_times import StampedRows
 from mr_damper_ros.rig.sources.rows import (
@@ -31,27 +32,9 @@ from mr_damper_ros.rig.sources.rows import (
     SimulatedSender,
     parse_row_format,
 )
-from mr_damper_ros.rig.sources.source import Source, StreamSettings
-from mr_damper_ros.rig.sources.stream_source import parse_address
-from mr_damper_ros.settings.option_table import build
-from mr_damper_ros.signals.blocks import RigBlock
 
-START = 1_700_000_000_000_000_000
-PATIENCE = 30.0
 TIMED = "time:us,displacement:mm,force:-1*N"
 MILLISECOND = 1_000_000
-
-
-def stream(block_size: int = 10, **options: Any) -> Source:
-    kind = SOURCES["stream"]
-    return kind(build(kind.options, options), StreamSettings(block_size))
-
-
-def opened(**options: Any) -> Source:
-    source = stream(**options)
-    assert source.settings.objection() == ""
-    source.open()
-    return source
 
 
 def lines(first: int, count: int) -> bytes:
@@ -61,29 +44,21 @@ def lines(first: int, count: int) -> bytes:
     )
 
 
-def gathered(source: Source, enough: Callable[[list[RigBlock]], bool]) -> list[RigBlock]:
-    """Blocks that come from a source until there are enough."""
-    found: list[RigBlock] = []
-    deadline = time.monotonic() + PATIENCE
-    blocks = source.blocks(START)
-    try:
-        for block in blocks:
-            assert time.monotonic() < deadline, source.state()
-            if block.sample_count:
-                found.append(block)
-            if enough(found):
-                break
-    finally:
-        source.close()
-    return found
+@pytest.fixture
+def stream() -> Iterator[Callable[..., Streamed]]:
+    made: list[Streamed] = []
+
+    def start(address: str, columns: str = TIMED) -> Streamed:
+        made.append(Streamed("stream", address=address, columns=columns))
+        return made[-1]
+
+    yield start
+    for each in made:
+        each.source.close()
 
 
-def forces(blocks: list[RigBlock]) -> np.ndarray:
-    return np.concatenate([block.force for block in blocks]) if blocks else np.empty(0)
-
-
-def until_force(value: float) -> Callable[[list[RigBlock]], bool]:
-    return lambda found: bool(found) and found[-1].force[-1] >= value
+def up_to(running: Streamed, force: float) -> Callable[[], bool]:
+    return lambda: bool(running.blocks) and running.blocks[-1].force[-1] >= force
 
 
 class Sender:
@@ -135,137 +110,87 @@ def sends(*parts: bytes) -> Callable[[socket.socket], None]:
 # -- over real links ---------------------------------------------------------------------------
 
 
-def test_lines_over_tcp_are_samples_in_si_units(
-    serve: Callable[..., str],
-) -> None:
-    source = opened(address=serve(sends(lines(0, 1000))), columns=TIMED)
-    blocks = gathered(source, until_force(980))
-    force = forces(blocks)
-    assert (np.diff(force) == 1.0).all()
-    np.testing.assert_allclose(
-        np.concatenate([block.displacement for block in blocks]), 1e-6 * force, atol=1e-12
-    )
-    assert {block.sample_count for block in blocks[:-1]} == {10}
-    for one, other in pairwise(blocks):
-        assert other.sequence == one.sequence + 10
-    assert blocks[0].period == pytest.approx(1e-3, rel=1e-9)
-
-
-def test_datagrams_are_lines_of_one_sender(serve: Callable[..., str]) -> None:
+def test_datagrams_are_lines_of_one_sender(stream: Callable[..., Streamed]) -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    source = opened(address=f"udp:127.0.0.1:{port}", columns=TIMED)
-    done = threading.Event()
+    running = stream(f"udp:127.0.0.1:{port}")
+    with (
+        closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender,
+        closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other,
+    ):
+        numbers = itertools.count(0, 5)
 
-    def send() -> None:
-        with (
-            closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender,
-            closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as another,
-        ):
-            k = 0
-            while not done.is_set():
+        def sent() -> bool:
+            for k in itertools.islice(numbers, 2):
                 sender.sendto(lines(k, 5).rstrip(), ("127.0.0.1", port))
-                another.sendto(lines(10**6 + k, 5), ("127.0.0.1", port))
-                k += 5
-                time.sleep(0.005)
+                other.sendto(lines(10**6 + k, 5), ("127.0.0.1", port))
+            return len(running.blocks) >= 20
 
-    thread = threading.Thread(target=send, daemon=True)
-    thread.start()
-    try:
-        blocks = gathered(source, lambda found: len(found) >= 20)
-    finally:
-        done.set()
-        thread.join()
+        running.until(sent)
     # Samples of the other would be a million further on.
-    assert np.ptp(forces(blocks)) < 10_000
+    assert np.ptp(running.joined("force")) < 10_000
 
 
-def test_lines_come_over_a_serial_line_that_is_joined_in_the_middle_of_one() -> None:
-    pytest.importorskip("serial")
-    master, slave = os.openpty()
-    source = opened(address=f"serial:{os.ttyname(slave)}", columns=TIMED)
-    blocks = source.blocks(START)
-    deadline = time.monotonic() + PATIENCE
-    while source.state().values["connections"] == 0:
-        assert time.monotonic() < deadline, source.state()
-        next(blocks)
-    # The end of "1007, 1, 2": as a line of its own it would be another sample.
-    os.write(master, b"7, 1, 2\n")
-    found: list[RigBlock] = []
-    for k in range(0, 1000, 50):
-        os.write(master, lines(k, 50))
-        found.append(next(blocks))
-    while forces(found).size == 0 or forces(found)[-1] < 980.0:
-        assert time.monotonic() < deadline, source.state()
-        found.append(next(blocks))
-    source.close()
-    os.close(slave)
-    os.close(master)
-    assert (np.diff(forces(found)) == 1.0).all()
-
-
-def test_a_serial_line_that_is_unplugged_is_told_and_does_not_hang() -> None:
+def test_lines_come_over_a_serial_line_that_is_joined_in_the_middle_of_one_and_unplugged(
+    stream: Callable[..., Streamed],
+) -> None:
     pytest.importorskip("serial")
     master, slave = os.openpty()
     name = os.ttyname(slave)
-    source = opened(address=f"serial:{name}", columns=TIMED)
-    blocks = source.blocks(START)
-    os.write(master, lines(0, 100))
-    next(blocks)
+    running = stream(f"serial:{name}")
+    running.until(lambda: running.source.state().values["connections"] > 0)
+    # The end of "1007, 1, 2": as a line of its own it would be another sample.
+    os.write(master, b"7, 1, 2\n")
+    parts = iter(range(0, 1000, 50))
+
+    def written() -> bool:
+        if (first := next(parts, None)) is not None:
+            os.write(master, lines(first, 50))
+        return up_to(running, 980.0)()
+
+    running.until(written)
+    assert (np.diff(running.joined("force")) == 1.0).all()
     os.close(slave)
     os.close(master)
-    deadline = time.monotonic() + PATIENCE
-    while name not in source.state().fault:
-        assert time.monotonic() < deadline, source.state()
-        next(blocks)
-    source.close()
+    running.until(lambda: name in running.fault)
 
 
-def test_a_link_that_is_cut_is_made_again_and_leaves_a_gap(serve: Callable[..., str]) -> None:
+def test_a_link_that_is_cut_is_made_again_and_leaves_a_gap(
+    serve: Callable[..., str], stream: Callable[..., Streamed]
+) -> None:
     def cut(connection: socket.socket) -> None:
         connection.sendall(lines(0, 1000) + b"1000000, 1.0")
 
     address = serve(cut, sends(lines(3000, 1000)))
-    source = opened(address=address, columns=TIMED)
-    blocks = gathered(source, until_force(3980))
-    force = forces(blocks)
+    running = stream(address)
+    running.until(up_to(running, 3980))
+    force = running.joined("force")
+    np.testing.assert_allclose(running.joined("displacement"), 1e-6 * force, atol=1e-12)
     # The stamps tell how long the gap was; samples that wait for others may be lost with it.
     assert ((np.diff(force) == 1.0) | (np.diff(force) > 1900.0)).all()
-    numbers = np.concatenate([b.sequence + np.arange(b.sample_count) for b in blocks])
-    assert len(set((force - numbers).tolist())) == 1
-    assert source.settings.address == address
+    assert len(set((force - running.numbers()).tolist())) == 1
+    assert running.blocks[0].period == pytest.approx(1e-3, rel=1e-9)
+    assert running.source.settings.address == address
 
 
-def test_who_is_not_there_is_told_and_waited_for() -> None:
+def test_who_is_not_there_is_told_and_waited_for(stream: Callable[..., Streamed]) -> None:
     with closing(socket.create_server(("127.0.0.1", 0))) as server:
         port = server.getsockname()[1]
-    source = opened(address=f"tcp:127.0.0.1:{port}", columns=TIMED)
-    blocks = source.blocks(START)
-    deadline = time.monotonic() + PATIENCE
-    while "Connection refused" not in source.state().fault:
-        assert time.monotonic() < deadline, source.state()
-        assert next(blocks).sample_count == 0
-    sender = closing(socket.create_server(("127.0.0.1", port)))
-    with sender as server:
+    running = stream(f"tcp:127.0.0.1:{port}")
+    running.until(lambda: "Connection refused" in running.fault)
+    with closing(socket.create_server(("127.0.0.1", port))) as server:
         connection, _ = server.accept()
         with closing(connection):
             connection.sendall(lines(0, 1000))
-            while next(blocks).sample_count == 0:
-                assert time.monotonic() < deadline, source.state()
-        source.close()
+            running.until(lambda: running.samples > 0)
 
 
-def test_an_address_that_is_taken_is_told() -> None:
+def test_an_address_that_is_taken_is_told(stream: Callable[..., Streamed]) -> None:
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as taken:
         taken.bind(("127.0.0.1", 0))
-        source = opened(address=f"udp:127.0.0.1:{taken.getsockname()[1]}", columns=TIMED)
-        blocks = source.blocks(START)
-        deadline = time.monotonic() + PATIENCE
-        while "Address already in use" not in source.state().fault:
-            assert time.monotonic() < deadline, source.state()
-            next(blocks)
-        source.close()
+        running = stream(f"udp:127.0.0.1:{taken.getsockname()[1]}")
+        running.until(lambda: "Address already in use" in running.fault)
 
 
 @pytest.mark.parametrize(
@@ -300,34 +225,27 @@ def test_the_simulated_sender_keeps_to_any_format(options: dict[str, Any]) -> No
     assert rows[0].measured.force == pytest.approx(1000.0 * math.tanh(3.0), rel=1e-6)
 
 
-def test_a_stream_may_be_simulated() -> None:
-    source = opened(address="simulated", columns=TIMED)
-    blocks = gathered(source, lambda found: len(found) >= 3)
-    assert blocks[0].period == pytest.approx(1e-3, rel=1e-6)
-
-
 # -- what comes over it ------------------------------------------------------------------------
 
 
-def test_a_sender_of_garbage_is_told_and_given_nothing(serve: Callable[..., str]) -> None:
-    noise = random.Random(1).randbytes(100_000)
-    source = opened(address=serve(sends(noise, b"\n")), columns=TIMED)
-    blocks = source.blocks(START)
-    deadline = time.monotonic() + PATIENCE
-    while "cannot be read as" not in source.state().fault:
-        assert time.monotonic() < deadline, source.state()
-        assert next(blocks).sample_count == 0
-    source.close()
+def test_a_sender_of_garbage_is_told_and_given_nothing(
+    serve: Callable[..., str], stream: Callable[..., Streamed]
+) -> None:
+    running = stream(serve(sends(random.Random(1).randbytes(100_000), b"\n")))
+    running.until(lambda: "cannot be read as" in running.fault)
+    assert running.blocks == []
 
 
-def test_garbage_between_lines_costs_no_more_than_what_it_hits(serve: Callable[..., str]) -> None:
+def test_garbage_between_lines_costs_no_more_than_what_it_hits(
+    serve: Callable[..., str], stream: Callable[..., Streamed]
+) -> None:
     rng = random.Random(2)
     parts = []
     for k in range(0, 2000, 100):
         parts += [lines(k, 100), rng.randbytes(30).replace(b"\n", b"") + b"\n", b"nan,nan,nan\n"]
-    source = opened(address=serve(sends(*parts)), columns=TIMED)
-    force = forces(gathered(source, until_force(1980)))
-    assert (np.diff(force) == 1.0).all()
+    running = stream(serve(sends(*parts)))
+    running.until(up_to(running, 1980))
+    assert (np.diff(running.joined("force")) == 1.0).all()
 
 
 def test_a_line_without_end_takes_no_room() -> None:
@@ -335,7 +253,6 @@ def test_a_line_without_end_takes_no_room() -> None:
     decoder.begin(whole=True)
     rows = [row for _ in range(1000) for row in decoder.feed(b"1" * 4096)]
     assert rows == [None]
-    assert len(decoder._rest) <= 1024
     assert decoder.feed(b"\n0,1,2\n") == [Row(Measured(1e-3, -2.0), None, 0.0)]
 
 
@@ -349,29 +266,11 @@ def test_a_sender_that_floods_is_held_up_and_nothing_grows() -> None:
             yield b"0,1,2\n"
 
     reader = DeviceReader(flood, "a flood")
-    deadline = time.monotonic() + PATIENCE
-    while len(brought) < 257:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: len(brought) == 257, "256 that wait, and one in hand")
     time.sleep(0.2)
-    assert len(brought) == 257, "256 wait, and one is in hand"
+    assert len(brought) == 257
     assert len(reader.take()) == 256
     reader.close()
-
-
-def test_a_driver_that_hangs_does_not_hold_up_who_closes_it() -> None:
-    hangs = threading.Event()
-
-    def deaf() -> Portions[bytes]:
-        yield None
-        hangs.wait(PATIENCE)
-
-    reader = DeviceReader(deaf, "a deaf one")
-    began = time.monotonic()
-    reader.close()
-    passed = time.monotonic() - began
-    hangs.set()
-    assert passed < 0.5 * PATIENCE
 
 
 def test_a_driver_that_fails_in_a_way_of_its_own_is_told_and_tried_again() -> None:
@@ -382,10 +281,7 @@ def test_a_driver_that_fails_in_a_way_of_its_own_is_told_and_tried_again() -> No
         raise KeyError("Dev1")
 
     reader: DeviceReader[bytes] = DeviceReader(connect, "the device")
-    deadline = time.monotonic() + PATIENCE
-    while len(tried) < 2:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: len(tried) >= 2, "another try")
     assert reader.fault == "no connection to the device: KeyError: 'Dev1'"
     reader.close()
 
@@ -427,12 +323,6 @@ def test_a_line_is_read_or_refused(line: bytes, force: float | None) -> None:
     decoder.begin(whole=True)
     (row,) = decoder.feed(line)
     assert (row and row.measured.force) == force
-
-
-def test_remarks_and_empty_lines_are_no_samples() -> None:
-    decoder = LineDecoder(parse_row_format(TIMED))
-    decoder.begin(whole=True)
-    assert decoder.feed(b"# ready\n\n\r\n") == []
 
 
 @pytest.mark.parametrize(
@@ -503,19 +393,6 @@ def stamped(rows: StampedRows, times: Iterator[float] | list[float]) -> list[int
     ]
 
 
-def test_stamps_of_a_sender_are_brought_to_the_clock_of_this_computer() -> None:
-    rows, rng = StampedRows(1e-6), np.random.default_rng(4)
-    errors = []
-    for k in range(4000):
-        taken = START // 1000 + k * MILLISECOND
-        arrival = taken + round(MILLISECOND * (0.5 + rng.exponential()))
-        for sample in rows.add(Row(Measured(0.0, float(k)), None, 7.0 + 1e-3 * k), arrival):
-            right = START // 1000 + round(sample.measured.force) * MILLISECOND
-            errors.append(sample.time_ns - right - MILLISECOND // 2)
-    # The shortest time on the way stays in the times.
-    assert max(map(abs, errors[500:])) < 0.2 * MILLISECOND
-
-
 def test_a_counter_of_microseconds_may_begin_at_0_again() -> None:
     rows = StampedRows(1e-6)
     begin = 2**32 - 500_000
@@ -532,13 +409,6 @@ def test_a_wrong_stamp_costs_one_sample() -> None:
     found = stamped(rows, times)
     assert sorted(set(range(found[0], found[-1])) - set(found)) == [500]
     assert rows.values()["wrong stamps"] == 1
-
-
-def test_a_sender_that_was_started_again_begins_anew() -> None:
-    rows = StampedRows(1e-6)
-    found = stamped(rows, [100.0 + 1e-3 * k for k in range(1000)] + [1e-3 * k for k in range(1000)])
-    assert len(found) > 1900
-    assert (np.diff(found) > 0).all()
 
 
 @pytest.mark.parametrize("jump", [3600.0, -3600.0])
@@ -611,11 +481,4 @@ def test_blocks_hold_what_came_and_none_has_a_gap(taken: set[int], size: int) ->
 def test_what_does_not_go_together_is_said(options: dict[str, Any], part: str) -> None:
     if options and "columns" in options:
         options = {"address": "tcp:a:1", **options}
-    assert part in stream(**options).settings.objection()
-
-
-def test_addresses_are_those_of_three_kinds() -> None:
-    found = [parse_address(a) for a in ("serial:/dev/ttyS0", "tcp:rig:5", "udp:[::1]:65535")]
-    assert [(a.kind, a.host, a.number) for a in found] == [
-        *(("serial", "/dev/ttyS0", 0), ("tcp", "rig", 5), ("udp", "::1", 65535))
-    ]
+    assert part in source_of("stream", **options).settings.objection()

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks.instrument_server import InstrumentServer
@@ -33,10 +32,8 @@ from mr_damper_ros.rig.supplies.supply import (
     ScpiSupply,
     SupplyDriver,
     SupplyError,
-    SupplyProfile,
     SupplyThread,
     read_profile,
-    shipped_profiles,
 )
 
 SECOND = 10**9
@@ -70,12 +67,6 @@ def test_the_age_of_a_command_counts_as_time_that_it_has_held() -> None:
     assert tried.command(1.0, 0, 0.3, now=10.0) == ""
     assert tried.step(10.19) == 1.0
     assert tried.step(10.2) == 0.0
-
-
-def test_a_command_of_the_future_holds_no_longer_than_one_of_now() -> None:
-    tried = commander(command_timeout=0.5, stamp_tolerance=0.4)
-    assert tried.command(1.0, 0, -0.4, now=10.0) == ""
-    assert tried.step(10.5) == 0.0
 
 
 def test_a_command_stamped_ahead_within_the_tolerance_keeps_no_other_out() -> None:
@@ -171,17 +162,6 @@ def instrument(clock: SetClock) -> EmulatedInstrument:
     return EmulatedInstrument(time_constant=0.05, clock=clock)
 
 
-def test_what_it_measures_follows_what_was_set_by_way_of_the_inductance(
-    instrument: EmulatedInstrument, clock: SetClock
-) -> None:
-    instrument.hear("CURR 2.0")
-    instrument.hear("OUTP ON")
-    for passed in (0.02, 0.05, 0.5):
-        clock.now = 100.0 + passed
-        expected = 2.0 * (1.0 - math.exp(-passed / 0.05))
-        assert float(instrument.hear("MEAS:CURR?") or "") == pytest.approx(expected, abs=1e-4)
-
-
 def test_its_watchdog_switches_off_when_it_is_due_and_must_be_cleared(
     instrument: EmulatedInstrument, clock: SetClock
 ) -> None:
@@ -212,11 +192,6 @@ def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) 
 # --- profiles -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", shipped_profiles())
-def test_a_shipped_profile_can_be_read_and_says_what_it_was_tested_on(name: str) -> None:
-    assert read_profile(name).tested
-
-
 @pytest.mark.parametrize(
     ("text", "part"),
     [
@@ -240,11 +215,6 @@ def test_a_profile_that_cannot_be_used_is_refused(tmp_path: Path, text: str, par
 def test_a_profile_that_is_not_there_is_answered_with_those_that_are() -> None:
     with pytest.raises(ProfileError, match="emulated, keysight_n7900, scpi"):
         read_profile("mine")
-
-
-def test_a_watchdog_is_never_set_shorter_than_wanted_nor_to_a_part_of_its_step() -> None:
-    profile = SupplyProfile(tested="no", watchdog_step=1.0)
-    assert [profile.watchdog_delay(wanted) for wanted in (0.2, 1.0, 1.2)] == [1.0, 1.0, 2.0]
 
 
 # --- a supply behind a socket -------------------------------------------------------------------
@@ -292,17 +262,6 @@ def test_it_is_off_and_without_current_until_it_is_switched_on(
     assert supply.measured() == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_command_changes_what_is_measured(supply: ScpiSupply, clock: SetClock) -> None:
-    supply.open()
-    supply.switch_on()
-    give(supply, 1.25)
-    clock.now += 0.4
-    assert supply.measured() == pytest.approx(1.25, abs=1e-3)
-    supply.switch_off()
-    clock.now += 0.4
-    assert supply.measured() == pytest.approx(0.0, abs=1e-3)
-
-
 class AnsweringLink(EmulatedLink):
     """A link to an instrument that measures what it is told to."""
 
@@ -323,16 +282,6 @@ def test_what_is_no_number_is_no_measured_current(answer: str) -> None:
     supply.open()
     with pytest.raises(SupplyError, match="is no current"):
         supply.measured()
-
-
-def test_the_same_current_is_not_sent_again(supply: ScpiSupply, server: InstrumentServer) -> None:
-    supply.open()
-    supply.switch_on()
-    give(supply, 1.0)
-    sent = len(server.lines)
-    supply.give(1.0)
-    supply.measured()
-    assert server.lines[sent:] == ["MEAS:CURR?"]
 
 
 def test_the_watchdog_is_set_before_there_is_current_and_can_be_armed_again(
@@ -356,13 +305,6 @@ def test_a_profile_that_does_not_fit_is_told_at_once(
         supply_at(server.address, str(path)).open()
 
 
-def test_silence_is_a_lost_link(supply: ScpiSupply, server: InstrumentServer) -> None:
-    supply.open()
-    server.silent = True
-    with pytest.raises(LinkLostError, match="has not answered within"):
-        supply.measured()
-
-
 def test_a_cut_connection_is_a_lost_link_and_the_output_goes_off_over_a_new_one(
     supply: ScpiSupply, server: InstrumentServer, clock: SetClock
 ) -> None:
@@ -381,16 +323,6 @@ def test_a_cut_connection_is_a_lost_link_and_the_output_goes_off_over_a_new_one(
     assert not supply.switched_on
 
 
-def test_complaints_from_before_do_not_keep_it_from_being_switched_off(
-    supply: ScpiSupply, server: InstrumentServer
-) -> None:
-    supply.open()
-    supply.switch_on()
-    supply.give(99.0)
-    supply.switch_off()
-    assert server.instrument.is_off
-
-
 @pytest.mark.parametrize("address", ["", "a b", "host:99999", "host:port"])
 def test_an_address_that_is_none_is_refused(address: str) -> None:
     with pytest.raises(ValueError, match="give host:port"):
@@ -401,15 +333,6 @@ def test_nobody_at_the_address_is_a_lost_link(server: InstrumentServer) -> None:
     server.close()
     with pytest.raises(LinkLostError, match="refused"):
         connect(server.address, Patience(TIMEOUT))
-
-
-def test_an_answer_that_dribbles_is_a_lost_link(
-    supply: ScpiSupply, server: InstrumentServer
-) -> None:
-    supply.open()
-    server.dribble = 0.2 * TIMEOUT
-    with pytest.raises(LinkLostError, match="has not answered within"):
-        supply.measured()
 
 
 def test_somebody_else_can_end_the_wait_for_an_answer(
@@ -540,18 +463,6 @@ def test_a_current_that_does_not_come_is_noticed(
         assert driver.state.deviates == (passed > 1.0)
 
 
-def test_complaints_of_the_instrument_are_counted(
-    instrument: EmulatedInstrument, clock: SetClock
-) -> None:
-    driver, commands = driven(instrument)
-    driver.start(clock.now)
-    commands.set_by_hand(9.0)  # more than the instrument gives
-    driver.obey(clock.now)
-    driver.check(clock.now)
-    assert driver.state.complaints == 1
-    assert driver.state.last_complaint.startswith("-222")
-
-
 # --- in a thread of its own ---------------------------------------------------------------------
 
 
@@ -613,14 +524,3 @@ def test_stopping_a_supply_that_dribbles_ends_and_says_what_could_not_be_done(
     assert live.instrument.is_off
     thread.end()
     assert thread.finished
-
-
-def test_a_command_that_ends_is_obeyed_between_two_complaints(live: InstrumentServer) -> None:
-    thread = in_thread(live, [])
-    gives_current(live)
-    for _ in range(9):
-        live.instrument.hear("NONSENSE 1")
-    wait_until(lambda: thread.driver.state.complaints == 9)
-    asked = [k for k, line in enumerate(live.lines) if line == "SYST:ERR?"]
-    assert min(np.diff(asked[-9:])) > 1, "one complaint at a time"
-    assert thread.stop()

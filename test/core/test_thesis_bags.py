@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_contents import information, messages, type_hashes
+from bag_contents import messages
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.models.published import CONDITIONS, find
+from mr_damper_ros.models.published import find
 from studies.thesis import bags as thesis_bags
 from studies.thesis.published_runs import synthesise
 
@@ -23,11 +23,6 @@ ROUNDING_FORCE, ROUNDING_DISPLACEMENT = 1e-9, 1e-15
 
 def folders(path: Path) -> list[str]:
     return sorted(entry.name for entry in path.iterdir() if entry.is_dir())
-
-
-def test_the_committed_bags_are_one_per_current() -> None:
-    assert folders(COMMITTED) == NAMES
-    assert sorted(find(name).current for name in NAMES) == [0.0, 0.5, 1.0, 1.5]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -49,16 +44,6 @@ def test_a_committed_bag_is_what_the_program_makes(name: str, tmp_path: Path) ->
         for folder in (COMMITTED / name, tmp_path / name)
     )
     assert a == b
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_committed_bag_carries_the_types_that_the_package_builds(
-    name: str, tmp_path: Path
-) -> None:
-    write_bag(tmp_path / name, synthesise(find(name)))
-    assert type_hashes(COMMITTED / name) == type_hashes(tmp_path / name)
-    assert information(COMMITTED / name)["version"] == 9
-    assert information(COMMITTED / name)["storage_identifier"] == "mcap"
 
 
 def test_all_clean_conditions_are_made_by_default(
@@ -98,30 +83,3 @@ def test_what_cannot_be_made_is_said_in_a_sentence(
     assert sentence in error
     assert error.count("\n") == 1
     assert folders(tmp_path) == []
-
-
-def test_nothing_is_made_where_one_bag_exists(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    names = [condition.name for condition in CONDITIONS[:2]]
-    assert thesis_bags.main([str(tmp_path), "--conditions", names[1]]) == 0
-    assert thesis_bags.main([str(tmp_path), "--conditions", *names]) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert folders(tmp_path) == [names[1]]
-    assert thesis_bags.main([str(tmp_path), "--conditions", *names, "--overwrite"]) == 0
-    assert folders(tmp_path) == names
-
-
-def test_ctrl_c_leaves_whole_bags_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = iter(CONDITIONS)
-
-    def interrupted(condition: object, *, seed: int) -> object:
-        assert condition == next(calls)
-        if condition == CONDITIONS[2]:
-            raise KeyboardInterrupt
-        return synthesise(CONDITIONS[0], seed=seed)
-
-    monkeypatch.setattr(thesis_bags, "synthesise", interrupted)
-    assert thesis_bags.main([str(tmp_path)]) == 130
-    assert folders(tmp_path) == [condition.name for condition in CONDITIONS[:2]]
-    assert all(read_bag(tmp_path / name)[0].sample_count == 7001 for name in folders(tmp_path))

@@ -38,10 +38,8 @@ SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
 SINE = {"amplitude": 3e-5, "frequency": 3e-6, "phase": 2e-5}
 """Relative: four of the standard errors that 7001 samples with a noise of 1 µm of 2.5 mm leave."""
 
-
 SIGMA = 0.015
 """Relative: the same of a standard deviation and of all that is proportional to it."""
-
 
 # Relative: ours and the thesis' are of 7001 samples, which tell a variance to 1.7 % each.
 # Relative: single samples, whose standard deviation between seeds is about 1.5 N of 21.
@@ -52,18 +50,14 @@ FORCE_ERROR = {
 }
 """What is compared of the error of the force, and how near it must come."""
 
-
 TABULATED = 3e-5
 """Relative: quantiles as tables print them, with five digits."""
-
 
 ONE_DIGIT = 0.05
 """Relative: the thesis states 0.015 and 0.06 for 0.0157 and 0.0628 m/s."""
 
-
 SLOPE = 1.0
 """[N/A]: such errors of spans that are 1.5 A apart, and the digit that stands here."""
-
 
 PEAK_COLD = 0.02
 """Relative: the peak that the thesis states lies 1.5 % below that of its own set of 28 °C."""
@@ -71,10 +65,8 @@ PEAK_COLD = 0.02
 PEAK = 0.01
 """Relative: other peaks that the thesis states lie within 0.6 % of those of its sets."""
 
-
 ROUNDED = {"a0": 1.0}
 """Last digit of the differences of the methods as tables 15 and 16 round them."""
-
 
 TWO_DECIMALS = 0.005
 """The ratios stand here with two decimals."""

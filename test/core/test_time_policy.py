@@ -173,13 +173,3 @@ def test_a_current_from_a_clock_far_ahead_is_told() -> None:
     prediction = made.predict(BLOCKS[0])
     assert not prediction.valid
     assert "stamped 60 s after their begin" in prediction.reason
-
-
-def test_a_current_from_a_clock_far_behind_is_told() -> None:
-    made = ForcePredictor(PredictorSettings())
-    made.set_parameters(SET)
-    for block in BLOCKS:
-        made.add_current(block.start_ns - 60 * NANOSECONDS, 1.0)
-        prediction = made.predict(block)
-    assert not prediction.valid
-    assert "the supply current is 60.0 s old" in prediction.reason

@@ -16,12 +16,9 @@ from mr_damper_ros.emulation.emulator import (
     ConstantDamper,
     EmulatedRig,
     RigSettings,
-    TemperatureDependentDamper,
-    ThermalModel,
 )
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.tools import identify
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -183,20 +180,3 @@ def test_a_file_that_is_no_record_is_refused_and_left_alone(
 
 
 # -- temperature ---------------------------------------------------------------------------------
-
-
-def test_a_bag_with_a_thermometer_gives_the_map(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig = EmulatedRig(
-        TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
-        SineMotion(5e-3, 1.0),
-        1.5,
-        thermal=ThermalModel(capacity=25.0, conductance=0.0),
-    )
-    write_bag(tmp_path / "bag", rig.record(50.0))
-    document = identified(tmp_path, tmp_path / "bag", "--method", "least_squares")
-    (found,) = document["temperature_maps"]
-    assert found["temperature"][0] == found["range"][0]
-    assert found["force_scale"][-1] / found["force_scale"][0] == pytest.approx(0.78, abs=0.02)
-    assert "the force changes by -0.6" in capsys.readouterr().out

@@ -28,24 +28,17 @@ TIME = np.arange(40) * 0.01
 DISPLACEMENT_MM = 5.0 * np.sin(20.0 * TIME)
 FORCE = 900.0 * np.cos(20.0 * TIME) + 3.0
 
-
 WRITTEN_FORCE = 1e-6
 """[N]: six decimals are written."""
-
 
 ROUNDING_OF_TIMES = 1e-12
 """Relative: a period is a difference of times, of up to two thousand periods, over their number."""
 
-
 REACHED = (0.75, 1.05)
 """Of the stroke that the name of a record states: the fastest strokes were a fifth shorter."""
 
-
 PEAK_FORCES = (100.0, 2000.0)
 """[N]: any unit but the right one would be off by a factor of ten or more."""
-
-PEAK_FORCES_OF_RAW_RECORDS = (1000.0, 2000.0)
-"""[N]: both were made with a strong current."""
 
 
 def rows(separator: str = " ", decimal: str = ".") -> list[str]:
@@ -430,7 +423,12 @@ def test_a_failure_is_one_sentence_and_leaves_no_bag(
 
 @pytest.mark.parametrize(
     ("raised", "code"),
-    [(ValueError("so it is"), 2), (OSError(28, "No space left"), 2), (KeyboardInterrupt(), 130)],
+    [
+        (ValueError("so it is"), 2),
+        (OSError(28, "No space left"), 2),
+        (MemoryError(), 2),
+        (KeyboardInterrupt(), 130),
+    ],
 )
 def test_expected_failures_have_exit_codes(
     raised: BaseException, code: int, capsys: pytest.CaptureFixture[str]
@@ -440,16 +438,6 @@ def test_expected_failures_have_exit_codes(
 
     assert run_tool(argparse.ArgumentParser("tool"), run, []) == code
     assert capsys.readouterr().err.strip().startswith("tool: ")
-
-
-def test_too_little_memory_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    def run(options: argparse.Namespace) -> int:
-        raise MemoryError
-
-    assert run_tool(argparse.ArgumentParser("tool"), run, []) == 2
-    assert capsys.readouterr().err == (
-        "tool: there is not enough memory for these data: take a part of them\n"
-    )
 
 
 @pytest.mark.parametrize("tool", [check_rig, watch])
@@ -523,24 +511,6 @@ def test_raw_records_come_apart_into_their_five_runs(
     # Relative: the press repeats its stroke, and the bounds stand here with three digits.
     assert reached == pytest.approx([amplitude] * 5, rel=0.01)
     assert np.all(np.diff([np.ptp(run.force) for run in runs]) > 0.0)
-
-
-@pytest.mark.parametrize("name", ["ME25mm0x25Hz", "ME2mm5Hz"])
-@pytest.mark.parametrize(
-    "columns",
-    [
-        "time:0.005*s,-,force:980.665*N,displacement:10*mm",
-        "time=Sample Number:0.005*s,force=CHANNEL0:980.665*N,displacement=CHANNEL1:10*mm",
-    ],
-)
-def test_raw_records_read_unchanged(laboratory: Path, name: str, columns: str) -> None:
-    path = laboratory / "raw" / f"{name}.txt"
-    whole = read_record(path, columns, current=0.5)
-    assert whole.period == 0.005
-    assert whole.sample_count == sum(1 for _ in path.open()) - 7
-    assert PEAK_FORCES_OF_RAW_RECORDS[0] < whole.force.max() < PEAK_FORCES_OF_RAW_RECORDS[1]
-    part = read_record(path, columns, current=0.0, start=2.0, stop=9.0)
-    np.testing.assert_array_equal(part.force, whole.force[400:1801])
 
 
 def test_the_earthquake_record_reads_unchanged(laboratory: Path) -> None:

@@ -27,14 +27,11 @@ WINDOWS = 30
 SCALE_ERROR = 0.01
 """Largest error of the reported force scale."""
 
-
 FITTED = 2.0
 """RMSE [N] of a set that was fitted to one window: the noise in 1000 samples makes 0.5 N of it."""
 
-
 SINE_ERROR = 1e-3
 """Relative error of amplitude, frequency and peak velocity of a sine without noise."""
-
 
 WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
 """The known damper with four fifths of its yield force: a start that is wrong, but not much."""
@@ -105,20 +102,18 @@ Drift = tuple[WindowTracker, list[Report], list[float]]
 
 
 def test_a_drift_is_followed_and_reported(drift: Drift) -> None:
-    assert [report.reason for report in drift[1]] == [""] * WINDOWS
-    _, reports, truth = drift
+    tracked, reports, truth = drift
+    assert [report.reason for report in reports] == [""] * WINDOWS
     assert truth[-1] < 0.8, "the drift itself is missing"
     found = [report.scale.value for report in reports[1:]]
     np.testing.assert_allclose(found, truth[1:], rtol=SCALE_ERROR)
-    _, reports, truth = drift
     errors = [
         (report.scale.value - true) / report.scale.standard_error
         for report, true in zip(reports[1:], truth[1:], strict=True)
     ]
     # Of a standard deviation of 1, which 29 windows tell to 13 %; they share the baseline's error.
     assert np.std(errors) == pytest.approx(1.0, abs=0.5)
-    assert math.isnan(drift[1][0].scale.value)
-    tracked, reports, _ = drift
+    assert math.isnan(reports[0].scale.value)
     last, _ = drifting(WINDOWS - 1)
     run = known.run(
         THESIS_28_CELSIUS, current=1.5, samples=SAMPLES, start=(WINDOWS - 1) * 1.0, seed=None
@@ -127,7 +122,7 @@ def test_a_drift_is_followed_and_reported(drift: Drift) -> None:
     assert error_of(tracked.parameters, hot) < FITTED
     assert tracked.parameters.set_id == reports[-1].set_id == f"window-{WINDOWS}"
     assert tracked.parameters.stamp_ns == last.end_ns
-    report = drift[1][7]
+    report = reports[7]
     assert report.window_start_ns == known.T0 + 7 * known.NANOSECONDS
     assert report.stamp_ns == report.window_start_ns + 999_000_000
     assert report.sample_count == SAMPLES
@@ -226,7 +221,9 @@ BAD_WINDOWS = {
 @pytest.mark.parametrize(
     ("spoil", "sentence"), BAD_WINDOWS.items(), ids=[f.__name__ for f in BAD_WINDOWS]
 )
-def test_a_bad_window_never_replaces_a_good_set(spoil: object, sentence: str) -> None:
+def test_a_bad_window_never_replaces_a_good_set_and_the_next_good_one_does(
+    spoil: object, sentence: str
+) -> None:
     tracked = experienced()
     good = tracked.parameters
     report = fed(tracked, spoil(window(5)))[0]  # type: ignore[operator]
@@ -235,20 +232,9 @@ def test_a_bad_window_never_replaces_a_good_set(spoil: object, sentence: str) ->
     assert report.reason != ""
     assert sentence in report.reason
     assert report.set_id == good.set_id
-
-
-@pytest.mark.parametrize("spoil", BAD_WINDOWS, ids=[f.__name__ for f in BAD_WINDOWS])
-def test_after_a_bad_window_the_next_good_change_is_followed(spoil: object) -> None:
-    tracked = experienced()
-    fed(tracked, spoil(window(5)))  # type: ignore[operator]
     assert fed(tracked, window(6, strength=0.9))[0].accepted
     weaker = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
     assert error_of(tracked.parameters, known.run(weaker, seed=None)) < FITTED
-
-
-def test_a_first_window_whose_force_drives_the_motion_is_refused() -> None:
-    # A passive damper takes power out: force and velocity of opposite signs mean a wrong sign.
-    assert not fed(tracker(), reversed_force(window(0)))[0].accepted
 
 
 def test_a_large_step_is_followed_once_it_is_confirmed() -> None:
@@ -279,17 +265,6 @@ def test_a_force_that_comes_late_is_not_taken_by_repetition() -> None:
 
 
 # -- held-back samples -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("count", [40, 1000, 1037])
-def test_a_quarter_is_held_back_all_over_the_window(count: int) -> None:
-    mask = held_back_samples(count)
-    # Samples by which a quarter that is made of whole chunks may be too large or too small.
-    assert mask.sum() == pytest.approx(count / 4, abs=10)
-    # Least and most of any fifth of a window that is held back.
-    least, most = (0.1, 0.45)
-    for part in np.array_split(mask, 5):
-        assert least < part.mean() < most
 
 
 def test_the_held_back_samples_take_no_part_in_the_judged_fit() -> None:
@@ -334,13 +309,6 @@ def known_over(
     return tracked
 
 
-def test_a_window_keeps_the_range_over_which_the_dependence_is_known() -> None:
-    tracked = known_over("a1", "k2", speeds=(0.01, 0.1), currents=(0.2, 1.5))
-    assert fed(tracked, window(0))[0].accepted
-    assert tracked.parameters.peak_velocity_range == (0.01, 0.1)
-    assert tracked.parameters.current_range == (0.2, 1.5)
-
-
 def test_a_window_at_one_current_does_not_narrow_the_range_that_a_user_states() -> None:
     ranges = {"peak_velocity_range": (0.0, 1.0), "current_range": (0.0, 2.0)}
     stated = ParameterSet(known.PLAUSIBLE, **ranges)
@@ -349,13 +317,6 @@ def test_a_window_at_one_current_does_not_narrow_the_range_that_a_user_states() 
     assert report.accepted
     assert tracked.parameters.current_range == (0.0, 2.0)
     assert tracked.parameters.peak_velocity_range == (0.0, 1.0)
-
-
-def test_a_known_dependence_on_the_speed_says_nothing_of_other_currents() -> None:
-    tracked = known_over("a1", speeds=(0.01, 0.1), currents=(0.2, 1.5))
-    assert fed(tracked, window(0))[0].accepted
-    assert tracked.parameters.peak_velocity_range == (0.01, 0.1)
-    assert tracked.parameters.current_range == (1.0, 1.0)
 
 
 def test_a_law_that_is_wrong_at_another_current_does_not_hold_there_and_here() -> None:
@@ -378,15 +339,6 @@ def test_a_spike_is_not_the_largest_force() -> None:
     largest = np.max(np.abs(window().force))
     # By which the largest force may miss the outermost sample: the noise of 5.5 N in 500 N.
     assert tracked.parameters.largest_force == pytest.approx(largest, rel=0.03)
-
-
-def test_the_same_windows_give_the_same_sets() -> None:
-    windows = [window(n, strength=1.0 - 0.02 * n, current=0.5 * (1 + n % 2)) for n in range(6)]
-    first, second = (tracker(method="nelder_mead") for _ in range(2))
-    for a, b in zip(fed(first, *windows), fed(second, *windows), strict=True):
-        assert (a.accepted, a.reason, a.set_id) == (b.accepted, b.reason, b.set_id)
-        np.testing.assert_array_equal(a.coefficients, b.coefficients)
-    np.testing.assert_array_equal(first.parameters.values, second.parameters.values)
 
 
 def test_an_initial_set_is_untouched_until_a_window_is_accepted() -> None:
@@ -449,12 +401,6 @@ def test_a_search_falls_due_after_ever_more_windows_at_several_points() -> None:
     assert waited == [2, 3, 3]
 
 
-def test_one_operating_point_is_not_searched() -> None:
-    tracked = tracker(global_period=1)
-    reports = fed(tracked, *(window(n, strength=1.0 - 0.1 * n) for n in range(4)))
-    assert not any(report.global_due for report in reports)
-
-
 def test_a_search_improves_the_set_on_the_reservoir() -> None:
     tracked = toured()
     report = tracked.identify()
@@ -509,13 +455,6 @@ def test_a_set_that_nobody_asked_for_is_in_use_once_a_window_confirms_it() -> No
     assert report.set_id == tracked.parameters.set_id
     shape = known.SHAPE
     np.testing.assert_array_equal(tracked.parameters.values[shape], found.values[shape])
-
-
-def test_a_set_that_a_window_refutes_is_forgotten() -> None:
-    tracked, found = waiting(factor=2.0)
-    fed(tracked, window(9, current=0.9), window(10, current=0.9))
-    shape = known.SHAPE
-    assert not np.array_equal(tracked.parameters.values[shape], found.values[shape])
 
 
 def test_a_window_of_a_faulty_sensor_leaves_a_set_waiting() -> None:

@@ -73,16 +73,6 @@ def test_a_tracker_goes_on_where_it_was(kind: str) -> None:
     assert to_text(again.memory) == to_text(tracked.memory)
 
 
-def test_the_next_search_comes_when_it_would_have_come() -> None:
-    tracked = tracker(global_period=20)
-    feed(tracked, 0, 4)
-    for _ in range(3):
-        tracked.search()
-    again = resumed(tracked, global_period=20)
-    due, due_again = ([r.global_due for r in feed(each, 7, 12)] for each in (tracked, again))
-    assert due == due_again == [False] * 3 + [True] * 2
-
-
 def test_after_a_reset_the_damper_may_still_be_another_one() -> None:
     tracked = tracker()
     feed(tracked, 0, 3)
@@ -98,13 +88,6 @@ def test_the_filter_of_another_tracker_is_not_used() -> None:
     feed(tracked, 0, 3)
     assert tracked.memory.state is not None
     assert resumed(tracked, tracker="window").memory.state is None
-
-
-def test_a_watch_for_other_changes_is_not_used() -> None:
-    tracked = tracker()
-    feed(tracked, 0, 2)
-    assert resumed(tracked).memory.watch is not None
-    assert resumed(tracked, smallest_change=0.05).memory.watch is None
 
 
 def learnt() -> dict[str, Any]:

@@ -22,22 +22,17 @@ from mr_damper_ros.tracking.window_assembler import RawWindow
 SCALE_TOLERANCE = 0.01
 """Of the force scale: a tenth of the change that is to be seen."""
 
-
 STANDARD_ERRORS = 5.0
 """By which an estimate may miss the truth: none of some twenty parameters does by chance."""
-
 
 NOISE_ERROR = 0.1
 """Relative: the held-back quarter of a window tells the noise to 4.5 %."""
 
-
 UNSEEN_QUARTER = {"series_springs": 2.0}
 """Times the noise: what three quarters of a cycle leave open of two springs, in the fourth."""
 
-
 CHANGE = 5.4
 """Time of a sudden change [s], in the middle of a hop."""
-
 
 SECONDS = 10
 NOISE = 5.0

@@ -15,7 +15,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import FolderLock, LockHeldError
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.tracker_state import TrackerMemory, TrackerState
+from mr_damper_ros.tracking.tracker_state import TrackerState
 
 WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
 START = ParameterSet(WEAK, set_id="start")
@@ -151,13 +151,6 @@ def test_a_set_that_the_next_start_would_refuse_is_not_kept(tmp_path: Path) -> N
     state.close()
 
 
-def test_a_memory_that_the_next_start_would_refuse_is_not_kept(tmp_path: Path) -> None:
-    tracker, state = taught(tmp_path)
-    tracker.resume(tracker.parameters, TrackerMemory(windows=-1))
-    assert "a negative count cannot be" in state.keep_now()
-    state.close()
-
-
 def test_sets_are_kept_under_names_beside_the_own_one(tmp_path: Path) -> None:
     tracker, state = taught(tmp_path)
     assert state.save("cold") == tmp_path / "cold.yaml"
@@ -166,14 +159,6 @@ def test_sets_are_kept_under_names_beside_the_own_one(tmp_path: Path) -> None:
     tracker.reset()
     assert state.load("").set_id == "window-1", "nothing was kept since"
     state.close()
-
-
-def test_without_a_folder_nothing_is_kept() -> None:
-    _, state = state_in("")
-    assert (state.resume(), state.path, state.keep_now()) == ("", None, "")
-    assert (state.given, state.written) == (0, 0)
-    with pytest.raises(StateError, match="set the parameter state_dir"):
-        state.save("cold")
 
 
 def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:

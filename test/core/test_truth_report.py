@@ -20,8 +20,6 @@ from studies.truth.hysteretic_oscillator import (
     STEPS,
     TRUTH,
     multisine,
-    settled,
-    sine_sweep,
 )
 from studies.truth.oscillator import EstimationTrial, estimate_oscillator
 from studies.truth.report import TruthExtent
@@ -67,19 +65,6 @@ def test_the_multisine_is_the_published_one() -> None:
     inside = (lines >= 5.0) & (lines <= 150.0)
     assert np.max(spectrum[~inside]) < 1e-9 * np.min(spectrum[inside])
     assert spectrum[inside] == pytest.approx(spectrum[inside][0])
-
-
-def test_the_sweep_lasts_three_minutes() -> None:
-    assert sine_sweep(steps=1).size == pytest.approx(180.0 / PERIOD)
-
-
-def test_a_force_that_goes_on_for_ever_gives_a_motion_that_repeats() -> None:
-    period = multisine(1, 256)
-    answer = settled(TRUTH, period)
-    later = settled(TRUTH, np.tile(period, 2))
-    assert later.displacement[-256:] == pytest.approx(
-        answer.displacement, abs=1e-3 * np.ptp(answer.displacement)
-    )
 
 
 def test_the_benchmark_is_found_in_its_own_form() -> None:
@@ -137,17 +122,3 @@ def test_the_report_holds_every_law_and_figure(
     assert None not in law["earthquake_static_fit"]
     assert law["earthquake_online_fit"] == [None]
     assert None not in figures["recordings"]["bingham"]["earthquake_online_fit"]
-
-
-@pytest.mark.usefixtures("tiny")
-def test_without_recordings_the_report_says_so(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.delenv("MR_DAMPER_DATA", raising=False)
-    words = ["--quick", "--workers", "1", "--output", str(tmp_path)]
-    assert truth_report.main(words) == 0
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "The recordings were not at hand" in page
-    assert '<section id="oscillator">' in page
-    assert '<section id="sinusoids">' not in page
-    assert "recordings" not in json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))

@@ -20,7 +20,7 @@ from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, joined
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
-from mr_damper_ros.tracking.validity import DoubtKind, RefusedWindows, current_allowance
+from mr_damper_ros.tracking.validity import DoubtKind, RefusedWindows
 
 PERIOD = 1e-3
 RUN = known.run(current=1.0, samples=6000, seed=0)
@@ -120,14 +120,6 @@ def test_the_valid_share_of_a_stream_does_not_depend_on_its_blocks() -> None:
     assert max(shares) - min(shares) < 0.02
 
 
-def test_a_force_is_valid_again_after_an_eighth_of_the_time_for_which_it_was_wrong() -> None:
-    force = RUN.force.copy()
-    force[5020:5060] += 0.3 * np.ptp(force)
-    doubts = np.concatenate([p.doubts for p in predicted(force=force)])
-    assert set(doubts[5020:5060]) == {DoubtKind.WRONG}
-    assert np.flatnonzero(doubts[5060:5200]).tolist() == list(range(5))
-
-
 def test_a_measured_force_of_a_cycle_makes_other_currents_valid() -> None:
     elsewhere = dataclasses.replace(SET, current_range=(0.2, 0.5))
     for maximum_error, kind in ((0.0, DoubtKind.OUT_OF_RANGE), (0.2, DoubtKind.NONE)):
@@ -166,12 +158,6 @@ def test_a_wild_sample_of_the_load_cell_is_told_and_spoils_no_other(size: float)
     assert "the measured force jumps to" in predictions[10].reason
 
 
-def test_wild_samples_of_the_load_cell_hide_no_wrong_force() -> None:
-    force = spiked(20_000.0)
-    force[CHANGE:] *= 0.3
-    assert seconds_until_doubt(predicted(force=force)) <= SOON
-
-
 def test_new_parameters_that_are_right_are_valid_soon() -> None:
     made = ForcePredictor(PredictorSettings())
     made.set_parameters(dataclasses.replace(SET, values=known.PLAUSIBLE * 1.5))
@@ -186,19 +172,10 @@ def test_new_parameters_that_are_right_are_valid_soon() -> None:
     assert all(p.valid for p in results[500:]), results[500].reason
 
 
-def test_a_load_cell_that_is_not_connected_makes_nothing_valid() -> None:
-    assert DoubtKind.NONE not in kinds(predicted(force=np.zeros(6000)), 0)
-
-
 def test_a_load_cell_that_sticks_is_told() -> None:
     predictions = predicted(force=spoilt(RUN.force, float(RUN.force[CHANGE])))
     assert predictions[-1].doubt.kind is DoubtKind.SENSOR
     assert "maximum_error" in predictions[-1].reason
-
-
-def test_without_a_load_cell_the_measured_force_is_not_looked_at() -> None:
-    predictions = predicted(force=np.zeros(6000), maximum_error=0.0)
-    assert kinds(predictions, 3000) == {DoubtKind.NONE}
 
 
 def test_a_measured_force_that_drives_the_motion_is_told() -> None:
@@ -237,15 +214,6 @@ def test_a_motion_beyond_the_identified_one_is_not_valid_until_the_force_was_rig
             parameters=slower, velocity_margin=0.01, maximum_error=maximum_error
         )
         assert kinds(predictions, 4000) == {kind}
-
-
-@pytest.mark.parametrize(
-    ("current_range", "allowance"), [((0.5, 1.5), 0.1), ((1.0, 1.0), 0.02), ((0.9, 1.0), 0.02)]
-)
-def test_the_current_may_leave_its_range_in_proportion_to_its_width(
-    current_range: tuple[float, float], allowance: float
-) -> None:
-    assert current_allowance(current_range, 0.1) == pytest.approx(allowance)
 
 
 # -- sets for other motions ------------------------------------------------------------------
@@ -321,15 +289,6 @@ def test_a_force_that_jumps_where_the_motion_turns_is_followed() -> None:
     assert np.mean([p.valid for p in predictions[(STAIR + 2000) // 20 :]]) > 0.8
 
 
-@pytest.mark.parametrize("stamp_ns", [0, known.T0 - 3 * NANOSECONDS])
-def test_a_set_that_somebody_chose_is_the_only_one(stamp_ns: int) -> None:
-    large, small = sets_of_stair(BOUC_WEN)
-    chosen = dataclasses.replace(large, set_id="chosen", stamp_ns=stamp_ns)
-    predictions = predicted_of_stair(BOUC_WEN, small, chosen)
-    assert {p.set_id for p in predictions} == {"chosen"}
-    assert not any(p.valid for p in predictions[(STAIR + 1000) // 20 :])
-
-
 # -- motion ----------------------------------------------------------------------------------
 
 
@@ -338,20 +297,6 @@ def test_a_displacement_that_sticks_is_a_rest() -> None:
     predictions = predicted(spoilt(RUN.displacement, stuck))
     assert seconds_until_doubt(predictions) <= 2.0 * SOON
     assert kinds(predictions, 5000) == {DoubtKind.AT_REST}
-
-
-def test_a_machine_at_rest_has_no_valid_force_and_one_that_starts_again_has() -> None:
-    time = np.arange(10_000) * PERIOD
-    moves = (time < 4.0) | (time >= 6.0)
-    u = np.where(moves, RUN.displacement.max() * np.sin(2.0 * np.pi * time), 0.0)
-    v = np.where(moves, np.gradient(u, PERIOD), 0.0)
-    a = -((2.0 * np.pi) ** 2) * u
-    force = np.where(moves, known.sine_force(known.PLAUSIBLE, u, v, a, 1.0), 0.0)
-    predictions = predicted(u, force)
-    assert kinds(predictions, 2500, 4000) == {DoubtKind.NONE}
-    assert DoubtKind.NONE not in kinds(predictions, 4250, 6000)
-    # It starts with a jolt, which the observer of the velocity has to get over first.
-    assert kinds(predictions, 8500) == {DoubtKind.NONE}
 
 
 def test_a_slow_motion_is_not_valid_before_a_half_cycle_and_valid_after_some() -> None:
@@ -382,26 +327,6 @@ def test_a_slow_motion_is_not_valid_before_a_half_cycle_and_valid_after_some() -
 def test_samples_of_a_running_machine_have_an_age(late: float, kind: DoubtKind) -> None:
     """An hour ago nothing was running that still sends: it is a recording."""
     assert kinds(predicted(late=late), 3000) == {kind}
-
-
-def test_an_age_without_a_limit_is_no_doubt() -> None:
-    assert kinds(predicted(late=0.6, max_age=0.0), 3000) == {DoubtKind.NONE}
-
-
-def fall_behind() -> list[DoubtKind]:
-    made = ForcePredictor(PredictorSettings())
-    made.set_parameters(SET)
-    found = []
-    for number, block in enumerate(known.blocks(RUN.displacement, RUN.force, (10,))):
-        made.add_current(block.start_ns, 1.0)
-        late = number * 0.2
-        found.append(made.predict(block, block.end_ns + round(late * NANOSECONDS)).doubt.kind)
-    return found
-
-
-def test_a_computer_that_falls_far_behind_plays_no_recording() -> None:
-    """A minute late, and later still: no force is valid again."""
-    assert DoubtKind.NONE not in fall_behind()
 
 
 def current_of(blocks: list[SampleBlock], ahead: float, *, live: bool) -> list[Prediction]:
@@ -488,15 +413,6 @@ def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come()
 
 
 # -- blocks that came late -------------------------------------------------------------------
-
-
-def test_blocks_that_follow_each_other_are_joined() -> None:
-    blocks = known.blocks(RUN.displacement[:100], RUN.force[:100], (10,))
-    first, second = joined([*blocks[:4], *blocks[6:]])
-    assert (first.sequence, second.sequence) == (0, 60)
-    assert (first.start_ns, second.start_ns) == (blocks[0].start_ns, blocks[6].start_ns)
-    np.testing.assert_array_equal(first.displacement, RUN.displacement[:40])
-    np.testing.assert_array_equal(second.force, RUN.force[60:100])
 
 
 def test_after_joined_blocks_the_force_goes_on_as_valid_as_before() -> None:

@@ -118,14 +118,6 @@ def test_windows_keep_their_stamps_where_the_rate_is_not_the_nominal_one() -> No
     assert abs(late.start_ns - true_start) <= 2e-3 * NANOSECONDS
 
 
-def test_after_a_reset_the_window_starts_again() -> None:
-    made = assembler()
-    cut(stream(100, last=800), made)
-    made.reset()
-    assert made.fill == 0.0
-    assert starts(cut(stream(100, first=800), made)) == [0.8, 1.3, 1.8]
-
-
 @pytest.mark.parametrize(
     ("window", "hop", "sentence"),
     [
@@ -266,20 +258,3 @@ def test_a_value_that_is_late_takes_its_place() -> None:
     made = held((0.0, 0.5), (0.5, 1.0), (1.0, 1.5), (0.75, 0.7))
     assert made.at(at(0.0), 0.25, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 1.5, 1.5]
     assert made.last_stamp_ns == at(1.0)
-
-
-def test_old_values_are_forgotten_but_the_one_in_force_is_kept() -> None:
-    made = held(*((0.1 * k, float(k)) for k in range(1000)), keep=5.0)
-    assert made.known_from(at(99.9 - 5.0))
-    assert not made.known_from(at(90.0))
-    assert made.at(at(99.9 - 5.0), PERIOD, 1).tolist() == [949.0]
-
-
-def test_samples_further_apart_than_the_longest_window_are_cut_as_any() -> None:
-    assembler = WindowAssembler(2.0, 1.0, 3, 30.0)
-    period, size = 1000.0, 10
-    for first in range(0, 5 * size, size):
-        stamp = T0 + round(first * period * NANOSECONDS)
-        displacement = np.sin(np.arange(first, first + size, dtype=float))
-        assembler.add_block(SampleBlock(stamp, first, period, displacement, displacement))
-    assert len(assembler.add_current(T0, 1.0)) + len(assembler.add_current(stamp, 1.0)) > 0

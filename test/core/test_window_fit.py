@@ -33,10 +33,8 @@ from mr_damper_ros.signals.arrays import Array
 STANDARD_ERRORS = 4.0
 """By which an estimate may miss the truth: one normal number in 16 000 does."""
 
-
 WARM_EVALUATIONS = {"least_squares": 20, "nelder_mead": 150}
 """Most evaluations from the fit of the window before: twice those it takes, or thrice."""
-
 
 CLEAN = [c for c in thesis.CONDITIONS if thesis.is_clean(c)]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
-from support import Listener, assert_one_sentence
+from support import Listener
 
 from mr_damper_ros.nodes.messages import from_field
 
@@ -101,20 +101,3 @@ def test_lines_over_tcp_come_on_the_topics_also_after_a_cut(
     found = listener.wait_for_finding("bridge: source", "")
     assert {item.key: item.value for item in found.values}["connections"] == "2"
     assert samples[0].seq >= before + 10
-
-
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
-        ({}, "stream.address is empty"),
-        ({"stream__address": "tcp:here"}, "stream.columns is empty"),
-        ({"stream__address": "tcp:here", "stream__columns": COLUMNS}, "the address 'tcp:here'"),
-    ],
-)
-def test_what_a_stream_lacks_is_one_sentence(
-    start: Any, options: dict[str, object], part: str
-) -> None:
-    bridge = start("bridge", source="stream", **options)
-    assert bridge.wait() == 2
-    assert_one_sentence(bridge.errors)
-    assert part in bridge.errors

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,10 +20,8 @@ from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import CONDITIONS, parameters
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.controller_node import ControllerNode
 from mr_damper_ros.nodes.messages import header
 from mr_damper_ros.signals.blocks import SampleBlock
-from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tracking.validity import DoubtKind
 
@@ -134,9 +131,3 @@ def test_it_says_what_it_lacks(start: Any, listener: Listener, recording: Record
     press.run(recording)
     status = listener.wait_for_finding("controller: command", "no parameters yet")
     assert {value.key: value.value for value in status.values}["doubt"] == DoubtKind.MISSING.name
-
-
-@pytest.mark.parametrize(("wanted", "said"), [(math.nan, "given"), (300.0, "could be had")])
-def test_it_tells_forces_that_could_not_be_had_from_none_at_all(wanted: float, said: str) -> None:
-    node = SimpleNamespace(_tracking=RunningError(1.0), _last=SimpleNamespace(wanted=wanted))
-    assert said in ControllerNode._tracking_finding(node).message  # type: ignore[arg-type]

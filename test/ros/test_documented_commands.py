@@ -67,7 +67,6 @@ def commands(page: Path) -> list[str]:
 
 ALL = [(page, line) for page in PAGES for line in commands(page)]
 
-
 HOSTED = ("identifier", "model")
 """Programs that may hold a node in each of several namespaces."""
 

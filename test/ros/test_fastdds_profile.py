@@ -85,7 +85,6 @@ while heard[-1:] != [int(sys.argv[1]) - 1]:
 print(heard == list(range(heard[0], int(sys.argv[1]))))
 """
 
-
 MESSAGES = 1500
 """One every ten milliseconds: they go on after the outage."""
 

@@ -134,9 +134,3 @@ def test_a_place_that_cannot_be_is_refused(
     assert program.wait() == 2
     assert sentence in program.errors
     assert_one_sentence(program.errors)
-
-
-def test_a_node_without_workers_takes_no_number_of_them(start: Any) -> None:
-    program = start("model", "--workers", "2")
-    assert program.wait() == 2
-    assert "unknown argument --workers" in program.errors

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import signal
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from press import BAD_BLOCKS, Press, block_message
 from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 from support import Listener, assert_one_sentence
+from waiting import is_gone, until
 
 import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
@@ -78,21 +78,6 @@ def recording() -> Recording:
 @pytest.fixture
 def results(listener: Listener) -> Results:
     return Results(listener)
-
-
-def is_gone(pid: int) -> bool:
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
-        return True
-    return state == "Z"
-
-
-def wait_until_gone(pid: int) -> None:
-    deadline = time.monotonic() + 30.0
-    while not is_gone(pid):
-        assert time.monotonic() < deadline, f"process {pid} lives on"
-        time.sleep(0.02)
 
 
 def worker_pid(listener: Listener) -> int:
@@ -220,21 +205,6 @@ def test_blocks_that_cannot_be_used_are_counted_and_change_nothing(
         assert "millimetres" in report.reason
     assert results.sets[-1].id == results.accepted[-1]
     listener.wait_for_finding("identifier: fit", "millimetres")
-
-
-def test_a_bag_that_starts_again_keeps_the_sets_and_is_said_once(
-    start: Any, listener: Listener, results: Results, recording: Recording
-) -> None:
-    identifier = start("identifier")
-    results.wait_for_the_start()
-    press = Press(listener)
-    for rounds in (1, 2):
-        press.run(recording)
-        results.wait_for_reports(rounds * WINDOWS)
-    assert identifier.errors.count("jump back") == 1
-    assert "literature" not in [report.parameter_set for report in results.reports]
-    starts = [report.window_start.sec for report in results.reports]
-    assert starts[WINDOWS:] == starts[:WINDOWS]
 
 
 def test_sets_are_saved_loaded_reset_and_survive_a_restart(
@@ -474,7 +444,7 @@ def test_it_ends_cleanly_and_its_worker_with_it(
         identifier.wait()
     else:
         identifier.stop(number)
-    wait_until_gone(worker)
+    until(lambda: is_gone(worker), "the end of the worker")
 
 
 @pytest.mark.parametrize(

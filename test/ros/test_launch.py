@@ -67,12 +67,6 @@ def test_what_is_started_follows_the_arguments(description: list[Any]) -> None:
         assert node.ros_arguments == ["--enclave", f"/left/{name}"]
 
 
-@pytest.mark.parametrize("value", ["false", "False"])
-def test_the_time_can_be_chosen(description: list[Any], value: str) -> None:
-    nodes = by_name(description, bag=str(BAG), use_sim_time=value)
-    assert nodes["identifier"].parameters[1] == {"use_sim_time": False}
-
-
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
@@ -145,17 +139,3 @@ def test_a_bag_is_identified_and_its_force_predicted(listener: Listener) -> None
         launch.send_signal(signal.SIGINT)
         code = launch.wait(PATIENCE)
     assert code == 0
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code"),
-    [
-        ((f"bag:={BAG}", "rate:=20.0"), 0),
-        (("bag:=/nowhere/at/all",), 1),
-        (("use_sim_time:=maybe",), 1),
-    ],
-)
-def test_it_ends_by_itself(arguments: tuple[str, ...], code: int) -> None:
-    pytest.importorskip("ros2launch", reason="ros2 launch is not installed")
-    launch = subprocess.run(["ros2", "launch", str(FILE), *arguments], timeout=60, check=False)
-    assert launch.returncode == code

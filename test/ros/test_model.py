@@ -249,32 +249,6 @@ def test_parameters_that_cannot_be_used_are_refused(
     assert predicted[-1].valid
 
 
-def test_parameters_that_no_window_confirms_make_the_force_invalid(
-    start: Any, listener: Listener, recording: Recording
-) -> None:
-    latched = listener.node.create_publisher(
-        DamperParameters, "damper/parameters", quality.latched()
-    )
-    reports = listener.node.create_publisher(FitReport, "damper/fit_report", quality.stream())
-    rig = Rig(start, listener, parameters_timeout=60.0)
-    hours_ago = replace(TRUE_SET, stamp_ns=recording.start_ns - 10**13)
-    latched.publish(parameters_message(hours_ago, "damper", "/test"))
-    listener.wait_for_finding("model: parameters", "predicting with true")
-    old = rig.run(recording)
-    assert not any(f.valid for f in old)
-    assert "no window has confirmed the parameters" in old[-1].reason
-
-    listener.until(reports.get_subscription_count, "the model's subscription")
-    stamp = to_stamp(recording.start_ns)
-    for confirms, valid in ((False, False), (True, True)):
-        report = FitReport(confirms=confirms, parameter_set="true")
-        report.header.stamp = stamp
-        reports.publish(report)
-        assert reports.wait_for_all_acked(Duration(seconds=30))
-        later = replace(recording, start_ns=recording.start_ns + (1 + valid) * 10**10)
-        assert rig.run(later)[-1].valid == valid
-
-
 def test_two_publishers_of_parameters_are_an_error(start: Any, listener: Listener) -> None:
     publishers = [
         listener.node.create_publisher(DamperParameters, "damper/parameters", quality.latched())
@@ -380,37 +354,6 @@ def test_blocks_that_cannot_be_used_are_counted(
     rig.press.send_current(recording.start_ns, float("inf"))
     listener.wait_for_finding("model: current", "the current is inf")
     assert rig.run(recording)[-1].valid
-
-
-def test_lost_samples_are_reported_and_the_prediction_starts_again(
-    rig: Rig, listener: Listener, recording: Recording
-) -> None:
-    assert rig.run(recording)[-1].valid
-    count = recording.sample_count
-    pause = 100  # longer than what is bridged
-    late = replace(recording, start_ns=recording.stamp_ns(count - 1) + (pause + 1) * 1_000_000)
-    rig.press.send_current(late.start_ns, 1.5)
-    assert not rig.send(block_message(late, 0, seq=count + pause))[0].valid
-    listener.wait_for_finding("model: input", "100 samples were lost")
-
-
-def test_of_a_block_of_which_a_part_came_before_the_rest_is_predicted(
-    rig: Rig, recording: Recording
-) -> None:
-    rig.run(recording)
-    count, cycle = recording.sample_count, round(1.0 / recording.period)
-    later = replace(recording, start_ns=recording.stamp_ns(cycle))
-    rig.press.send_current(recording.stamp_ns(count), 1.5)
-    forces = rig.send(
-        *(
-            block_message(later, first - cycle, seq=first)
-            for first in (count - BLOCK // 2, count + BLOCK // 2)
-        )
-    )
-    assert [(f.seq, len(f.force), f.valid) for f in forces] == [
-        (count, BLOCK // 2, True),
-        (count + BLOCK // 2, BLOCK, True),
-    ]
 
 
 def test_it_predicts_with_what_the_identifier_finds(

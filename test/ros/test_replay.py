@@ -234,19 +234,6 @@ def test_a_bad_configuration_is_one_sentence_and_an_exit_code(
     assert_one_sentence(replay.errors)
 
 
-@pytest.mark.parametrize("kept", [0.1, 0.99])
-def test_a_truncated_bag_ends_in_words(start: Any, tmp_path: Path, kept: float) -> None:
-    bag = tmp_path / "bag"
-    shutil.copytree(BAG, bag)
-    file = next(bag.glob("*.mcap"))
-    content = file.read_bytes()
-    file.write_bytes(content[: int(kept * len(content))])
-    replay = start("replay", bag=bag, rate=0.0, wait_for_subscribers=0)
-    assert replay.wait() in (1, 2)
-    assert "Traceback" not in replay.errors
-    assert str(bag) in replay.errors
-
-
 def test_a_bag_that_was_changed_is_not_played(start: Any, tmp_path: Path) -> None:
     copy = tmp_path / BAG.name
     shutil.copytree(BAG, copy)

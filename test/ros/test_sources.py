@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
-from support import Listener, assert_one_sentence, installed_programs
+from support import Listener, installed_programs
 
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
 from mr_damper_ros.processes.programs import Program, node_arguments
@@ -144,26 +143,6 @@ def test_it_streams_what_comes_as_it_comes(
     listener.until(lambda: sum(len(m.force) for m in samples) == 2, "two more")
     assert np.concatenate([from_field(m.force) for m in samples]).tolist() == [2.0, 4.0]
     assert bridge.stop() == 0, bridge.log
-    bridge.close()
-
-
-def test_its_options_are_those_of_the_bridge(program: Path) -> None:
-    bridge = Program([sys.executable, str(program), "--help"])
-    assert bridge.wait() == 0
-    assert "pipe.path" in bridge.output
-    assert re.search(r"one of bag, [\w, ]*\bpipe\b", " ".join(bridge.output.split()))
-    bridge.close()
-
-
-@pytest.mark.parametrize(
-    ("path", "sentence"),
-    [("", "pipe.path is empty: name a pipe"), ("/nowhere/pipe", "/nowhere/pipe: No such file")],
-)
-def test_what_it_lacks_is_one_sentence(program: Path, path: str, sentence: str) -> None:
-    bridge = started(program, source="pipe", **({"pipe__path": path} if path else {}))
-    assert bridge.wait() == 2
-    assert sentence in bridge.errors
-    assert_one_sentence(bridge.errors)
     bridge.close()
 
 

@@ -143,15 +143,6 @@ def test_a_commander_whose_clock_is_ahead_keeps_the_right_one_out_no_longer(
     assert "end all but one" in found.message, "both are told"
 
 
-def test_the_current_set_by_hand_lasts(
-    start: Any, server: InstrumentServer, listener: Listener
-) -> None:
-    start_supply(start, server, current=0.5)
-    listener.until(gives(server, 0.5), "the current of the start")
-    assert listener.set_parameter("supply", "current", 0.9).successful
-    listener.until(gives(server, 0.9), "the new one")
-
-
 def test_a_current_that_is_set_to_its_value_of_before_counts_after_a_time_out(
     start: Any, server: InstrumentServer, listener: Listener
 ) -> None:
@@ -239,51 +230,6 @@ def test_an_instrument_that_is_not_reached_switches_off_by_itself_and_the_node_s
     assert not change(listener, Transition.TRANSITION_ACTIVATE), "it may still be on"
     assert node.stop(signal.SIGINT) == 0
     assert "the output may still be on" in node.log
-
-
-def test_an_instrument_that_dribbles_is_switched_off(
-    start: Any, server: InstrumentServer, listener: Listener
-) -> None:
-    # It has no watchdog.
-    start_supply(start, server, profile="scpi", current=1.0, link_timeout=0.2)
-    listener.until(gives(server, 1.0), "the current")
-    server.dribble = 0.05
-    listener.until(off(server), "no current")
-    listener.until(lambda: state_of(listener) == State.PRIMARY_STATE_INACTIVE, "the state")
-    server.dribble = 0.0
-    listener.wait_for_finding("supply: supply", "has been switched off since")
-    assert change(listener, Transition.TRANSITION_ACTIVATE)
-
-
-@pytest.mark.parametrize("way", ["deactivate", "terminate"])
-def test_an_instrument_that_dribbles_can_be_left(
-    start: Any, server: InstrumentServer, listener: Listener, way: str
-) -> None:
-    # The time-out is so long that the link is not lost before.
-    node = start_supply(start, server, profile="scpi", current=1.0, link_timeout=30.0)
-    listener.until(gives(server, 1.0), "the current")
-    server.dribble = 0.05
-    if way == "deactivate":
-        assert change(listener, Transition.TRANSITION_DEACTIVATE)
-        listener.wait_for_finding("supply: supply", "has not answered within")
-        assert off(server)()
-    assert node.stop(signal.SIGTERM) == 0
-    assert off(server)()
-    assert "the output may still be on" in node.log
-
-
-def test_an_output_that_cannot_be_reached_is_not_said_to_be_off(
-    start: Any, server: InstrumentServer, listener: Listener
-) -> None:
-    # It has no watchdog.
-    start_supply(start, server, profile="scpi", current=0.7, link_timeout=0.2)
-    listener.until(gives(server, 0.7), "the current")
-    server.deaf = True
-    # Refused where the node has found the loss first, and is inactive.
-    change(listener, Transition.TRANSITION_DEACTIVATE)
-    found = listener.wait_for_finding("supply: supply", "the output may still be on")
-    assert found.level == DiagnosticStatus.ERROR
-    assert not server.instrument.is_off
 
 
 def test_a_transition_that_its_state_does_not_allow_is_refused(

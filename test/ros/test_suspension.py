@@ -94,9 +94,3 @@ def test_ones_own_controller_is_one_function(
     listener.until(lambda: forces[-1].force == 100.0, "the force after the failure")
     assert {force.force for force in forces} == {12.34, 100.0}
     assert forces[0].header.frame_id == "left"
-
-
-def test_a_function_that_is_not_there_is_one_sentence(start: Any) -> None:
-    node = start("suspension", function="nowhere_at_all:f")
-    assert node.wait() == 2
-    assert "PYTHONPATH" in node.log

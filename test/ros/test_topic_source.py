@@ -150,6 +150,7 @@ def test_what_never_came_is_left_out_and_counted(start: Any, listener: Listener)
         ({"topics__force_field": "effort[rod"}, "topics.force_field is 'effort[rod'"),
         ({"topics__force_scale": 0.0}, "topics.force_scale is 0"),
         ({"topics__displacement_topic": "joint_states"}, "set mirror_rate to 0"),
+        ({"topics__displacement_topic": ""}, "topics.displacement_topic is empty"),
     ],
 )
 def test_topics_that_cannot_be_used_are_refused_in_a_sentence(
@@ -159,12 +160,6 @@ def test_topics_that_cannot_be_used_are_refused_in_a_sentence(
     assert bridge.wait() == 2
     assert_one_sentence(bridge.errors)
     assert part in bridge.errors
-
-
-def test_a_source_without_a_topic_is_refused(start: Any) -> None:
-    bridge = start("bridge", source="topics")
-    assert bridge.wait() == 2
-    assert "topics.displacement_topic is empty" in bridge.errors
 
 
 def test_a_field_that_is_not_in_the_messages_and_a_topic_of_nobody_are_told(
