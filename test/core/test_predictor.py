@@ -305,3 +305,11 @@ def test_the_centre_of_a_sine_is_found_within_a_cycle(size: int) -> None:
     found = centres(RUN.displacement + CENTRE, size)
     assert found[1100 // size] == pytest.approx(CENTRE, abs=STEADY_CENTRE)
     assert found[-1] == pytest.approx(CENTRE, abs=STEADY_CENTRE)
+
+
+def test_a_bag_that_loops_is_predicted_again_as_the_first_time() -> None:
+    made, blocks = predictor(), stream()
+    first = forces(predicted(made, blocks))
+    for k in range(100):
+        made.add_current(known.T0 + k * NANOSECONDS // 10, 1.0)
+    np.testing.assert_array_equal(forces(predicted(made, blocks)), first)

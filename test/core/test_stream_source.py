@@ -225,6 +225,12 @@ def test_the_simulated_sender_keeps_to_any_format(options: dict[str, Any]) -> No
     assert rows[0].measured.force == pytest.approx(1000.0 * math.tanh(3.0), rel=1e-6)
 
 
+def test_a_stream_may_be_simulated(stream: Callable[..., Streamed]) -> None:
+    running = stream("simulated")
+    running.until(lambda: len(running.blocks) >= 3)
+    assert running.blocks[0].period == pytest.approx(1e-3, rel=1e-6)
+
+
 # -- what comes over it ------------------------------------------------------------------------
 
 

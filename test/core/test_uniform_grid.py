@@ -226,3 +226,12 @@ def test_how_stamps_jitter_may_be_told() -> None:
     placed_in(told, blocks)
     assert not told.uneven
     assert UniformGrid(GridSettings(stamps="sampling")).uneven
+
+
+def test_that_samples_were_taken_unevenly_is_seen_though_some_are_lost() -> None:
+    # Never so many in a row that they would be looked at together.
+    late = jittered(400)
+    blocks = stream([1] * 400, late, sampled=True)
+    grid = UniformGrid()
+    placed_in(grid, [block for k, block in enumerate(blocks) if k % 20])
+    assert grid.uneven

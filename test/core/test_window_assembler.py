@@ -258,3 +258,11 @@ def test_a_value_that_is_late_takes_its_place() -> None:
     made = held((0.0, 0.5), (0.5, 1.0), (1.0, 1.5), (0.75, 0.7))
     assert made.at(at(0.0), 0.25, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 1.5, 1.5]
     assert made.last_stamp_ns == at(1.0)
+
+
+def test_after_a_reset_the_window_starts_again() -> None:
+    made = assembler()
+    cut(stream(100, last=800), made)
+    made.reset()
+    assert made.fill == 0.0
+    assert starts(cut(stream(100, first=800), made)) == [0.8, 1.3, 1.8]
