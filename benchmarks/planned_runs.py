@@ -18,9 +18,14 @@ from mr_damper_ros.emulation.emulator import (
     RigSettings,
 )
 from mr_damper_ros.emulation.motions import RepeatedMotion
-from mr_damper_ros.estimation.force_knowledge import Cycles, ForceGoal, PointErrors
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
-from mr_damper_ros.estimation.run_planner import Plan, PlanState, RunPlanner
+from mr_damper_ros.estimation.experiment_design import (
+    Cycles,
+    Plan,
+    PlanState,
+    PointErrors,
+    RunPlanner,
+)
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS

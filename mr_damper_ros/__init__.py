@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from mr_damper_ros.api.replay import Replay, follow, replay
     from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
     from mr_damper_ros.control.inverse_model import InverseModel
-    from mr_damper_ros.estimation.force_knowledge import ForceGoal
     from mr_damper_ros.estimation.law_choice import LawChoice
-    from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+    from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
     from mr_damper_ros.io.bag_reader import read_bag
     from mr_damper_ros.io.bag_writer import write_bag
     from mr_damper_ros.io.records import read_record, read_runs
@@ -77,7 +76,7 @@ _HOMES = {
     "Engine": "tracking.engine",
     "EngineSettings": "tracking.engine",
     "ForceCampaign": "campaign.course",
-    "ForceGoal": "estimation.force_knowledge",
+    "ForceGoal": "estimation.planned_run",
     "ForcePredictor": "tracking.predictor",
     "Identification": "api.identification",
     "LawChoice": "estimation.law_choice",

@@ -22,10 +22,9 @@ from mr_damper_ros.campaign.folder import (
 )
 from mr_damper_ros.campaign.runs import DriveSettings
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.force_knowledge import ForceGoal
+from mr_damper_ros.estimation.experiment_design import Plan, PlanState, RunPlanner
 from mr_damper_ros.estimation.global_fit import identify_global
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
-from mr_damper_ros.estimation.run_planner import Plan, PlanState, RunPlanner
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.kinematics.window import Window

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, motions_of
-from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.estimation.experiment_design import Plan, PlanState, PointErrors
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, motions_of
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
 from mr_damper_ros.models.parameter_set import ParameterSet

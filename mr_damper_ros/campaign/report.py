@@ -16,8 +16,8 @@ from mr_damper_ros.campaign.folder import (
     read_steps,
     read_task,
 )
+from mr_damper_ros.estimation.experiment_design import PlanState
 from mr_damper_ros.estimation.planned_run import PlannedRun
-from mr_damper_ros.estimation.run_planner import PlanState
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.report.document import (

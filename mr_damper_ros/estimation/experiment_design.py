@@ -1,38 +1,668 @@
-"""Which run of the rig would determine what is still open: optimal design of experiments.
+"""How well the force of a damper is known over a range, and the runs that would tell more.
 
-A run at peak velocity v and current i adds the Fisher information of its samples, which the
-Jacobian of the law gives before the run is made. Of all runs within the rig's range, the one is
-advised after which the determinant of the information is largest (D-optimality), prior ranges
-counted as information: the greatest expected gain of knowledge (Lindley). The law is not linear,
-so the gain is averaged over sets that fit the present data equally and differ in what these leave
-open. See Chaloner and Verdinelli, "Bayesian experimental design: a review", Statistical Science
-10, 1995. One run after another is added until nothing is open.
+The law is linearised about a parameter set: the Fisher information of the samples, with what is
+plausible of any damper as prior information, gives the covariance of the parameters, and that the
+standard error of the force at every phase of a cycle. What the data leave open counts by as much as
+it matters for the force. What the law leaves of the force and repeats is no noise: its largest
+share of a cycle's force, in windows that the set is predicted for from all others, is an error
+wherever no window is.
+
+Of all runs within the limits of the machine, that one is chosen after which the force is expected
+to be known best where it is known worst (G-optimality: Pukelsheim, "Optimal design of experiments",
+1993), or after which the parameters are known best together (D-optimality). The law is not linear,
+so what a run is worth is averaged over sets that fit the present data equally and differ in what
+these leave open (Chaloner and Verdinelli, "Bayesian experimental design: a review", Statistical
+Science 10, 1995).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
-from mr_damper_ros.estimation.covariance import triangular_factor
-from mr_damper_ros.estimation.force_knowledge import PHASES, Cycles, open_sets, steady_cycle
+from mr_damper_ros.estimation.covariance import correlation_length
+from mr_damper_ros.estimation.global_search import adapted
 from mr_damper_ros.estimation.observability import (
-    determined_parameters,
+    SURE,
     noise_level,
     operating_points_within,
     parameter_spans,
-    varied_parameters,
 )
+from mr_damper_ros.estimation.planned_run import (
+    PHASES,
+    SETTLING,
+    ForceGoal,
+    MachineLimits,
+    PlannedRun,
+    candidate_runs,
+    round_to,
+    steady_cycle,
+    with_motion_before,
+)
+from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.signals.arrays import Array
 
-_SETS = 16
+FEW = 256
+"""So many samples of a window tell what all of them determine."""
+
+_MOST_STEPS = 40
+"""Of the search for the most probable parameters, which begins near them."""
+
+_REPETITIONS = 15
+"""Identifications again, to tell an error where a covariance may not."""
+
+_DRAWS = 200
+"""Draws from what is plausible, of which the prior is made, and from what may be true."""
+
+_SMALLEST_SHARE = 0.1
+"""A scale parameter may be wrong by itself, and by what makes this part of the force."""
+
+_ROUNDING = 1e-15
+"""Eigenvalues of a balanced matrix are not known better, relative to the largest."""
+
+_LEAST_CURRENT = 1e-6
+"""A range of no current is as wide as this [A]: shapes are drawn relative to it."""
+
+_SETS = 6
 """So many sets stand for what is open."""
+
+_STARTS, _FITS = 3, 24
+"""From so many others the most probable set is searched too; from more, of few windows: so many
+windows are fitted."""
+
+_ROUNDS = 6
+_SETTLED = 0.01
+"""Rounds in which set and noise are found together, at most, and the fall of the noise (relative)
+that is no gain any more."""
+
+_NORM = 8.0
+"""Norm over the points that stands for the worst of them: one run alone often does nothing for the
+very worst."""
+
+_PARTS = 12
+"""A motion that is no sine is looked at in so many parts: every staircase has whole ones."""
+
+_FINE = 48
+"""Samples of the shortest cycle of a motion that is no sine, for its peak velocity."""
+
+_FEW_PHASES = 4
+"""Every so many phases of a cycle tell which run is best."""
+
+_FASTER = 5.0
+"""The next run is at most so many times as fast as the fastest before."""
+
+_CURRENT_STEP = 0.5
+"""The next run goes at most this part of the range beyond the largest current before."""
+
+_MARGIN = 1.1
+"""The force of a run, as it is known, may be so many times as large and still be allowed."""
+
+_LOOK_AHEAD = 12
+"""Runs that are planned on to tell whether the goal can be met."""
+
+
+class Cycles:
+    """The force over many cycles at once, and its gradient, of any set of a model."""
+
+    def __init__(self, model: Model, cycles: Sequence[Window]) -> None:
+        self.count = len(cycles)
+        self._problem = Misfit(model, cycles, [1.0] * len(cycles))
+
+    def force(self, parameters: Array) -> Array:
+        """Force (k, phases) [N]."""
+        # That of the cycles is zero, so that the residual is the force of the set.
+        return self._problem.residual(parameters).reshape(self.count, PHASES)
+
+    def gradient(self, parameters: Array) -> Array:
+        """Derivatives (k, phases, p) of the force by the parameters."""
+        return self._problem.jacobian(parameters).reshape(self.count, PHASES, parameters.size)
+
+
+@dataclass(frozen=True, eq=False)
+class PointErrors:
+    """Relative standard error (k,) of the force at each point, the largest of its cycle.
+
+    ``worst`` is the worst error at all points and phases together that is as likely exceeded as
+    not. Where the errors at many points are independent it is larger than any of the standard
+    errors: somewhere chance is against one. Where one direction of the parameters dominates, all
+    points err together, and it is the median of one error, down to 0.67 of the largest.
+    ``bound`` is the worst error that is exceeded in one of twenty cases; NaN = unknown. Both hold
+    as far as the damper obeys the law.
+    """
+
+    points: Sequence[tuple[float, float]]
+    errors: Array
+    worst: float
+    bound: float = math.nan
+
+    @property
+    def sentence(self) -> str:
+        """How well the force is known, and with what confidence."""
+        if math.isnan(self.bound):
+            return f"{self.worst:.2%} at worst, at even odds"
+        return f"{self.worst:.2%} at worst, at even odds, and {self.bound:.2%} with 95 % confidence"
+
+    @property
+    def worst_point(self) -> tuple[float, float]:
+        """Where the standard error is largest (m/s, A)."""
+        return self.points[int(np.argmax(self.errors))]
+
+
+def relative_gradient(cycles: Cycles, parameters: Array) -> Array:
+    """Derivatives (k, phases, p) of the force relative to the largest of each cycle."""
+    largest = np.max(np.abs(cycles.force(parameters)), axis=1)
+    return cycles.gradient(parameters) / np.maximum(largest, 1e-9)[:, None, None]
+
+
+def point_errors(goal: ForceGoal, gradient: Array, information: Array) -> PointErrors:
+    """Errors at the points of a goal; ``gradient`` (k, phases, p) is relative.
+
+    ``information`` (p, p) includes the prior.
+    """
+    flat = gradient.reshape(-1, gradient.shape[-1])
+    draws = np.random.default_rng(0).standard_normal((_DRAWS, flat.shape[1]))
+    scale = 1.0 / np.sqrt(np.diagonal(information))
+    # Rounding may take a little from what is hardly known, so that no Cholesky factor exists.
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    root = vectors / np.sqrt(np.maximum(values, _ROUNDING * values[-1]))
+    missed = np.abs((draws @ root.T * scale) @ flat.T)
+    worst, bound = np.quantile(np.max(missed, axis=1), [0.5, 0.95]).tolist()
+    return PointErrors(goal.points, cycle_errors(gradient, information[None])[0], worst, bound)
+
+
+def cycle_errors(gradient: Array, information: Array) -> Array:
+    """Largest standard error of each cycle (m, k), for many informations (m, p, p).
+
+    ``gradient`` (k, phases, p) may be relative; so are the errors then.
+    """
+    count, phases, size = gradient.shape
+    flat = gradient.reshape(-1, size)
+    # Units differ by many orders of magnitude.
+    scale = 1.0 / np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+    balanced = information * scale[:, :, None] * scale[:, None, :]
+    inverse = np.linalg.inv(balanced) * scale[:, :, None] * scale[:, None, :]
+    variance = np.sum((flat @ inverse) * flat, axis=-1)
+    errors = np.sqrt(np.maximum(variance, 0.0)).reshape(-1, count, phases)
+    return np.asarray(errors.max(axis=-1))
+
+
+def prior_information(model: Model, cycles: Cycles, parameters: Array, goal: ForceGoal) -> Array:
+    """What is known (p, p) of any damper before the first run, about ``parameters`` (p,).
+
+    Shape parameters scatter as plausible ones do; a scale parameter may be wrong by all of itself,
+    and by what makes a tenth of the force.
+    """
+    rng = np.random.default_rng(0)
+    top_current = max(goal.current[1], _LEAST_CURRENT)
+    draws = [model.draw_shape(rng, goal.peak_velocity[1], top_current) for _ in range(_DRAWS)]
+    gradient = cycles.gradient(parameters).reshape(-1, parameters.size)
+    force = float(np.sqrt(np.mean(cycles.force(parameters) ** 2)))
+    lengths = np.sqrt(np.mean(gradient**2, axis=0))
+    deviations = np.maximum(
+        np.abs(parameters), _SMALLEST_SHARE * force / np.where(lengths > 0.0, lengths, np.inf)
+    )
+    for place, name in enumerate(model.parameter_names):
+        if name in draws[0]:
+            values = np.array([draw[name] for draw in draws])
+            # The set may lie where no draw does: it may be wrong by all the way to them.
+            deviations[place] = math.hypot(
+                float(np.std(values)), float(np.mean(values)) - parameters[place]
+            )
+    return np.diag(1.0 / np.maximum(deviations, 1e-12) ** 2)
+
+
+def open_sets(
+    model: Model,
+    windows: Sequence[Window],
+    parameters: Array,
+    known: Collection[str],
+    top: tuple[float, float],
+    rng: np.random.Generator,
+    count: int,
+) -> list[Array]:
+    """Sets (p,) that agree with the windows and differ in the shape parameters not ``known``.
+
+    What is linear in the laws follows from the coefficients that the windows have. ``top``: peak
+    velocity [m/s] and current [A] of the range. None where no shape is open.
+    """
+    unknown = set(model.shape_names).difference(known)
+    solved = frozenset(model.linear) - unknown
+    sets = []
+    for _ in range(count if unknown else 0):
+        values = np.array(parameters)
+        for name, value in model.draw_shape(rng, top[0], max(top[1], _LEAST_CURRENT)).items():
+            if name in unknown:
+                values[model.parameter_names.index(name)] = value
+        sets.append(adapted(model, windows, parameters, values, solved))
+    return sets
+
+
+def window_information(
+    model: Model, windows: Iterable[Window], noise: Iterable[float], parameters: Array
+) -> Array:
+    """Fisher information (p, p) of the samples of windows, with ``noise`` [N] each."""
+    total = np.zeros((parameters.size, parameters.size))
+    for window, sigma in zip(windows, noise, strict=True):
+        few = window.thinned(FEW)
+        jacobian = Misfit(model, [few], [sigma]).jacobian(parameters)
+        total += (window.sample_count / few.sample_count) * (jacobian.T @ jacobian)
+    return total
+
+
+def most_probable(
+    model: Model,
+    windows: Sequence[Window],
+    noise: Sequence[float],
+    prior: Array,
+    about: Array,
+    start: Array | None = None,
+) -> tuple[Array, float]:
+    """The most probable parameters (p,), and half of what speaks against them.
+
+    All parameters are free, ``about`` (p,) with the information ``prior`` (p, p, diagonal): what
+    the data tell little of moves as far as they tell, and what they do not tell stays. A search
+    that holds what it cannot determine well would be wrong by more than it claims. It begins at
+    ``start`` (p,), or ``about``.
+    """
+    from scipy.optimize import least_squares
+
+    problems = [
+        Misfit(model, [window], [sigma]) for window, sigma in zip(windows, noise, strict=True)
+    ]
+    weight = np.sqrt(np.diagonal(prior))
+
+    def residual(values: Array) -> Array:
+        parts = [problem.residual(values) for problem in problems]
+        return np.concatenate([*parts, weight * (values - about)])
+
+    def jacobian(values: Array) -> Array:
+        parts = [problem.jacobian(values) for problem in problems]
+        return np.concatenate([*parts, np.diag(weight)])
+
+    low, high = model.bounds
+    inside = np.clip(
+        about if start is None else start, np.nextafter(low, np.inf), np.nextafter(high, -np.inf)
+    )
+    found = least_squares(
+        residual, inside, jacobian, (low, high), x_scale=1.0 / weight, max_nfev=_MOST_STEPS
+    )
+    return np.asarray(found.x), float(found.cost)
+
+
+def repeated_error(
+    model: Model,
+    windows: Sequence[Window],
+    noise: Sequence[float],
+    prior: Array,
+    parameters: Array,
+    cycles: Cycles,
+) -> float:
+    """Worst relative error of the force that is as likely exceeded as not, by identifying again.
+
+    Windows with the force of ``parameters`` (p,) and new noise are identified, so that it holds
+    where the law bends too much for a covariance: a parametric bootstrap (Efron and Tibshirani,
+    "An introduction to the bootstrap", 1993). A few samples with less noise stand for all.
+    """
+    rng = np.random.default_rng(0)
+    few = [window.thinned(FEW) for window in windows]
+    sizes = [
+        sigma * math.sqrt(f.sample_count / w.sample_count)
+        for f, w, sigma in zip(few, windows, noise, strict=True)
+    ]
+    forces = [model.window_force(window, parameters) for window in few]
+    deviations = 1.0 / np.sqrt(np.diagonal(prior))
+    low, high = model.bounds
+    true = cycles.force(parameters)
+    largest = np.max(np.abs(true), axis=1, keepdims=True)
+    worst = []
+    for _ in range(_REPETITIONS):
+        again = [
+            replace(window, force=force + sigma * rng.standard_normal(force.size))
+            for window, force, sigma in zip(few, forces, sizes, strict=True)
+        ]
+        about = np.clip(parameters + deviations * rng.standard_normal(parameters.size), low, high)
+        found, _ = most_probable(model, again, sizes, prior, about, parameters)
+        worst.append(float(np.max(np.abs(cycles.force(found) - true) / largest)))
+    return float(np.median(worst))
+
+
+def noise_of(model: Model, window: Window, parameters: Array) -> float:
+    """Standard deviation [N] of white noise that would hide as much as what the set leaves does.
+
+    What a law leaves that repeats is no noise that averages out: correlated samples count once.
+    """
+    residual = model.window_force(window, parameters) - window.force
+    length = max(correlation_length(residual), 1)
+    return max(math.sqrt(float(np.mean(residual**2)) * length), 1e-9)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A cycle, or a ``part`` of another motion of this ``duration`` [s], at one current."""
+
+    motion: PeriodicMotion
+    current: float
+    part: int = 0
+    duration: float = 0.0
+
+    def window(self) -> Window:
+        """A window of it, without a force."""
+        motion = self.motion
+        if motion.kind is MotionKind.SINE:
+            return steady_cycle(motion.amplitude, motion.frequency, self.current)
+        stride = math.ceil(_FINE * motion.highest_frequency * self.duration / (PHASES * _PARTS))
+        size = stride * PHASES
+        period = self.duration / (size * _PARTS)
+        u, v, a = motion.at(np.arange(size * _PARTS, dtype=np.float64) * period)
+        nothing = np.zeros(u.size)
+        moved = Motion(u, v, a, np.abs(v), sine=None)
+        whole = with_motion_before(Window(moved, nothing, nothing + self.current, period))
+        begin = self.part * size + stride // 2
+        return whole.part(slice(begin, begin + size, stride))
+
+
+def _parts_of(stretch: int, count: int) -> range:
+    each = _PARTS // count
+    return range(stretch * each, (stretch + 1) * each)
+
+
+class CandidateRuns:
+    """What each of many ``runs`` would tell, and what it would ask of the machine.
+
+    What a stretch tells depends on its motion and its current: each pair is looked at once.
+    """
+
+    def __init__(self, model: Model, runs: Sequence[PlannedRun], sample_rate: float) -> None:
+        self.runs = list(runs)
+        looks: dict[_Look, int] = {}
+        rows, columns, samples, times = [], [], [], []
+        for row, run in enumerate(self.runs):
+            sine = run.kind is MotionKind.SINE
+            for place, current in enumerate(run.currents):
+                seconds = run.stretch - SETTLING * (place > 0)
+                each = [_Look(run.motion, current)]
+                if not sine:
+                    every = _parts_of(place, len(run.currents))
+                    each = [replace(each[0], part=part, duration=run.duration) for part in every]
+                rows += [row] * len(each)
+                columns += [looks.setdefault(look, len(looks)) for look in each]
+                samples += [sample_rate * seconds / len(each)] * len(each)
+                times += [run.stretch / len(each)] * len(each)
+        shape = (len(self.runs), len(looks))
+        self._time, self._samples = np.zeros(shape), np.zeros(shape)
+        np.add.at(self._time, (rows, columns), times)
+        np.add.at(self._samples, (rows, columns), samples)
+        windows = [look.window() for look in looks]
+        self._cycles = Cycles(model, windows)
+        self._velocity = np.array([window.motion.velocity for window in windows])
+        self._steady = np.array([run.kind is MotionKind.SINE for run in self.runs])
+
+    def gains(self, parameters: Array, noise: float, broad_noise: float) -> Array:
+        """Information (m, p, p) that each run would add.
+
+        ``noise`` [N] is white, ``broad_noise`` that of a motion that is no sine.
+        """
+        jacobian = self._cycles.gradient(parameters)
+        of_sample = np.einsum("knp,knq->kpq", jacobian, jacobian) / PHASES
+        size = parameters.size
+        gains = (self._samples @ of_sample.reshape(-1, size * size)).reshape(-1, size, size)
+        sigma = np.where(self._steady, noise, broad_noise)
+        return np.asarray(gains / sigma[:, None, None] ** 2)
+
+    def demands(self, sets: Sequence[Array]) -> tuple[Array, Array]:
+        """Largest force (m,) [N] and heat (m,) [J] of each run, whichever of the sets is true."""
+        forces = np.stack([self._cycles.force(values) for values in sets])
+        largest = np.max(np.abs(forces), axis=(0, 2))
+        power = np.max(np.mean(forces * self._velocity, axis=2), axis=0)
+        return np.max(np.where(self._time > 0.0, largest, 0.0), axis=1), self._time @ power
+
+
+class PlanState(Enum):
+    """What there is to do: a run, nothing any more, or nothing that would help."""
+
+    RUN = "run"
+    MET = "met"
+    OUT_OF_REACH = "out of reach"
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The next run, if there is one, and how well the force is known now.
+
+    ``now``: the errors at the points of the goal; ``expected``: the worst error [1] after the run;
+    ``runs_left``: runs until the goal is met, None where that cannot be told or it cannot be met;
+    ``reason``: why it is met or cannot be, in words. A goal out of reach may still have a run that
+    helps.
+    """
+
+    state: PlanState
+    now: PointErrors
+    run: PlannedRun | None = None
+    expected: float = math.nan
+    runs_left: int | None = 0
+    reason: str = ""
+
+
+class RunPlanner:
+    """Plans towards a goal within the limits of a machine, for dampers of one model.
+
+    ``candidates`` are the runs that it chooses from.
+    """
+
+    def __init__(self, model: Model, goal: ForceGoal, limits: MachineLimits) -> None:
+        self.model = model
+        self.goal = goal
+        self.limits = limits
+        self._goal_cycles = Cycles(model, goal.cycles())
+        self._top = goal.peak_velocity[1], goal.current[1]
+        self.candidates = candidate_runs(goal, limits)
+        self._candidates = CandidateRuns(model, self.candidates, limits.sample_rate)
+
+    def shortcoming(self) -> str:
+        """Why the goal lies beyond the machine, in words; empty where it does not."""
+        goal, limits = self.goal, self.limits
+        if goal.peak_velocity[1] > limits.peak_velocity:
+            return (
+                f"the goal reaches to {goal.peak_velocity[1]:g} m/s and the machine to "
+                f"{limits.peak_velocity:g} m/s"
+            )
+        if goal.current[1] > limits.current:
+            return (
+                f"the goal reaches to {goal.current[1]:g} A and the supply to {limits.current:g} A"
+            )
+        return "" if self.candidates else "no run within the limits of the machine holds a cycle"
+
+    def most_probable(self, windows: Sequence[Window], parameters: Array) -> Array:
+        """The most probable set (p,), from the one identified.
+
+        It is looked for from a few others, too, of any shape. The noise of each window is found
+        with the set: what a wrong one leaves would pass for noise, and the set stay.
+        """
+        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
+        rng = np.random.default_rng(len(windows))
+        count = max(_STARTS, _FITS // len(windows))
+        others = open_sets(self.model, windows, parameters, (), self._top, rng, count)
+        few = [window.thinned(FEW) for window in windows]
+        first = self._noise(windows, parameters)
+        found = [
+            self._with_noise(windows, few, first, prior, parameters, start)
+            for start in (parameters, *others)
+        ]
+        _, values, noise = min(found, key=lambda one: one[0])
+        # Few samples tell where the best set is, and only all of them how it lies exactly.
+        return most_probable(self.model, windows, noise, prior, parameters, values)[0]
+
+    def _with_noise(
+        self,
+        windows: Sequence[Window],
+        few: Sequence[Window],
+        noise: Sequence[float],
+        prior: Array,
+        about: Array,
+        values: Array,
+    ) -> tuple[float, Array, Sequence[float]]:
+        """How much noise is left (a likelihood), and the set (p,) and its noise, from a start."""
+        sizes = np.array([window.sample_count for window in windows], dtype=float)
+        least = math.inf
+        for _ in range(_ROUNDS):
+            values, _ = most_probable(self.model, few, noise, prior, about, values)
+            noise = self._noise(windows, values)
+            left = float(sizes @ np.log(noise)) / float(sizes.sum())
+            if left > least - _SETTLED:
+                break
+            least = left
+        return left, values, noise
+
+    def _noise(self, windows: Sequence[Window], parameters: Array) -> list[float]:
+        return [noise_of(self.model, window, parameters) for window in windows]
+
+    def errors(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
+        """How well the force is known from windows to which ``parameters`` (p,) were fitted."""
+        noise = self._noise(windows, parameters)
+        return self._errors(parameters, self._information(windows, noise, parameters))
+
+    def knowledge(self, windows: Sequence[Window], parameters: Array) -> PointErrors:
+        """As :meth:`errors`; where the goal seems to be met, that is made sure of."""
+        now = self.errors(windows, parameters)
+        return self._confirmed(now, windows, parameters) if now.worst <= self.goal.error else now
+
+    def next(self, windows: Sequence[Window], parameters: Array, observable: np.ndarray) -> Plan:
+        """What to do next; ``observable`` (p,) tells which parameters the windows determine."""
+        now = self.knowledge(windows, parameters)
+        if now.worst <= self.goal.error:
+            return Plan(PlanState.MET, now, reason=f"the goal is met: {now.sentence}")
+        return self.plan_on(windows, parameters, observable, now)
+
+    def plan_on(
+        self,
+        windows: Sequence[Window],
+        parameters: Array,
+        observable: np.ndarray,
+        now: PointErrors,
+    ) -> Plan:
+        """The plan as :meth:`next` has it, as if the goal were not met; ``now``: what is known."""
+        beyond = self.shortcoming()
+        if beyond:
+            return Plan(PlanState.OUT_OF_REACH, now, runs_left=None, reason=beyond)
+        sets = self.possible_sets(windows, parameters, observable)
+        allowed = self.allowed(windows, sets)
+        if not allowed.any():
+            return Plan(
+                PlanState.OUT_OF_REACH,
+                now,
+                runs_left=None,
+                reason="every run that would help may leave the limits of force or heat",
+            )
+        noise = self._noise(windows, parameters)
+        present = self._information(windows, noise, parameters)
+        sigma = _noise_by_motion(windows, noise)
+        scores = np.where(allowed, 0.0, math.inf)
+        for values in sets:
+            before = present if values is parameters else self._information(windows, noise, values)
+            gradient = relative_gradient(self._goal_cycles, values)[:, ::_FEW_PHASES]
+            after = before + self._candidates.gains(values, *sigma)[allowed]
+            scores[allowed] += np.log(_soft_worst(cycle_errors(gradient, after)))
+        place = int(np.argmin(scores))
+        best = self.candidates[place]
+        left, expected, reached = self._look_ahead(parameters, present, sigma, place)
+        # As long as a law is open, what it will cost to know it cannot be told.
+        if left is None and len(sets) == 1:
+            return Plan(
+                PlanState.OUT_OF_REACH,
+                now,
+                run=best,
+                expected=expected,
+                runs_left=None,
+                reason=f"{_LOOK_AHEAD} more runs would leave an error of {reached:.2%}: allow "
+                "longer runs, or a larger error",
+            )
+        return Plan(PlanState.RUN, now, best, expected, left)
+
+    def _confirmed(
+        self, now: PointErrors, windows: Sequence[Window], parameters: Array
+    ) -> PointErrors:
+        """The errors, the worst no smaller than by identifying again: the goal is met for sure."""
+        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
+        noise = self._noise(windows, parameters)
+        again = repeated_error(self.model, windows, noise, prior, parameters, self._goal_cycles)
+        larger = max(again / now.worst, 1.0)
+        return replace(now, worst=larger * now.worst, bound=larger * now.bound)
+
+    def _errors(self, parameters: Array, information: Array) -> PointErrors:
+        gradient = relative_gradient(self._goal_cycles, parameters)
+        return point_errors(self.goal, gradient, information)
+
+    def _information(
+        self, windows: Sequence[Window], noise: Sequence[float], parameters: Array
+    ) -> Array:
+        prior = prior_information(self.model, self._goal_cycles, parameters, self.goal)
+        return prior + window_information(self.model, windows, noise, parameters)
+
+    def possible_sets(
+        self, windows: Sequence[Window], parameters: Array, observable: np.ndarray
+    ) -> list[Array]:
+        """Sets that may be true: that identified, and others where something is open."""
+        names, rng = np.array(self.model.parameter_names), np.random.default_rng(0)
+        known = names[observable].tolist()
+        others = open_sets(self.model, windows, parameters, known, self._top, rng, _SETS)
+        return [parameters, *others]
+
+    def allowed(self, windows: Sequence[Window], sets: Sequence[Array]) -> np.ndarray:
+        """Candidates (m,) that stay within the limits whichever set is true, and are no leap."""
+        fastest = max(window.motion.peak_velocity.max() for window in windows)
+        highest = max(window.current.max() for window in windows)
+        low, high = self.goal.current
+        top = highest + _CURRENT_STEP * (high - low) + 1e-9
+        gentle = [
+            run.peak_velocity <= _FASTER * fastest and max(run.currents) <= top
+            for run in self.candidates
+        ]
+        force, heat = self._candidates.demands(sets)
+        within = (_MARGIN * force <= self.limits.force) & (_MARGIN * heat <= self.limits.heat)
+        return np.asarray(gentle & within)
+
+    def _look_ahead(
+        self, parameters: Array, present: Array, sigma: tuple[float, float], first: int
+    ) -> tuple[int | None, float, float]:
+        """Runs until the goal is met, the worst error after the first, and after the last."""
+        gradient = relative_gradient(self._goal_cycles, parameters)
+        gains = self._candidates.gains(parameters, *sigma)
+        information = present + gains[first]
+        expected = worst = point_errors(self.goal, gradient, information).worst
+        for count in range(1, _LOOK_AHEAD + 1):
+            if worst <= self.goal.error:
+                return count, expected, worst
+            after = information + gains
+            errors = cycle_errors(gradient[:, ::_FEW_PHASES], after)
+            information = after[int(np.argmin(_soft_worst(errors)))]
+            worst = point_errors(self.goal, gradient, information).worst
+        return None, expected, worst
+
+
+def _noise_by_motion(windows: Sequence[Window], noise: Sequence[float]) -> tuple[float, float]:
+    """Noise [N] of a run that is a sine, and of any other, which a law may follow less well."""
+    steady = [sigma for w, sigma in zip(windows, noise, strict=True) if w.motion.sine is not None]
+    broad = [sigma for w, sigma in zip(windows, noise, strict=True) if w.motion.sine is None]
+    return float(np.median(steady or broad)), float(np.median(broad or steady))
+
+
+def _soft_worst(errors: Array) -> Array:
+    """Norm (m,) of errors (m, k) that stands for the worst of them."""
+    return np.asarray(np.mean(errors**_NORM, axis=1) ** (1.0 / _NORM))
+
+
+# -- runs that would determine what is open -------------------------------------------------------
+
+_OPEN_SETS = 16
+"""So many sets stand for what is open where a run is to determine parameters."""
 
 _MOST_RUNS = 4
 """No more runs are advised at once: four currents are what the laws need."""
@@ -40,9 +670,6 @@ _MOST_RUNS = 4
 _SPEEDS = np.geomspace(0.1, 1.0, 6)
 _CURRENTS = np.linspace(0.0, 1.0, 9)
 """Candidates, as parts of the largest peak velocity and current."""
-
-_MAJORITY = 0.5
-"""A run is said to determine what it determines for more than this part of the sets."""
 
 
 @dataclass(frozen=True)
@@ -93,11 +720,6 @@ class ExtraRun:
     worst_error: float = 1.0
 
     @property
-    def peak_velocity(self) -> float:
-        """Largest speed [m/s]."""
-        return 2.0 * math.pi * self.frequency * self.amplitude
-
-    @property
     def sentence(self) -> str:
         """The advice in words."""
         gain = f"it would determine {', '.join(self.determines)}"
@@ -121,87 +743,48 @@ def extra_runs(
 
     ``misfit`` is that of the windows at hand, ``noise`` [N] what a run as long as these would
     leave of the force; ``parameters`` (p,) are the present set, of which ``observable`` (p,) are
-    determined.
+    determined. A run determines a shape parameter whose error it brings below a quarter of its
+    span, by most of the sets that may be true.
     """
-    names = [name for law in model.shape_groups for name in law]
-    known = {n for n, seen in zip(model.parameter_names, observable, strict=True) if seen}
-    if set(names) <= known:
+    shape = np.isin(model.parameter_names, [name for law in model.shape_groups for name in law])
+    missing = shape & ~observable
+    if not missing.any():
         return ()
-    # What is common to all runs is not what another run is made for.
-    every = [n for n in model.parameter_names if n in names or n in model.scale_names]
-    places = model.places(every)
     speeds, currents = operating_points_within(misfit.windows)
-    ranges = model.plausible_ranges(
-        misfit.windows, max(max(speeds), rig.peak_velocity), max(rig.current, *currents)
-    )
-    sizes = {name: high - low for name, (low, high) in ranges.items()}
-    candidates = _candidates(rig)
-    share = misfit.sample_count / len(misfit.windows)
-    cycles = Cycles(model, [steady_cycle(c.amplitude, c.frequency, c.current) for c in candidates])
-    level = noise_level(misfit, parameters)
-    weight = math.sqrt(share / PHASES) / noise
+    top = max(*speeds, rig.peak_velocity), max(rig.current, *currents)
+    ranges = model.plausible_ranges(misfit.windows, *top)
     spans = parameter_spans(model, misfit.jacobian(parameters), parameters, ranges)
-    present: list[Array] = []
-    added: list[Array] = []
-    speed = max(rig.peak_velocity, *(window.operating_point[0] for window in misfit.windows))
-    rng = np.random.default_rng(0)
-    for values in open_sets(
-        model, misfit.windows, parameters, known, (speed, rig.current), rng, _SETS
-    ):
-        jacobian = _only(misfit.jacobian(values), places) / level
-        present.append(triangular_factor(jacobian))
-        added.append(_only(cycles.gradient(values), places) / level * weight)
-    gains = [np.einsum("cnp,cnq->cpq", a * spans, a * spans) for a in added]
+    units = np.outer(spans, spans)
+    amplitude = round_to(rig.amplitude, 2)
+    fastest = rig.peak_velocity / (2.0 * math.pi * amplitude)
+    candidates = CandidateRuns(
+        model,
+        [
+            PlannedRun(amplitude, round_to(fastest * speed, 2), (current,), duration=1.0)
+            for speed in _SPEEDS.tolist()
+            for current in dict.fromkeys(round_to(rig.current * part, 2) for part in _CURRENTS)
+        ],
+        sample_rate=misfit.sample_count / len(misfit.windows),
+    )
+    level = noise_level(misfit, parameters)
+    known = set(np.array(model.parameter_names)[observable].tolist())
+    sets = open_sets(
+        model, misfit.windows, parameters, known, top, np.random.default_rng(0), _OPEN_SETS
+    )
+    jacobians = [misfit.jacobian(values) * spans / level for values in sets]
+    present = np.array([np.eye(spans.size) + jacobian.T @ jacobian for jacobian in jacobians])
+    gains = np.array([candidates.gains(v, noise * level, noise * level) * units for v in sets])
     advised: list[ExtraRun] = []
-    while len(advised) < _MOST_RUNS and not set(names) <= known:
-        information = [np.eye(parameters.size) + _gram(r * spans) for r in present]
-        after = np.array([m + g for m, g in zip(information, gains, strict=True)])
+    while len(advised) < _MOST_RUNS and missing.any():
+        after = present[:, np.newaxis] + gains
         best = int(np.argmax(np.mean(np.linalg.slogdet(after)[1], axis=0)))
-        chosen = candidates[best]
-        speeds, currents = [*speeds, chosen.peak_velocity], [*currents, chosen.current]
-        varied = varied_parameters(model, speeds, currents) & set(every)
-        present = [
-            triangular_factor(np.vstack((r, a[best]))) for r, a in zip(present, added, strict=True)
-        ]
-        votes = [determined_parameters(model, r, varied, sizes) for r in present]
-        determined = {n for n in names if np.mean([n in vote for vote in votes]) > _MAJORITY}
-        variances = np.diagonal(np.linalg.inv(after[:, best]), axis1=-2, axis2=-1)
-        advised.append(
-            replace(
-                chosen,
-                determines=tuple(name for name in names if name in determined - known),
-                worst_error=float(np.mean(np.sqrt(variances.max(axis=-1)))),
-            )
-        )
-        known |= determined
-    return _without_idle_end(advised)
-
-
-def _only(jacobian: Array, places: np.ndarray) -> Array:
-    """The Jacobian with nothing told of the parameters at other places."""
-    result = np.zeros_like(jacobian)
-    result[..., places] = jacobian[..., places]
-    return result
-
-
-def _without_idle_end(runs: Sequence[ExtraRun]) -> tuple[ExtraRun, ...]:
-    """Runs after which nothing more is determined need not be made."""
-    useful = [place for place, run in enumerate(runs) if run.determines]
-    return tuple(runs[: useful[-1] + 1]) if useful else ()
-
-
-def _candidates(rig: RigRange) -> list[ExtraRun]:
-    """Runs that the rig can make, in round numbers."""
-    amplitude = _round(rig.amplitude)
-    top = rig.peak_velocity / (2.0 * math.pi * amplitude)
-    frequencies = [_round(top * part) for part in _SPEEDS]
-    currents = [_round(rig.current * part) for part in _CURRENTS]
-    return [ExtraRun(amplitude, f, i) for f in frequencies for i in dict.fromkeys(currents)]
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.2g}")
-
-
-def _gram(matrix: Array) -> Array:
-    return np.asarray(matrix.T @ matrix)
+        present, run = after[:, best], candidates.runs[best]
+        errors = np.sqrt(np.diagonal(np.linalg.inv(present), axis1=-2, axis2=-1))
+        determined = missing & (np.median(errors, axis=0) < SURE)
+        names = tuple(np.array(model.parameter_names)[determined].tolist())
+        worst = float(np.mean(errors.max(axis=-1)))
+        advised.append(ExtraRun(run.amplitude, run.frequency, run.currents[0], names, worst))
+        missing &= ~determined
+    # Runs after which nothing more is determined need not be made.
+    useful = [place for place, run in enumerate(advised) if run.determines]
+    return tuple(advised[: useful[-1] + 1]) if useful else ()

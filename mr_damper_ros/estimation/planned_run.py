@@ -6,19 +6,16 @@ A run is a sine, a swept sine or random motion, at one current or at a staircase
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from mr_damper_ros.estimation.force_knowledge import PHASES, Cycles, ForceGoal, steady_cycle
-from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity_of_period
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 
@@ -30,6 +27,72 @@ SETTLING = 0.1
 
 _CURRENT_STEP = 0.05
 """A current that is so far [A] from that of its stretch has not been stepped yet."""
+
+
+PHASES = 64
+"""Samples of the cycle that stands for an operating point."""
+
+_AMPLITUDE = 0.01
+"""Amplitude [m] of the cycles of a goal, unless it says another."""
+
+
+@dataclass(frozen=True)
+class ForceGoal:
+    """The force, to this relative standard ``error`` at the worst point, over these ranges.
+
+    ``peak_velocity`` [m/s] and ``current`` [A] are pairs (low, high); the error is relative to the
+    largest force of the cycle at the same point. The force is looked at in cycles of ``amplitude``
+    [m].
+
+    Raises ValueError for a goal that cannot be meant.
+    """
+
+    error: float
+    peak_velocity: tuple[float, float]
+    current: tuple[float, float]
+    amplitude: float = _AMPLITUDE
+    speeds: int = 5
+    currents: int = 6
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.error < 1.0:
+            raise ValueError(
+                f"the error to be reached is {self.error}: give a part of the force between 0 and 1"
+            )
+        low, high = self.peak_velocity
+        if not 0.0 < low <= high < math.inf:
+            raise ValueError(
+                f"the peak velocities of the goal are {low:g} to {high:g} m/s: they must be "
+                "positive, the lower first"
+            )
+        low, high = self.current
+        if not 0.0 <= low <= high < math.inf:
+            raise ValueError(
+                f"the currents of the goal are {low:g} to {high:g} A: none may be negative, the "
+                "lower comes first"
+            )
+
+    @property
+    def points(self) -> list[tuple[float, float]]:
+        """Operating points (m/s, A) all over the range."""
+        speeds = np.unique(np.geomspace(*self.peak_velocity, self.speeds))
+        currents = np.unique(np.linspace(*self.current, self.currents))
+        return [(v, i) for v in speeds.tolist() for i in currents.tolist()]
+
+    def cycles(self) -> list[Window]:
+        """A cycle at each point; its force plays no part."""
+        return [
+            steady_cycle(self.amplitude, v / (2.0 * math.pi * self.amplitude), i)
+            for v, i in self.points
+        ]
+
+
+def steady_cycle(amplitude: float, frequency: float, current: float) -> Window:
+    """One cycle of a sine [m], [Hz] at a current [A]; without a force."""
+    period = 1.0 / (frequency * PHASES)
+    # Half a sample off the reversals, where the sign of the acceleration is a matter of rounding.
+    phase = 2.0 * math.pi * (np.arange(PHASES) + 0.5) / PHASES
+    return Window.from_samples(amplitude * np.sin(phase), np.zeros(PHASES), current, period)
 
 
 @dataclass(frozen=True)
@@ -220,12 +283,6 @@ _STAIRS = (2, 3, 4, 6)
 _FIRST_CURRENTS = 4
 """Those of the first one, at most."""
 
-_PARTS = 12
-"""A motion that is no sine is looked at in so many parts: every staircase has whole ones."""
-
-_FINE = 48
-"""Samples of the shortest cycle of such a motion, for its peak velocity."""
-
 _LEAST_CYCLES = 1.0
 """A stretch at one current holds so many cycles at the least."""
 
@@ -271,7 +328,7 @@ def candidate_runs(goal: ForceGoal, limits: MachineLimits) -> list[PlannedRun]:
 def _stairs(goal: ForceGoal, limits: MachineLimits) -> list[tuple[float, ...]]:
     """The currents of runs: one, or several where the machine can step them."""
     bottom, top = goal.current[0], min(goal.current[1], limits.current)
-    currents = [_round(current) for current in np.unique(np.linspace(bottom, top, _CURRENTS))]
+    currents = [round_to(current) for current in np.unique(np.linspace(bottom, top, _CURRENTS))]
     stairs: list[tuple[float, ...]] = [(current,) for current in currents]
     for count in _STAIRS if limits.steps else ():
         for start in range(len(currents)):
@@ -291,7 +348,7 @@ def _runs(
     if not limits.frequency[0] <= frequency <= limits.frequency[1]:
         return []
     return _whole_cycles(
-        [PlannedRun(amplitude, frequency, tuple(map(_round, s)), limits.duration) for s in stairs]
+        [PlannedRun(amplitude, frequency, tuple(map(round_to, s)), limits.duration) for s in stairs]
     )
 
 
@@ -342,8 +399,9 @@ def _whole_cycles(runs: Sequence[PlannedRun]) -> list[PlannedRun]:
     ]
 
 
-def _round(value: float) -> float:
-    return float(f"{value:.3g}")
+def round_to(value: float, digits: int = 3) -> float:
+    """The value in so many digits."""
+    return float(f"{value:.{digits}g}")
 
 
 def _round_up(value: float, digits: int = 2) -> float:
@@ -356,109 +414,3 @@ def _round_down(value: float) -> float:
     """Two digits, never more than the value: limits hold."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.floor(value / unit + 1e-9) * unit:.6g}")
-
-
-@dataclass(frozen=True)
-class _Look:
-    """A cycle, or a part of a motion, at one current, that stands for a part of a run."""
-
-    motion: PeriodicMotion
-    current: float
-    duration: float
-    part: int
-
-
-class CandidateRuns:
-    """What each of many ``runs`` would tell, and what it would ask of the machine.
-
-    What a stretch tells depends on its motion and its current: each pair is looked at once.
-    """
-
-    def __init__(self, model: Model, runs: Sequence[PlannedRun], sample_rate: float) -> None:
-        self.runs = list(runs)
-        looks: dict[_Look, int] = {}
-        rows, columns, times, told = [], [], [], []
-        for row, run in enumerate(self.runs):
-            for look, time, part in _looks(run):
-                rows.append(row)
-                columns.append(looks.setdefault(look, len(looks)))
-                times.append(time)
-                told.append(part * time)
-        shape = (len(self.runs), len(looks))
-        self._time, self._samples = np.zeros(shape), np.zeros(shape)
-        np.add.at(self._time, (rows, columns), times)
-        np.add.at(self._samples, (rows, columns), np.multiply(told, sample_rate))
-        windows = _windows(list(looks))
-        self._cycles = Cycles(model, windows)
-        self._velocity = np.array([window.motion.velocity for window in windows])
-        self._steady = np.array([run.kind is MotionKind.SINE for run in self.runs])
-
-    def gains(self, parameters: Array, noise: float, broad_noise: float) -> Array:
-        """Information (m, p, p) that each run would add.
-
-        ``noise`` [N] is white, ``broad_noise`` that of a motion that is no sine.
-        """
-        jacobian = self._cycles.gradient(parameters)
-        of_sample = np.einsum("knp,knq->kpq", jacobian, jacobian) / PHASES
-        size = parameters.size
-        gains = (self._samples @ of_sample.reshape(-1, size * size)).reshape(-1, size, size)
-        sigma = np.where(self._steady, noise, broad_noise)
-        return np.asarray(gains / sigma[:, None, None] ** 2)
-
-    def demands(self, sets: Sequence[Array]) -> tuple[Array, Array]:
-        """Largest force (m,) [N] and heat (m,) [J] of each run, whichever of the sets is true."""
-        forces = np.stack([self._cycles.force(values) for values in sets])
-        largest = np.max(np.abs(forces), axis=(0, 2))
-        power = np.max(np.mean(forces * self._velocity, axis=2), axis=0)
-        return np.max(np.where(self._time > 0.0, largest, 0.0), axis=1), self._time @ power
-
-
-def _looks(run: PlannedRun) -> Iterator[tuple[_Look, float, float]]:
-    """What stands for the parts of a run, how long [s] each is, and what part of it tells."""
-    for place, current in enumerate(run.currents):
-        settled = 1.0 - SETTLING * (place > 0) / run.stretch
-        if run.kind is MotionKind.SINE:
-            yield _Look(run.motion, current, 0.0, 0), run.stretch, settled
-            continue
-        parts = _PARTS // len(run.currents)
-        for part in range(place * parts, (place + 1) * parts):
-            look = _Look(run.motion, current, run.duration, part)
-            yield look, run.stretch / parts, settled
-
-
-def _windows(looks: Sequence[_Look]) -> list[Window]:
-    """A window of each; without a force."""
-    moved: dict[tuple[PeriodicMotion, float], Window] = {}
-    wholes: dict[tuple[PeriodicMotion, float, float], Window] = {}
-    found = []
-    for look in looks:
-        motion, key = look.motion, (look.motion, look.duration)
-        if key not in moved:
-            steady = motion.kind is MotionKind.SINE
-            moved[key] = (
-                steady_cycle(motion.amplitude, motion.frequency, 0.0)
-                if steady
-                else _moved(motion, look.duration)
-            )
-        if (*key, look.current) not in wholes:
-            current = np.full(moved[key].sample_count, look.current)
-            wholes[(*key, look.current)] = replace(moved[key], current=current)
-        whole = wholes[(*key, look.current)]
-        if motion.kind is MotionKind.SINE:
-            found.append(whole)
-            continue
-        count = whole.sample_count // _PARTS
-        stride = count // PHASES
-        begin = look.part * count + stride // 2
-        found.append(whole.part(slice(begin, begin + PHASES * stride, stride)))
-    return found
-
-
-def _moved(motion: PeriodicMotion, duration: float) -> Window:
-    """A motion for so long [s]; without a force and a current."""
-    least = PHASES * _PARTS
-    count = least * math.ceil(_FINE * motion.highest_frequency * duration / least)
-    period = duration / count
-    u, v, a = motion.at(np.arange(count, dtype=np.float64) * period)
-    moved = Motion(u, v, a, np.abs(v), sine=None)
-    return with_motion_before(Window(moved, np.zeros(count), np.zeros(count), period))

@@ -26,8 +26,7 @@ from mr_damper_ros.campaign.conductor import (
 from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask
 from mr_damper_ros.campaign.runs import REST, MachineCommand
-from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import MachineLimits, first_run, motions_of
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, first_run, motions_of
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL

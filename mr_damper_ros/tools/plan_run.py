@@ -22,9 +22,8 @@ from mr_damper_ros.campaign.course import (
 from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_task
 from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, run_as_made, write_signal
-from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import MachineLimits, first_run, motions_of
-from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.estimation.experiment_design import Plan, PlanState
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, first_run, motions_of
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.recording_list import find_recordings
 from mr_damper_ros.kinematics.periodic_motion import MotionKind

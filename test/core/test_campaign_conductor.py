@@ -30,9 +30,8 @@ from mr_damper_ros.emulation.emulator import (
     RigSettings,
 )
 from mr_damper_ros.emulation.motions import CommandedMotion, SineMotion
-from mr_damper_ros.estimation.force_knowledge import ForceGoal, PointErrors
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
-from mr_damper_ros.estimation.run_planner import Plan, PlanState
+from mr_damper_ros.estimation.experiment_design import Plan, PlanState, PointErrors
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.kinematics.repeated_match import RepeatedMatch
 from mr_damper_ros.models.parameter_set import ParameterSet

@@ -18,8 +18,7 @@ from mr_damper_ros.campaign.folder import (
     read_steps,
     read_task,
 )
-from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.recording import Recording

@@ -14,8 +14,7 @@ import mr_damper_ros as mr
 from mr_damper_ros.campaign.folder import read_campaign_runs
 from mr_damper_ros.campaign.report import write_campaign_report
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run
-from mr_damper_ros.estimation.force_knowledge import ForceGoal
-from mr_damper_ros.estimation.planned_run import PlannedRun
+from mr_damper_ros.estimation.planned_run import ForceGoal, PlannedRun
 from mr_damper_ros.tools import plan_run
 
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.campaign.course import fault_of_run
 from mr_damper_ros.campaign.runs import RunNotFoundError, cut_run, signal
-from mr_damper_ros.estimation.force_knowledge import ForceGoal, window_information
+from mr_damper_ros.estimation.experiment_design import CandidateRuns, window_information
 from mr_damper_ros.estimation.planned_run import (
-    CandidateRuns,
+    ForceGoal,
     MachineLimits,
     PlannedRun,
     candidate_runs,

@@ -16,12 +16,8 @@ import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
 from mr_damper_ros.campaign.folder import CampaignStep
 from mr_damper_ros.campaign.runs import signal
-from mr_damper_ros.estimation.force_knowledge import (
-    Cycles,
-    ForceGoal,
-)
-from mr_damper_ros.estimation.planned_run import MachineLimits, PlannedRun, first_run
-from mr_damper_ros.estimation.run_planner import PlanState, RunPlanner
+from mr_damper_ros.estimation.experiment_design import Cycles, PlanState, RunPlanner
+from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools import plan_run
