@@ -22,6 +22,7 @@ from sensor_msgs.msg import JointState, Temperature
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import CommandTopic, CurrentCommands, MotionCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.managed_node import ManagedNode
 from mr_damper_ros.nodes.messages import (
     SUSPENSION_TOPIC,
     current_message,
@@ -37,7 +38,7 @@ from mr_damper_ros.nodes.pacing import (
     SendingThread,
     wait_for_subscribers,
 )
-from mr_damper_ros.nodes.spinning import ManagedNode, run
+from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.nodes.topic_source import TopicOptions, TopicSource
 from mr_damper_ros.rig.blocks import Meter, Reading, aligned
 from mr_damper_ros.rig.sources import SOURCES

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from mr_damper_msgs.msg import CurrentCommand, DesiredForce
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.node import Node
 from std_msgs.msg import Header
 
 from mr_damper_ros.control.force_controller import (
@@ -21,20 +19,19 @@ from mr_damper_ros.control.force_controller import (
     ForceControlSettings,
 )
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
+from mr_damper_ros.nodes.block_node import BlockNode
+from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
+from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import set_stamp, to_nanoseconds
-from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.parameter_input import ParameterInput, SetOptions
+from mr_damper_ros.nodes.parameter_input import SetOptions
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.deferred import PostponedWork
 from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
 
 DEMAND_TOPIC = "damper/desired_force"
-COMMAND_TOPIC = "supply/current_command"
 
 _LATE = 0.05
 """Seconds: a computer with a processor to spare is late by less; a command is for what is now."""
@@ -92,55 +89,44 @@ class ControllerParameters(SetOptions):
         return ""
 
 
-class ControllerNode(Node):
+class ControllerNode(BlockNode[ControllerParameters, Command]):
     """Publishes a command for every block of samples, and the safe current where none come."""
 
+    answer, doing = "command", "controlling"
+
     def __init__(self) -> None:
-        super().__init__("controller")
-        self._options = NodeParameters(self, ControllerParameters).values
-        self._controller = ForceController(self._options.control, self._options.grid)
-        self._tracking = RunningError(self._options.error_memory)
+        super().__init__("controller", ControllerParameters)
+        options = self._options
+        self._late = _LATE
+        self._controller = ForceController(options.control, options.grid)
+        self._tracking = RunningError(options.error_memory)
         self._last: Command | None = None
-        self._slowest = 0.0
         self._commands = self._met = self._unknown = 0
         self._heard = -math.inf
-        self._rest = PostponedWork()
         # One for all: what is published has been copied.
-        self._message = CurrentCommand(header=Header(frame_id=self._options.frame_id))
+        self._message = CurrentCommand(header=Header(frame_id=options.frame_id))
         self._refused_demand = ""
         self._command = quality.publisher(self, CurrentCommand, COMMAND_TOPIC)
-        self._parameter_input = ParameterInput(
-            self,
-            self._controller.set_parameters,
-            self._controller.predictor,
-            self._options,
-        )
         quality.subscription(
             self, DesiredForce, DEMAND_TOPIC, self._take_demand, quality.stream(_DEMANDS)
         )
-        predictor = self._controller.predictor
-        self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)
+        self._listen(
+            self._controller.predictor,
+            self._controller.set_parameters,
+            self._controller.follow,
+            options.control.predictor.max_age,
+        )
         self._watchdog = self.create_timer(
-            0.5 * self._options.samples_timeout,
+            0.5 * options.samples_timeout,
             self._watch,
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
-        self._diagnostics = Diagnostics(
-            self,
-            {
-                "input": lambda: self._inputs.samples_finding(predictor.sequence),
-                "current": self._inputs.current_finding,
-                "parameters": lambda: self._parameter_input.finding("controlling"),
-                "command": self._command_finding,
-                "tracking": self._tracking_finding,
-                "latency": self._latency_finding,
-            },
-        )
+        self._diagnose({"command": self._command_finding, "tracking": self._tracking_finding})
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(DEMAND_TOPIC)}, "
             f"{self.resolve_topic_name(SAMPLES_TOPIC)} and "
             f"{self.resolve_topic_name(CURRENT_TOPIC)}; until then the safe current, "
-            f"{self._options.control.fallback.safe_current:g} A, is commanded"
+            f"{options.control.fallback.safe_current:g} A, is commanded"
         )
 
     def _take_demand(self, message: DesiredForce) -> None:
@@ -148,18 +134,11 @@ class ControllerNode(Node):
             to_nanoseconds(message.header.stamp), message.force
         )
 
-    def _take_block(self, block: SampleBlock) -> None:
-        began = time.perf_counter()
-        self._rest.finish()
+    def _publish_answer(self, block: SampleBlock, now_ns: int) -> Command:
         self._heard = time.monotonic()
-        now_ns = self.get_clock().now().nanoseconds
-        if self._controller.predictor.freshness.are_older(block.end_ns, now_ns, _LATE):
-            block, _ = self._inputs.skip_to_newest(block, self._controller.follow)
-            now_ns = self.get_clock().now().nanoseconds
         command = self._controller.command(block, now_ns)
         self._publish(command.current, now_ns)
-        self._rest.postpone(partial(self._finish, command, block))
-        self._slowest = max(self._slowest, time.perf_counter() - began)
+        return command
 
     def _publish(self, current: float, stamp_ns: int) -> None:
         set_stamp(self._message.header.stamp, stamp_ns)
@@ -175,12 +154,7 @@ class ControllerNode(Node):
         if time.monotonic() - self._heard > self._options.samples_timeout:
             self._give_up()
 
-    def finish_in_time(self) -> float:
-        """Do the rest of the work on the last block; see :class:`PostponedWork`."""
-        return self._rest.finish_in_time()
-
     def _finish(self, command: Command, block: SampleBlock) -> None:
-        """Do what a block needs besides its command."""
         continuity = command.prediction.continuity
         if continuity:
             self.get_logger().warning(continuity, throttle_duration_sec=10.0)
@@ -251,16 +225,6 @@ class ControllerNode(Node):
             OK,
             f"what could be had was missed by {nrmse:.1%} of the measured force",
             {"NRMSE": f"{nrmse:.4f}"},
-        )
-
-    def _latency_finding(self) -> Finding:
-        slowest, self._slowest = self._slowest, 0.0
-        if slowest == 0.0:
-            return Finding(STALE, "no block since the last report")
-        return Finding(
-            OK,
-            f"at most {1e3 * slowest:.2f} ms from a block to its command",
-            {"slowest [ms]": f"{1e3 * slowest:.3f}"},
         )
 
 

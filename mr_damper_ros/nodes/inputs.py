@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any
 
 from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import OK, WARN, Finding
 from mr_damper_ros.nodes.messages import sample_block, to_nanoseconds
+from mr_damper_ros.nodes.rclpy_internals import waiting_messages
 from mr_damper_ros.signals.blocks import BlockError, SampleBlock, joined
 from mr_damper_ros.signals.uniform_grid import UniformGrid
 from mr_damper_ros.signals.zero_order_hold import CurrentError
@@ -127,9 +126,9 @@ class Inputs:
         ``follow`` is called with those skipped, as few blocks as can hold them. The currents that
         wait are taken too, and handed on as ever.
         """
-        for message in _taken(self._current_in):
+        for message in waiting_messages(self._current_in):
             self._take_current(message)
-        waiting = (self._block(message) for message in _taken(self._samples_in))
+        waiting = (self._block(message) for message in waiting_messages(self._samples_in))
         *skipped, newest = (block, *(each for each in waiting if each is not None))
         for part in joined(skipped):
             follow(part)
@@ -198,19 +197,6 @@ class Inputs:
                 "rejected messages": self._current.rejected,
             },
         )
-
-
-def _taken(subscription: Subscription) -> list[Any]:
-    """The messages that wait in a subscription's queue, as many as it can hold at most."""
-    messages: list[Any] = []
-    with subscription.handle:
-        while len(messages) < quality.STREAM_DEPTH:
-            # The executor finds nothing later on, which is usual for it.
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-            if taken is None:
-                break
-            messages.append(taken[0])
-    return messages
 
 
 def _pace(rate: float, sequence: UniformGrid) -> str:

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
-from functools import partial
 
 from mr_damper_msgs.msg import PredictedForce
-from rclpy.node import Node
 
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Diagnostics, Finding
-from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC, Inputs
+from mr_damper_ros.nodes.block_node import BlockNode
+from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
+from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import PredictionMessage
 from mr_damper_ros.nodes.mirrors import SignalMirror, WrenchMirror
-from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, ParameterInput, SetOptions
+from mr_damper_ros.nodes.parameter_input import PARAMETERS_TOPIC, SetOptions
 from mr_damper_ros.nodes.spinning import run
-from mr_damper_ros.processes.deferred import PostponedWork
 from mr_damper_ros.processes.programs import HELP
 from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import SampleBlock
@@ -78,48 +74,34 @@ class ModelParameters(SetOptions):
     frame_id: str = option("damper", "Frame of the published forces, x along the damper's rod.")
 
 
-class ModelNode(Node):
+class ModelNode(BlockNode[ModelParameters, Prediction]):
     """Publishes a prediction for every block of samples, valid or not."""
 
-    def __init__(self, cli_args: list[str] | None = None) -> None:
-        super().__init__("model", cli_args=cli_args)
-        self._options = NodeParameters(self, ModelParameters).values
-        self._predictor = ForcePredictor(self._options.predictor, self._options.grid)
-        self._error = RunningError(self._options.error_memory)
-        self._message = PredictionMessage(self._options.frame_id)
-        self._last: Prediction | None = None
-        self._slowest = 0.0
-        self._oldest = math.nan
-        self._skipped = 0
-        self._rest = PostponedWork()
-        self._force = quality.publisher(self, PredictedForce, "damper/predicted_force")
-        self._wrench = WrenchMirror(self, self._options.wrench_rate, self._options.frame_id)
-        self._signals = SignalMirror(
-            self,
-            self._options.signals_rate,
-            self._options.frame_id,
-            self._predictor.current_at,
-        )
-        self._parameter_input = ParameterInput(
-            self,
-            self._predictor.set_parameters,
-            self._predictor,
-            self._options,
-            replaced=self._error.reset,
-        )
-        self._inputs = Inputs(self, quality.stream, self._take_block, self._predictor.add_current)
-        self._diagnostics = Diagnostics(
-            self,
-            {
-                "input": lambda: self._inputs.samples_finding(self._predictor.sequence),
-                "current": self._inputs.current_finding,
-                "parameters": lambda: self._parameter_input.finding("predicting"),
-                "prediction": self._prediction_finding,
-                "latency": self._latency_finding,
-            },
-        )
+    answer, doing = "prediction", "predicting"
 
-        file = self._options.parameter_file
+    def __init__(self, cli_args: list[str] | None = None) -> None:
+        super().__init__("model", ModelParameters, cli_args)
+        options = self._options
+        predictor = ForcePredictor(options.predictor, options.grid)
+        if options.newest_first:
+            self._late = _LATE * options.predictor.max_age
+        self._error = RunningError(options.error_memory)
+        self._message = PredictionMessage(options.frame_id)
+        self._last: Prediction | None = None
+        self._force = quality.publisher(self, PredictedForce, "damper/predicted_force")
+        self._wrench = WrenchMirror(self, options.wrench_rate, options.frame_id)
+        self._signals = SignalMirror(
+            self, options.signals_rate, options.frame_id, predictor.current_at
+        )
+        self._listen(
+            predictor,
+            predictor.set_parameters,
+            predictor.predict,
+            options.predictor.max_age,
+            self._error,
+        )
+        self._diagnose({"prediction": self._prediction_finding})
+        file = options.parameter_file
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(SAMPLES_TOPIC)}, "
             f"{self.resolve_topic_name(CURRENT_TOPIC)} and "
@@ -127,30 +109,12 @@ class ModelNode(Node):
             + (f"; until then the parameters are those of {file}" if file else "")
         )
 
-    def _take_block(self, block: SampleBlock) -> None:
-        began = time.perf_counter()
-        self._rest.finish()
-        now_ns = self.get_clock().now().nanoseconds
-        late = _LATE * self._options.predictor.max_age
-        if self._options.newest_first and self._predictor.freshness.are_older(
-            block.end_ns, now_ns, late
-        ):
-            block, skipped = self._inputs.skip_to_newest(block, self._predictor.predict)
-            self._skipped += skipped
-            now_ns = self.get_clock().now().nanoseconds
+    def _publish_answer(self, block: SampleBlock, now_ns: int) -> Prediction:
         prediction = self._predictor.predict(block, now_ns)
         self._force.publish(self._message.of(prediction))
-        self._rest.postpone(partial(self._finish, prediction, block))
-        self._slowest = max(self._slowest, time.perf_counter() - began)
-        age = self._predictor.freshness.age
-        self._oldest = age if math.isnan(self._oldest) else max(self._oldest, age)
-
-    def finish_in_time(self) -> float:
-        """Do the rest of the work on the last block; see :class:`PostponedWork`."""
-        return self._rest.finish_in_time()
+        return prediction
 
     def _finish(self, prediction: Prediction, block: SampleBlock) -> None:
-        """Do what a block needs besides its force."""
         self._last = prediction
         if prediction.continuity:
             self.get_logger().warning(prediction.continuity, throttle_duration_sec=10.0)
@@ -179,31 +143,6 @@ class ModelNode(Node):
             return Finding(OK, "valid", values)
         level = ERROR if nrmse > _BAD_NRMSE else WARN if nrmse > _POOR_NRMSE else OK
         return Finding(level, f"valid; NRMSE {nrmse:.1%} of the measured force", values)
-
-    def _latency_finding(self) -> Finding:
-        slowest, self._slowest = self._slowest, 0.0
-        oldest, self._oldest = self._oldest, math.nan
-        skipped, self._skipped = self._skipped, 0
-        if slowest == 0.0:
-            return Finding(STALE, "no block since the last report")
-        sentence = f"at most {1e3 * slowest:.2f} ms from a block to its prediction"
-        if math.isnan(oldest):
-            sentence += "; the stamps are not those of a running machine: no age is known"
-        else:
-            sentence += f"; the samples were up to {1e3 * oldest:.0f} ms old"
-        if skipped:
-            sentence += f"; {skipped} blocks have no force for newer ones had come: an overload?"
-        limit = self._options.predictor.max_age
-        late = skipped > 0 or (limit > 0.0 and oldest > limit)
-        return Finding(
-            WARN if late else OK,
-            sentence,
-            {
-                "slowest [ms]": f"{1e3 * slowest:.3f}",
-                "age [ms]": f"{1e3 * oldest:.1f}",
-                "skipped blocks": skipped,
-            },
-        )
 
 
 def main() -> int:

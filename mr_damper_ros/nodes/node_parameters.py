@@ -11,7 +11,6 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Collection
-from functools import partial
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -20,61 +19,11 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    GetParameterTypes,
-    ListParameters,
-    SetParameters,
-    SetParametersAtomically,
-)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes import quality, rclpy_internals
 from mr_damper_ros.settings.option_table import Option, ParameterTable, build, options
-
-MOST_ENTRIES = 1000
-"""Names, prefixes or values in a request; no node has so many parameters."""
-
-_ENTRIES: dict[type, str] = {
-    GetParameters: "names",
-    GetParameterTypes: "names",
-    DescribeParameters: "names",
-    ListParameters: "prefixes",
-    SetParameters: "parameters",
-    SetParametersAtomically: "parameters",
-}
-"""The field of each service's request that may be long."""
-
-
-def limit_parameter_services(node: Node) -> None:
-    """Let the node refuse requests with more entries than it could ever need.
-
-    What is asked for nothing gets nothing, as rclpy answers where a parameter is not known; what is
-    to be set is told the reason.
-    """
-    for service in node.services:
-        if service.srv_type in _ENTRIES:
-            field = _ENTRIES[service.srv_type]
-            service.callback = partial(_answer, node, field, service.callback)
-
-
-def _answer(
-    node: Node, field: str, answer: Callable[[Any, Any], Any], request: Any, response: Any
-) -> Any:
-    count = len(getattr(request, field))
-    if count <= MOST_ENTRIES:
-        return answer(request, response)
-    reason = f"the request has {count} {field}: at most {MOST_ENTRIES} are answered"
-    node.get_logger().warning(reason, throttle_duration_sec=10.0)
-    result = SetParametersResult(successful=False, reason=reason)
-    if isinstance(response, SetParameters.Response):
-        response.results = [result]
-    elif isinstance(response, SetParametersAtomically.Response):
-        response.result = result
-    return response
-
 
 _NOT_OURS = ("use_sim_time", "start_type_description_service")
 """Overrides that rclpy itself declares."""
@@ -121,7 +70,6 @@ class NodeParameters(Generic[T]):
             descriptor.read_only = item.start_only if configured else item.read_only
             node.declare_parameter(name, (defaults | given)[name], descriptor, ignore_override=True)
         self._node = node
-        limit_parameter_services(node)
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
 
@@ -134,11 +82,11 @@ class NodeParameters(Generic[T]):
     def _given(self, node: Node) -> dict[str, Any]:
         """Values from the command line and from parameter files, by name."""
         # rclpy ignores values for undeclared parameters without a word, so that a misspelt name
-        # would leave the default in force; the values given are not public in rclpy.
+        # would leave the default in force.
         given: dict[str, Any] = {}
-        for name, parameter in node._parameter_overrides.items():
+        for name, value in rclpy_internals.given_parameters(node).items():
             if name.startswith(quality.OVERRIDES):
-                self._raise_first([quality.objection(name, parameter.value)])
+                self._raise_first([quality.objection(name, value)])
                 continue  # rclpy declares it, with the publisher or subscription that it is for
             if name.startswith(_NOT_OURS):
                 continue
@@ -146,7 +94,7 @@ class NodeParameters(Generic[T]):
                 close = difflib.get_close_matches(name, self._options, n=1)
                 hint = f"did you mean {close[0]}?" if close else "--help lists all there are"
                 raise ConfigurationError(f"there is no parameter {name}: {hint}")
-            given[name] = self._options[name].normalised(parameter.value)
+            given[name] = self._options[name].normalised(value)
         return given
 
     def _merged(self, parameters: list[Parameter]) -> T:

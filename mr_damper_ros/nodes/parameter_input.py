@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 from mr_damper_msgs.msg import DamperParameters, FitReport
 from rclpy.node import Node
@@ -16,6 +15,7 @@ from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Finding
 from mr_damper_ros.nodes.messages import parameter_set, to_nanoseconds
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.settings.option_table import ParameterTable, option
+from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.tracking.predictor import ForcePredictor
 from mr_damper_ros.tracking.reports import WindowVerdict
 from mr_damper_ros.tracking.state_directory import StateError, read_parameter_file
@@ -55,52 +55,66 @@ class SetOptions(ParameterTable):
     )
 
 
-class _Use(Protocol):
-    """What takes a set, with the stamp of the last sample that it is known to fit."""
-
-    def __call__(self, parameters: ParameterSet, confirmed_ns: int | None = None) -> None: ...
-
-
 class ParameterInput:
     """Subscribes parameters and reports, and hands on what can be used.
 
-    ``use`` takes a set; the ``predictor`` is told what the identifier says of the set in use.
-    Parameters of a file are used at once; raises ConfigurationError where they cannot be.
+    ``use`` takes a set, with the stamp of the last sample that it is known to fit, None for none.
+    The ``predictor`` is told what the identifier says of the set in use; where that is replaced,
+    ``error`` begins anew. Parameters of a file are used at once; raises ConfigurationError where
+    they cannot be.
+
+    With a ``trusted_source`` messages of other nodes are left out. The graph tells which nodes
+    publish a topic. rclpy of Jazzy does not tell which of them sent a message (later ones have
+    ``publisher_gid``): where several publish, the name in the message counts as well, which any
+    node can write. The names in the graph are not authenticated without SROS2 either.
     """
 
     def __init__(
         self,
         node: Node,
-        use: _Use,
+        use: Callable[[ParameterSet, int | None], None],
         predictor: ForcePredictor,
         options: SetOptions,
-        replaced: Callable[[], None] = lambda: None,
+        error: RunningError | None = None,
     ) -> None:
         self._node = node
         self._use = use
         self._predictor = predictor
-        self._trust = _Trust(node, options.trusted_source)
+        self._trusted = options.trusted_source
         self._unattributed: DamperParameters | None = None
-        self._replaced = replaced
+        self._error = error
         self._refused = ""
         self._from = self._file = options.parameter_file
         self._given = ""
         if self._file:
-            given = _read(self._file)
+            try:
+                given = check_plausible(read_parameter_file(self._file))
+            except (StateError, ParameterError) as problem:
+                raise ConfigurationError(f"parameter_file: {problem}") from problem
             self._given = given.set_id
-            use(given)
+            use(given, None)
         node.create_subscription(DamperParameters, PARAMETERS_TOPIC, self._take, quality.latched())
         quality.subscription(
             node, FitReport, REPORT_TOPIC, self._take_report, quality.stream(_REPORTS)
         )
 
+    def _objection(self, topic: str, claimed: str) -> str:
+        """Why a message is not to be used that claims to come from a node; empty where it is."""
+        names = set(quality.publishing_nodes(self._node, topic))
+        if len(names) > 1 and self._trusted in names:
+            names = {claimed[:_SHOWN] or "a node that does not say its name"}
+        if not self._trusted or names == {self._trusted}:
+            return ""
+        found = " or ".join(sorted(names)) or "a node that is gone"
+        return f"they come from {found}, and trusted_source is {self._trusted}"
+
     def _take(self, message: DamperParameters) -> None:
-        source = message.node or "a node that does not say its name"
         self._unattributed = None
-        objection = self._trust.objection(PARAMETERS_TOPIC, message.node)
-        if objection:
-            self._refused = objection
-            if self._trust.undiscovered(PARAMETERS_TOPIC):
+        self._refused = self._objection(PARAMETERS_TOPIC, message.node)
+        if self._refused:
+            # The graph may know later who publishes: messages may be sooner.
+            names = quality.publishing_nodes(self._node, PARAMETERS_TOPIC)
+            if not names or any(_UNKNOWN in name for name in names):
                 self._unattributed = message
             return
         try:
@@ -111,17 +125,17 @@ class ParameterInput:
                 f"parameters {message.id[:_SHOWN]} are not used: {error}"
             )
             return
-        self._refused = ""
-        self._from = source
+        self._from = message.node or "a node that does not say its name"
         before = self._predictor.parameters
         # Published parameters that come from no samples have the stamp 0.
         self._use(parameters, parameters.stamp_ns or None)
         if self._predictor.parameters is not before:
-            self._replaced()
+            if self._error is not None:
+                self._error.reset()
             self._node.get_logger().debug(f"using parameters {parameters.set_id}")
 
     def _take_report(self, message: FitReport) -> None:
-        if self._trust.objection(REPORT_TOPIC, message.node):
+        if self._objection(REPORT_TOPIC, message.node):
             return
         self._predictor.follow_report(
             WindowVerdict(
@@ -141,7 +155,7 @@ class ParameterInput:
         parameters = self._predictor.parameters
         publishers = quality.publishing_nodes(self._node, PARAMETERS_TOPIC)
         several = f"{PARAMETERS_TOPIC} is published by {' and '.join(publishers)}"
-        if len(publishers) > 1 and not self._trust.source:
+        if len(publishers) > 1 and not self._trusted:
             return Finding(
                 ERROR, f"{several}: end all but one, or name the one to use in trusted_source"
             )
@@ -171,41 +185,3 @@ class ParameterInput:
                 "current [A]": "{:.4g} to {:.4g}".format(*parameters.current_range),
             },
         )
-
-
-class _Trust:
-    """Whether a message comes from the one node that is trusted, empty for any.
-
-    The graph tells which nodes publish a topic. rclpy of Jazzy does not tell which of them sent a
-    message (later ones have ``publisher_gid``): where several publish, the name in the message
-    counts as well, which any node can write. The names in the graph are not authenticated without
-    SROS2 either.
-    """
-
-    def __init__(self, node: Node, source: str) -> None:
-        self._node = node
-        self.source = source
-
-    def objection(self, topic: str, claimed: str) -> str:
-        """Why a message is not to be used that claims to come from a node; empty where it is."""
-        if not self.source:
-            return ""
-        names = set(quality.publishing_nodes(self._node, topic))
-        if len(names) > 1 and self.source in names:
-            names = {claimed[:_SHOWN] or "a node that does not say its name"}
-        if names == {self.source}:
-            return ""
-        found = " or ".join(sorted(names)) or "a node that is gone"
-        return f"they come from {found}, and trusted_source is {self.source}"
-
-    def undiscovered(self, topic: str) -> bool:
-        """Whether the graph does not know yet who publishes: messages may be sooner."""
-        names = quality.publishing_nodes(self._node, topic)
-        return not names or any(_UNKNOWN in name for name in names)
-
-
-def _read(path: str) -> ParameterSet:
-    try:
-        return check_plausible(read_parameter_file(path))
-    except (StateError, ParameterError) as error:
-        raise ConfigurationError(f"parameter_file: {error}") from error

@@ -1,7 +1,4 @@
-"""Starts a node, spins it, and ends it cleanly; managed nodes, which refuse a wrong transition.
-
-What needs private parts of rclpy stands here and in node_parameters.
-"""
+"""Starts a node, spins it, and ends it cleanly."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from functools import partial
 from typing import TypeVar
 
 import rclpy
-from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
 from rclpy.exceptions import (
     InvalidNamespaceException,
@@ -24,8 +20,6 @@ from rclpy.exceptions import (
     InvalidParameterValueException,
 )
 from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import SignalHandlerOptions
@@ -33,78 +27,10 @@ from rclpy.utilities import remove_ros_args
 
 from mr_damper_ros.nodes.node_parameters import ConfigurationError
 from mr_damper_ros.nodes.quality import OVERRIDES
+from mr_damper_ros.nodes.rclpy_internals import RCLError, given_parameters
 from mr_damper_ros.processes.blas_threads import keep_one_thread
 from mr_damper_ros.processes.programs import WORKERS_HELP, Place, hosting
 from mr_damper_ros.settings.option_table import ParameterTable, describe
-
-
-class ManagedNode(LifecycleNode):
-    """A lifecycle node that refuses what its state does not allow.
-
-    rclpy raises out of the executor there, and the node would be gone: a manager may well ask a
-    node to deactivate that has just lost its device and is inactive. A node says how it configures
-    and activates, how it stops (:meth:`_stop`) and how it lets its device go (:meth:`_close`).
-    """
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self._problem = ""
-        self._starting = False
-        self._change_state = self._service_change_state.callback
-        self._service_change_state.callback = self._change_state_if_allowed
-
-    def _start_by_itself(self) -> None:
-        """Configure and activate; raises ConfigurationError with the problem."""
-        self._starting = True
-        for transition in (self.trigger_configure, self.trigger_activate):
-            if transition() != TransitionCallbackReturn.SUCCESS:
-                raise ConfigurationError(self._problem)
-        self._starting = False
-
-    def _fail(self, what: str, error: object) -> TransitionCallbackReturn:
-        """Note the problem, and tell it unless the start does."""
-        self._problem = f"{what}: {error}"
-        if not self._starting:
-            self.get_logger().error(self._problem)
-        return TransitionCallbackReturn.FAILURE
-
-    def _stop(self) -> None:
-        """Undo the activation, if there was one."""
-        raise NotImplementedError
-
-    def _close(self) -> None:
-        """Undo the configuration, if there was one."""
-        raise NotImplementedError
-
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop; rclpy calls it, as the two below."""
-        self._stop()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let the device go."""
-        self._close()
-        return TransitionCallbackReturn.SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop for good."""
-        self._stop()
-        self._close()
-        return TransitionCallbackReturn.SUCCESS
-
-    def _change_state_if_allowed(
-        self, request: ChangeState.Request, response: ChangeState.Response
-    ) -> ChangeState.Response:
-        try:
-            changed: ChangeState.Response = self._change_state(request, response)
-        except rclpy_implementation.RCLError:
-            state = self._state_machine.current_state[1]
-            asked = request.transition.label or f"number {request.transition.id}"
-            self.get_logger().warning(f"no transition {asked} from the state {state}: it stays so")
-            response.success = False
-            return response
-        return changed
-
 
 SUCCESS = 0
 FAILURE = 1
@@ -217,9 +143,9 @@ def _nodes(factory: Callable[..., N], places: Sequence[Place]) -> list[N]:
 def _node(factory: Callable[..., N]) -> N:
     try:
         node = factory()
-    except rclpy_implementation.RCLError as error:
+    except RCLError as error:
         raise _NodeError(_without_source_position(error)) from error
-    for name in node._parameter_overrides:
+    for name in given_parameters(node):
         if name.startswith(OVERRIDES) and not node.has_parameter(name):
             node.get_logger().warning(f"{name} is not used: there is no such topic so far")
     return node

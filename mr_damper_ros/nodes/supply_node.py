@@ -17,9 +17,10 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import CurrentCommands
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.managed_node import ManagedNode
 from mr_damper_ros.nodes.messages import current_message
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.spinning import ManagedNode, run
+from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander
 from mr_damper_ros.rig.supplies.scpi_link import (
     EmulatedInstrument,

@@ -335,7 +335,7 @@ def test_a_model_that_has_fallen_behind_goes_straight_to_the_newest(
     os.kill(model.pid, signal.SIGCONT)
     listener.until(
         lambda: any(
-            status.level == DiagnosticStatus.WARN and "blocks have no force" in status.message
+            status.level == DiagnosticStatus.WARN and "blocks have no prediction" in status.message
             for array in heard
             for status in array.status
         ),

@@ -1,0 +1,130 @@
+"""What model and controller share: each block of samples is answered at once, by the newest set."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import abstractmethod
+from collections.abc import Callable
+from functools import partial
+from typing import ClassVar, Generic, TypeVar
+
+import numpy as np
+from rclpy.node import Node
+
+from mr_damper_ros.models.parameter_set import ParameterSet
+from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
+from mr_damper_ros.nodes.inputs import Inputs
+from mr_damper_ros.nodes.node_parameters import NodeParameters
+from mr_damper_ros.nodes.parameter_input import ParameterInput, SetOptions
+from mr_damper_ros.processes.deferred import PostponedWork
+from mr_damper_ros.signals.blocks import SampleBlock
+from mr_damper_ros.signals.error_sums import RunningError
+from mr_damper_ros.tracking.predictor import ForcePredictor
+
+Options = TypeVar("Options", bound=SetOptions)
+Answer = TypeVar("Answer")
+
+
+class BlockNode(Node, Generic[Options, Answer]):
+    """Publishes an answer to each block, and does a moment later what else the block needs.
+
+    A block whose samples are older than :attr:`_late` [s] is skipped where newer ones wait: those
+    skipped are only followed.
+    """
+
+    answer: ClassVar[str]
+    """What a block is answered with, such as "prediction"."""
+
+    doing: ClassVar[str]
+    """What the node does with a set, such as "predicting"."""
+
+    def __init__(self, name: str, table: type[Options], cli_args: list[str] | None = None) -> None:
+        super().__init__(name, cli_args=cli_args)
+        self._options: Options = NodeParameters(self, table).values
+        self._rest = PostponedWork()
+        self._late = math.inf
+        self._slowest, self._oldest, self._skipped = 0.0, math.nan, 0
+
+    def _listen(
+        self,
+        predictor: ForcePredictor,
+        use: Callable[[ParameterSet, int | None], None],
+        follow: Callable[[SampleBlock], object],
+        max_age: float,
+        error: RunningError | None = None,
+    ) -> None:
+        """Hear samples, currents and sets; ``use`` takes a set, ``follow`` a skipped block.
+
+        Samples older than ``max_age`` [s] are told; 0: they may be of any age. A set that replaces
+        another begins the ``error`` of the diagnostics anew.
+        """
+        self._predictor = predictor
+        self._follow = follow
+        self._max_age = max_age
+        self._parameter_input = ParameterInput(self, use, predictor, self._options, error)
+        self._inputs = Inputs(self, quality.stream, self._take_block, predictor.add_current)
+
+    def _diagnose(self, concerns: dict[str, Callable[[], Finding]]) -> None:
+        """Report on these concerns, and on what all such nodes have."""
+        self._diagnostics = Diagnostics(
+            self,
+            {
+                "input": lambda: self._inputs.samples_finding(self._predictor.sequence),
+                "current": self._inputs.current_finding,
+                "parameters": lambda: self._parameter_input.finding(self.doing),
+                **concerns,
+                "latency": self._latency_finding,
+            },
+        )
+
+    @abstractmethod
+    def _publish_answer(self, block: SampleBlock, now_ns: int) -> Answer:
+        """Answer a block at the node's time [ns]."""
+
+    @abstractmethod
+    def _finish(self, answer: Answer, block: SampleBlock) -> None:
+        """Do what a block needs besides its answer."""
+
+    def _take_block(self, block: SampleBlock) -> None:
+        began = time.perf_counter()
+        self._rest.finish()
+        now_ns = self.get_clock().now().nanoseconds
+        freshness = self._predictor.freshness
+        if freshness.are_older(block.end_ns, now_ns, self._late):
+            block, skipped = self._inputs.skip_to_newest(block, self._follow)
+            self._skipped += skipped
+            now_ns = self.get_clock().now().nanoseconds
+        answer = self._publish_answer(block, now_ns)
+        self._rest.postpone(partial(self._finish, answer, block))
+        self._slowest = max(self._slowest, time.perf_counter() - began)
+        self._oldest = float(np.fmax(self._oldest, freshness.age))
+
+    def finish_in_time(self) -> float:
+        """Do the rest of the work on the last block; see :class:`PostponedWork`."""
+        return self._rest.finish_in_time()
+
+    def _latency_finding(self) -> Finding:
+        slowest, oldest, skipped = self._slowest, self._oldest, self._skipped
+        self._slowest, self._oldest, self._skipped = 0.0, math.nan, 0
+        if slowest == 0.0:
+            return Finding(STALE, "no block since the last report")
+        sentence = f"at most {1e3 * slowest:.2f} ms from a block to its {self.answer}"
+        if math.isnan(oldest):
+            sentence += "; the stamps are not those of a running machine: no age is known"
+        else:
+            sentence += f"; the samples were up to {1e3 * oldest:.0f} ms old"
+        if skipped:
+            sentence += f"; {skipped} blocks have no {self.answer} for newer ones had come: "
+            sentence += "an overload?"
+        late = skipped > 0 or (self._max_age > 0.0 and oldest > self._max_age)
+        return Finding(
+            WARN if late else OK,
+            sentence,
+            {
+                "slowest [ms]": f"{1e3 * slowest:.3f}",
+                "age [ms]": f"{1e3 * oldest:.1f}",
+                "skipped blocks": skipped,
+            },
+        )
