@@ -6,7 +6,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from campaign_of_three import GOAL, LIMITS, RUNS, perform, plan_quickly, played
 
@@ -118,13 +117,3 @@ def test_the_amplitude_of_another_motion_is_told_right() -> None:
 def test_a_new_campaign_needs_a_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert plan_run.main(["--keep", str(tmp_path / "new")]) == 2
     assert "a new campaign needs --velocity, --current" in capsys.readouterr().err
-
-
-def test_by_hand_no_run_steps_its_current(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said = told(capsys, tmp_path, *ASKED, "--manual")
-    (run,) = re.findall(r"run 1: .* with (.*)", said)
-    assert run == "0 A"
-    signal = np.loadtxt(tmp_path / "signals" / "run_001.csv", delimiter=",", skiprows=1)
-    assert np.all(signal[:, 2] == 0.0)

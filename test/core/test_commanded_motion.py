@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time as clock
 from dataclasses import replace
 
 import known
@@ -15,8 +14,6 @@ from hypothesis import strategies as st
 from mr_damper_ros.emulation.motions import CommandedMotion, Kinematics, SineMotion
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
 from mr_damper_ros.rig.commander import MotionCommander, MotionLimits
-from mr_damper_ros.rig.sources.emulated_source import EmulatedOptions, EmulatedSource
-from mr_damper_ros.rig.sources.source import StreamSettings
 
 AMPLITUDE, VELOCITY = 0.01, 0.2
 LIMITS = MotionLimits(AMPLITUDE, VELOCITY, 0.5)
@@ -125,17 +122,3 @@ def test_a_command_that_was_overtaken_is_refused() -> None:
     commander.command(sine(0.01, 1.0), 200, 0.0, 10.0)
     assert "after a newer one" in commander.command(sine(0.005, 1.0), 100, 0.0, 10.1)
     assert commander.wanted(10.1) == sine(0.01, 1.0)
-
-
-def test_the_emulated_rig_obeys() -> None:
-    given_options = EmulatedOptions(force_noise=0.0, frequency=5.0, command_timeout=3600.0)
-    source = EmulatedSource(given_options, StreamSettings(100))
-    source.open()
-    assert source.mover is not None
-    blocks = source.blocks(0)
-    next(blocks)
-    assert source.mover.command(sine(0.002, 4.0), 1, 0.0, clock.monotonic()) == ""
-    parts = [next(blocks).displacement for _ in range(30)]
-    joined = np.concatenate(parts)
-    assert np.abs(np.diff(joined)).max() <= 2.0 * math.pi * 5.0 * 0.005 * 1.01e-3
-    assert np.abs(joined[-1000:]).max() == pytest.approx(0.002, rel=1e-3)

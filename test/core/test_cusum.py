@@ -17,7 +17,6 @@ from mr_damper_ros.tracking.jobs import run as work
 from mr_damper_ros.tracking.recursive_tracker import METHOD
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 POINT = (0.03, 1.0)
 
@@ -83,12 +82,6 @@ def test_a_change_is_noticed_within_a_few_blocks(change: float) -> None:
     assert watch.samples_since_change == pytest.approx(600, abs=50)
 
 
-def test_a_change_below_what_is_worth_a_fit_raises_no_alarm() -> None:
-    predicted = 100.0 * np.sin(np.arange(20_000) * 0.03)
-    watch = ChangeWatch.after_fit(predicted, predicted + noise(0, 20_000), POINT, 0.02)
-    assert not watch.follow(predicted, 1.005 * predicted + noise(1, 20_000)).changed
-
-
 def test_the_swing_of_a_law_that_is_not_exact_is_no_change() -> None:
     # 15 % of the force in its third harmonic: far more than noise, in every cycle the same.
     phase = np.arange(2000) * 2.0 * math.pi / 1000.0
@@ -128,25 +121,6 @@ def test_the_begin_of_a_change_is_found_to_the_sample(begin: int) -> None:
 
 
 # -- looks -----------------------------------------------------------------------------------
-
-
-def cut(sizes: list[int], looks: int) -> list[RawWindow]:
-    run = known.run(samples=sum(sizes))
-    assembler = WindowAssembler(1.0, 0.5, looks)
-    windows = assembler.add_current(known.T0, 1.0)
-    for block in known.blocks(run.displacement, run.force, sizes):
-        windows += assembler.add_block(block)
-        windows += assembler.add_current(block.end_ns, 1.0)
-    return windows
-
-
-@pytest.mark.parametrize("sizes", [[3000], [1] * 3000, [7, 100] * 20 + [860]])
-def test_looks_come_between_the_windows_whatever_the_blocks(sizes: list[int]) -> None:
-    windows = cut(sizes, looks=3)
-    first = [(w.start_ns - known.T0) // 1_000_000 for w in windows]
-    assert first[:6] == [0, 125, 250, 375, 500, 625]
-    assert [w.look for w in windows[:6]] == [0, 125, 125, 125, 0, 125]
-    assert all(w.force.size == 1000 for w in windows)
 
 
 def test_a_look_compares_with_the_force_that_the_set_predicts() -> None:
@@ -243,12 +217,6 @@ def broken(time: Array, force: Array) -> Array:
 @pytest.mark.parametrize("spoil", [noise_burst, clipped, broken])
 def test_a_fault_of_the_sensor_is_not_fitted_early(spoil: object) -> None:
     assert early(stream(1.0, spoil=spoil)[1]) == []
-
-
-def test_a_large_change_waits_for_whole_windows_to_confirm_it() -> None:
-    _, reports = stream(0.4)
-    assert early(reports) == []
-    assert any("waiting for the next window to confirm" in report.reason for report in reports)
 
 
 def test_when_time_is_set_back_the_past_change_is_forgotten() -> None:

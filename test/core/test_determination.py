@@ -188,12 +188,6 @@ def test_advice_stays_within_the_rig() -> None:
         assert 0.0 <= run.current <= rig.current
 
 
-def test_no_advice_for_what_the_rig_cannot_tell() -> None:
-    """Without current, nothing tells how the coefficients depend on it."""
-    chosen = windows((0.0,))
-    assert advised(chosen, RigRange.of_windows(chosen)) == ()
-
-
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [

@@ -64,18 +64,6 @@ def test_a_damper_of_any_model_has_the_force_of_its_model(model: str) -> None:
         np.testing.assert_allclose(block.force, expected, rtol=0.0, atol=2e-11)
 
 
-def test_a_damper_of_any_model_weakens_as_it_heats() -> None:
-    parameters = ParameterSet(known.EXAMPLES["bingham"], model="bingham")
-    motion = SINE.at(np.arange(100) * SILENT.period)
-    cold, mild, hot, hotter = (
-        ModelDamper(parameters, SILENT.period, 0.74).force(motion, np.ones(100), celsius)
-        for celsius in (20.0, 49.5, 71.0, 90.0)
-    )
-    np.testing.assert_allclose(mild, 0.87 * cold)
-    np.testing.assert_allclose(hot, 0.74 * cold)
-    np.testing.assert_array_equal(hotter, hot)
-
-
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_motion_has_its_own_derivatives(motion: Excitation) -> None:
     time = np.linspace(0.013, 5.871, 400)

@@ -235,21 +235,6 @@ def test_octave_finds_the_m_code_to_be_the_law(law: ExportedLaw, tmp_path: Path)
     assert worst < SAME
 
 
-@needs_octave
-def test_octave_finds_the_current_for_a_force(law: ExportedLaw, tmp_path: Path) -> None:
-    inputs, wanted = wanted_forces(law, 25)
-    inputs[:, 4] = 0.0  # the M-code knows nothing of how the motion turns
-    v, v_m, _, s, _ = inputs.T
-    np.savetxt(tmp_path / "wanted.csv", np.column_stack((wanted, v, v_m, s)), "%.17g", ",")
-    script = """
-        rows = dlmread('wanted.csv', ',');
-        for k = 1:size(rows, 1)
-          printf('%.17g ', damper_inverse(rows(k, 1), rows(k, 2), rows(k, 3), rows(k, 4)));
-        end
-    """
-    assert_gives(law, inputs, wanted, octave(law, tmp_path, script))
-
-
 # -- FMU -------------------------------------------------------------------------------------------
 
 

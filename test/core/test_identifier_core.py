@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import known
@@ -20,9 +19,7 @@ from mr_damper_ros.tracking.identifier import (
     Search,
     SearchEnded,
 )
-from mr_damper_ros.tracking.state_directory import StateDirectory
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.tracker_state import TrackerState
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
 WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
@@ -123,15 +120,3 @@ def test_another_set_forgets_what_runs_and_is_kept(switch: Callable[[Identifier]
     assert switch(made) == ""
     assert made.tracker.parameters is START
     assert disk.written == given + 1
-
-
-def test_the_same_folder_brings_the_same_set_again(tmp_path: Path) -> None:
-    tracker = WindowTracker(TrackerSettings(method="least_squares"), START)
-    state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
-    state.resume()
-    worker: Any = StepWorker()
-    made = Identifier(WindowAssembler(1.0, 1.0), tracker, worker, PipelineSettings(), state)
-    feed(made, 1000)
-    worked_off(made)
-    made.close()
-    assert StateDirectory(tmp_path).load("identifier").set_id == tracker.parameters.set_id

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import signal
 import subprocess
 import sys
@@ -83,20 +81,6 @@ def test_every_task_is_done_told_and_kept_once(
     assert some.begun == Counter(names)
     assert some.kept == set(some.told) == names
     assert len(some.told) == len(names)
-
-
-def test_the_end_of_the_processes_is_not_that_of_the_callers_own() -> None:
-    own = LocalProcesses(1)
-    started = own.start().submit(os.getpid)
-    context = multiprocessing.get_context("spawn")
-    end = context.Event()
-    other = context.Process(target=end.wait)
-    other.start()
-    assert started.result() != other.pid
-    own.end()
-    end.set()
-    other.join()
-    assert other.exitcode == 0
 
 
 def test_what_is_kept_is_not_done_again(tmp_path: Path) -> None:

@@ -155,17 +155,6 @@ def test_a_figure_says_the_values_under_the_pointer(page: Browser, chart: str, s
     page.until(f"{pattern}.test(document.querySelector('{figure} output').value)")
 
 
-def test_an_outlier_does_not_flatten_a_figure(browser: Browser) -> None:
-    record = running_damper.running(3)
-    record.add_signals(running_damper.START + 3.0, 0.0, 0.0, 0.5, 1e6, 0.0, valid=True)
-    running_damper.show_signals(record, 3.01, 1.0)
-    with closing(PageServer(record, "127.0.0.1", 0)) as server:
-        browser.open(server.address)
-        output = "document.querySelector('[data-chart=force-time] output')"
-        browser.until(f"{output}?.value === '1 outside the view'")
-        leave(browser)
-
-
 def ink_at_rest(page: Browser, chart: str) -> str:
     """What is drawn once that is the same as half a second ago; some of it may be under way."""
     deadline = time.monotonic() + PATIENCE
@@ -344,21 +333,3 @@ def test_the_alarm_bar_is_in_view_and_keeps_faults_until_they_are_seen(browser: 
         record.add_concern(Concern("safety: interlock", 0, "closed", {}))
         browser.until("document.querySelector('#faults dd').innerText === '✓ none'")
         leave(browser)
-
-
-def test_commands_are_offered_where_they_are_allowed(browser: Browser, record: LiveRecord) -> None:
-    taken: list[str] = []
-
-    def take(name: str) -> bool:
-        taken.append(name)
-        record.add_event(f"{name}: done")
-        return True
-
-    with closing(PageServer(record, "127.0.0.1", 0, "", ("reset",), take)) as server:
-        browser.open(server.address)
-        browser.until("document.querySelector('#commands button')?.innerText === 'reset'")
-        browser.evaluate("window.confirm = () => true")
-        browser.evaluate("document.querySelector('#commands button').click()")
-        browser.until("document.querySelector('#events').innerText.includes('reset: done')")
-        leave(browser)
-    assert taken == ["reset"]

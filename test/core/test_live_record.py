@@ -102,24 +102,6 @@ def test_a_set_is_known_from_the_beginning_of_another_recording_or_from_no_sampl
     assert math.isnan(rows.values[0, 1])
 
 
-def test_coefficients_have_a_column_for_each_and_for_its_error() -> None:
-    record = LiveRecord()
-    record.add_window(window(f_t=500.0, alpha=20.0))
-    rows = record.rows("coefficients", -1, -1)
-    assert rows is not None
-    assert rows.columns == ("index", "time", "f_t", "alpha", "f_t_error", "alpha_error")
-    assert rows.values.tolist() == [[0.0, T0, 500.0, 20.0, 50.0, 2.0]]
-
-
-def test_what_the_data_do_not_determine_has_no_error() -> None:
-    record = LiveRecord()
-    record.set_parameters(a_set("f0", observable=False))
-    rows = record.rows("parameters", -1, -1)
-    assert rows is not None
-    assert math.isnan(rows.values[0, -1])
-    assert status(record)["set"]["observable"] == [False]
-
-
 def test_the_status_is_json_even_of_what_is_not_known() -> None:
     record = LiveRecord()
     assert status(record)["set"] is None
@@ -216,17 +198,6 @@ def test_a_summary_says_since_when_a_dead_node_is_silent(
     assert "set in use" not in text
     assert "last set" in text
     assert "live " not in text
-
-
-def test_a_summary_tells_a_dead_node_from_one_without_samples(left_alone: LiveRecord) -> None:
-    left_alone.add_concern(Concern("model: prediction", 3, "no samples come", {}))
-    text = summary(left_alone, width=120)
-    assert line_of(text, "model: prediction").split() == [
-        *("?", "model:", "prediction", "no", "samples", "come")
-    ]
-    assert "not heard since" in line_of(text, "no signals")
-    assert "not heard since" in line_of(text, "identifier: fit")
-    assert "set in use" in text, "the model still predicts with it"
 
 
 def faults(record: LiveRecord) -> list[tuple[str, bool, bool]]:

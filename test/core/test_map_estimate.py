@@ -124,16 +124,6 @@ def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it
     assert weighed.rmse < 1.3 * alone.rmse
 
 
-@pytest.mark.parametrize("fastest", [0.1, np.inf])
-def test_a_running_set_without_force_does_not_spoil_the_fit(fastest: float) -> None:
-    nothing = RUNNING.copy()
-    nothing[0] = 0.0
-    window = steady()
-    alone = own(window)
-    weighed = weigh(window, nothing, fastest=fastest)
-    assert weighed.rmse < AS_WELL * alone.rmse
-
-
 @pytest.mark.parametrize("name", ["hyperbolic_tangent", "series_springs"])
 def test_viscous_damping_that_a_slow_window_hardly_shows_stays(name: str) -> None:
     model, running = MODELS[name], known.EXAMPLES[name]

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 
-from mr_damper_ros.kinematics.motion_centre import MotionCentre
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import force_from_coefficients, operating_point_coefficients
@@ -30,12 +29,6 @@ RUN = known.run(current=1.0, samples=SAMPLES, seed=None)
 
 PREDICTED = 0.02
 """NRMSE of a prediction from the right parameters on a motion well below the bandwidth."""
-
-CENTRE = 0.02
-"""[m] that a motion is moved by."""
-
-STEADY_CENTRE = 1e-6
-"""[m]: a sample a millisecond misses the reversals of 5 mm at 1 Hz by up to 25 nm."""
 
 
 def predictor(
@@ -136,14 +129,6 @@ def test_without_a_current_there_is_no_force() -> None:
     assert "is it published on supply/current" in prediction.reason
 
 
-def test_an_old_current_makes_the_force_doubtful_but_not_absent() -> None:
-    made = predictor(current=None)
-    made.add_current(known.T0, 1.0)
-    predictions = predicted(made, stream())
-    assert "the supply current is 6.0 s old" in predictions[-1].reason
-    assert np.isfinite(predictions[-1].force).all()
-
-
 def test_parameters_that_nothing_confirms_become_doubtful() -> None:
     made = predictor(parameters=None, parameters_timeout=5.0)
     made.set_parameters(SET, confirmed_ns=known.T0)
@@ -173,11 +158,6 @@ def test_parameters_without_an_age_or_a_limit_stay_valid(
     made = predictor(parameters=None, parameters_timeout=timeout)
     made.set_parameters(SET, confirmed_ns=confirmed_ns)
     assert last_reason(made, stream()) == ""
-
-
-def test_before_the_first_reversals_the_centre_is_not_known() -> None:
-    quarter = stream(RUN.displacement[:250])
-    assert "the centre of the motion is not known before" in last_reason(predictor(), quarter)
 
 
 @pytest.mark.parametrize("current", [0.39, 1.61])
@@ -293,18 +273,6 @@ def test_a_repeated_block_has_no_force_and_disturbs_nothing() -> None:
 
 
 # -- centre ----------------------------------------------------------------------------------
-
-
-def centres(displacement: Array, size: int, memory: float = 2.0) -> list[float]:
-    made = MotionCentre(memory, PERIOD)
-    return [made.follow(block) for block in np.split(displacement, displacement.size // size)]
-
-
-@pytest.mark.parametrize("size", [1, 10, 100])
-def test_the_centre_of_a_sine_is_found_within_a_cycle(size: int) -> None:
-    found = centres(RUN.displacement + CENTRE, size)
-    assert found[1100 // size] == pytest.approx(CENTRE, abs=STEADY_CENTRE)
-    assert found[-1] == pytest.approx(CENTRE, abs=STEADY_CENTRE)
 
 
 def test_a_bag_that_loops_is_predicted_again_as_the_first_time() -> None:

@@ -101,20 +101,6 @@ def test_the_errors_are_as_large_as_it_says() -> None:
     assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.35)
 
 
-def test_outliers_hardly_move_a_robust_filter() -> None:
-    run = known.run(samples=SAMPLES, seed=3)
-    hit = np.random.default_rng(0).random(SAMPLES) < 0.03
-    spoilt = dataclasses.replace(run, force=run.force + 400.0 * hit)
-    before = fitted(known.run(seed=1).window)
-    clean = filtered(before, run.window, rate=1e-2)
-    plain, robust = (
-        known.rms(filtered(before, spoilt.window, rate=1e-2, robust=r).scales / clean.scales - 1.0)
-        for r in (False, True)
-    )
-    # Of the error of the plain filter: outliers keep the weight of errors of usual size.
-    assert robust < 0.25 * plain
-
-
 # -- as a tracker ----------------------------------------------------------------------------
 
 

@@ -47,26 +47,6 @@ def test_a_set_that_cannot_be_bettered_is_confirmed() -> None:
     assert all(report.confirms for report in reports)
 
 
-@pytest.mark.parametrize(
-    ("spoilt", "verdict"),
-    [
-        (replace(window(9), force=np.zeros(1000)), Verdict.FAULT_OF_DATA),
-        (window(9, noise=60.0 * known.NOISE), Verdict.DISTURBED),
-        (window(9, strength=3.0), Verdict.UNCONFIRMED),
-    ],
-    ids=lambda item: item.name if isinstance(item, Verdict) else "",
-)
-def test_a_window_that_is_no_good_confirms_nothing(spoilt: RawWindow, verdict: Verdict) -> None:
-    made = tracker(WEAK)
-    followed(made, window(0))
-    report = followed(made, spoilt)
-    assert report.verdict is verdict
-    assert not report.accepted
-    assert not report.confirms
-    assert report.reason
-    assert report.set_id == "window-1"
-
-
 def with_misfit(raw: RawWindow) -> RawWindow:
     """A force in which something repeats with every cycle of 1 Hz that the law does not follow."""
     time = 1e-9 * raw.start_ns + raw.period * np.arange(raw.force.size)

@@ -75,18 +75,6 @@ def test_recordings_are_counted_through_with_a_second_between_them() -> None:
     assert offsets == [0, 10, 1015, 2022, 2032, 3037]
 
 
-def test_the_knob_of_the_supply_works_between_two_blocks() -> None:
-    rig = source_of("emulated", block_size=50, current=0.5)
-    rig.open()
-    blocks = rig.blocks(START)
-    before = next(blocks)
-    assert rig.commander is not None
-    rig.commander.set_by_hand(1.0)
-    after = list(islice(blocks, 3))
-    assert set(before.current) == {0.5}
-    assert after[-1].current[-1] == 1.0
-
-
 def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_time() -> None:
     rig = source_of("emulated", block_size=10, current=0.5, command_timeout=0.01)
     rig.open()

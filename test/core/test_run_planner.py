@@ -126,12 +126,6 @@ def windows(*runs: PlannedRun) -> list[Window]:
     return [window for run in runs for window in run.windows(perform(run))]
 
 
-def test_a_met_goal_needs_no_run(planner: RunPlanner) -> None:
-    easy = RunPlanner(LAW, replace(GOAL, error=0.5), LIMITS)
-    plan = easy.next(windows(*RUNS), known.PLAUSIBLE, EVERY)
-    assert (plan.state, plan.run) == (PlanState.MET, None)
-
-
 @pytest.mark.parametrize(
     ("limits", "sentence"),
     [

@@ -112,12 +112,6 @@ def test_a_bump_ends_where_it_began() -> None:
     assert height[-1] == pytest.approx(0.0, abs=1e-4)
 
 
-def test_a_bump_may_be_on_a_road() -> None:
-    time, road = np.arange(500) * PERIOD, IsoRoad("A", 5.0, seed=1)
-    even, rough = (Bump(0.05, 1.0, 5.0, road=under).at(time) for under in (None, road))
-    np.testing.assert_array_equal(rough, even + road.at(time))
-
-
 def test_a_road_of_no_class_is_refused() -> None:
     with pytest.raises(ValueError, match="the classes are A, B"):
         IsoRoad("F", 20.0)

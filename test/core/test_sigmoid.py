@@ -25,10 +25,8 @@ from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
     Coefficients,
-    coefficient_jacobian,
     coefficient_parameter_jacobian,
     force_and_damping_jacobian,
-    force_from_coefficients,
     operating_point_coefficients,
     secant_damping,
     sine_force,
@@ -221,20 +219,6 @@ COEFFICIENT_SIZES = np.array([1000.0, 200.0, 10.0, 10.0, 0.05, 0.01, 100.0])
 
 @known.fixed(25)
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 7), st.integers(0, 2**31))
-def test_derivatives_by_the_seven_coefficients(x: tuple[float, ...], seed: int) -> None:
-    values = np.array(x) * COEFFICIENT_SIZES
-    v, a = np.random.default_rng(seed).normal(0.0, (0.1, 1.0), (40, 2)).T
-    a[:2] = 0.0
-
-    def at(c: Array) -> Array:
-        return force_from_coefficients(Coefficients(*c), v, a)
-
-    analytic = coefficient_jacobian(Coefficients(*values), v, a)
-    assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
-
-
-@known.fixed(25)
-@given(st.tuples(*[st.floats(-1.0, 1.0)] * 7), st.integers(0, 2**31))
 def test_derivatives_of_the_damping_by_the_seven_coefficients(
     x: tuple[float, ...], seed: int
 ) -> None:
@@ -246,16 +230,6 @@ def test_derivatives_of_the_damping_by_the_seven_coefficients(
 
     analytic = force_and_damping_jacobian(Coefficients(*values), v, a).damping
     assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
-
-
-def test_derivatives_of_the_coefficients_by_the_parameters() -> None:
-    v_m, i = np.array([0.0, 0.01, 0.1, 0.3]), np.array([0.0, 0.5, 1.0, 1.5])
-
-    def at(p: Array) -> Array:
-        return np.stack(operating_point_coefficients(p, v_m, i), axis=-1)
-
-    analytic = coefficient_parameter_jacobian(known.PLAUSIBLE, v_m, i)
-    assert_columns_agree(analytic, numeric_derivatives(at, known.PLAUSIBLE), PARAMETER_NAMES)
 
 
 def test_each_coefficient_depends_on_what_is_said_and_on_nothing_else() -> None:

@@ -51,12 +51,3 @@ def test_a_bag_without_a_thermometer_gives_none(tmp_path: Path) -> None:
     bag = measured_run(tmp_path / "bag")
     assert bag.temperatures == (None,)
     assert temperature_maps([bag], COLD_SET).identified == ()
-
-
-def test_each_current_has_its_map(tmp_path: Path) -> None:
-    paths = [tmp_path / "low", tmp_path / "high"]
-    for path, current in zip(paths, (1.0, 1.5), strict=True):
-        write_bag(path, heated(current))
-    bags = [measured_run(path) for path in paths]
-    points = [found.operating_point for found in temperature_maps(bags, COLD_SET).identified]
-    assert [current for _, current in points] == pytest.approx([1.0, 1.5])

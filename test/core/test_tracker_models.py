@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterError, ParameterSet, start_set
+from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.jobs import run
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
@@ -204,18 +204,6 @@ def test_a_set_beyond_all_numbers_is_replaced_by_the_first_good_window() -> None
     assert report.accepted, report.reason
     error = report.nrmse_after * np.std(damper("bouc_wen")[1])
     assert error < (1.0 + NOISE_ERROR) * NOISE
-
-
-def test_a_set_of_another_model_is_refused() -> None:
-    other = start_set("bingham")
-    tracked = tracker("bouc_wen")
-    for take in (
-        tracked.replace,
-        lambda parameters: tracked.resume(parameters, tracked.memory),
-        lambda parameters: WindowTracker(TrackerSettings(model="sigmoid"), parameters),
-    ):
-        with pytest.raises(ParameterError, match="those of model 'bingham': give a set of model"):
-            take(other)
 
 
 @EACH_OF_ONE_CURRENT

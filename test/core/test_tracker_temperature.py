@@ -80,16 +80,6 @@ def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
         assert allowed < 2.0
 
 
-def test_a_thermometer_without_its_sensor_does_not_spoil_the_memory() -> None:
-    tracked = new()
-    for number, told in enumerate((28.0, 29.0, 9.9e37)):
-        window = warmed(number, COLD + number, thermometer=True)
-        fed(tracked, dataclasses.replace(window, temperature=told))
-    kept = from_text(to_text(tracked.memory), SIGMOID)
-    (history,) = kept.temperatures
-    assert history.seen[:, 0].tolist() == [29.0]
-
-
 def leaked(tracked: WindowTracker, later: float) -> Report:
     """A look at a damper that has lost a fifth of its force, so many windows after the last."""
     before = warmed(WARMING, 50.0, thermometer=False)

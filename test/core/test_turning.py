@@ -37,8 +37,6 @@ def force(*, gradual: bool) -> Array:
 
 JUMPING, GRADUAL = force(gradual=False), force(gradual=True)
 INDISTINCT = JUMPING + SMEARED * (GRADUAL - JUMPING)
-MOSTLY_JUMPING = GRADUAL + SMEARED * (JUMPING - GRADUAL)
-"""As indistinct, the other way round: the force is taken to be gradual at the start."""
 
 
 def looked_at(*cycles: Array) -> list[bool]:
@@ -59,11 +57,6 @@ def test_one_cycle_tells_that_the_force_jumps() -> None:
 
 def test_an_indistinct_cycle_does_not_overrule_those_that_jumped() -> None:
     assert looked_at(JUMPING, JUMPING, INDISTINCT, JUMPING) == [False] * 4
-
-
-def test_an_indistinct_cycle_would_tell_where_it_is_alone() -> None:
-    """What jumped before is what it does not overrule, and not that it says too little."""
-    assert looked_at(MOSTLY_JUMPING) == [False]
 
 
 def test_a_force_that_turns_otherwise_from_now_on_is_followed() -> None:

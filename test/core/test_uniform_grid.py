@@ -31,10 +31,6 @@ def judged(sequence: UniformGrid, one: SampleBlock) -> Continuity:
     return placed.continuity
 
 
-def kind_after_first(second: SampleBlock) -> str:
-    return judged(followed(block(0)), second).kind
-
-
 def test_lost_samples_are_counted() -> None:
     sequence = followed(block(0), block(10))
     verdict = judged(sequence, block(85))
@@ -57,17 +53,6 @@ def test_a_repeated_block_is_ignored() -> None:
     assert (verdict.kind, verdict.restarts) == ("repeat", False)
     assert sequence.repeated_samples == 10
     assert judged(sequence, block(20)).kind == "next", "the repeat took no one's place"
-
-
-def test_stamps_that_go_back_far_are_a_jump() -> None:
-    sequence = followed(block(5000))
-    verdict = judged(sequence, block(0))
-    assert (verdict.kind, verdict.restarts) == ("jump_back", True)
-    assert "jump back by 5.01 s" in verdict.sentence
-
-
-def test_a_short_bag_that_loops_jumps_back_when_its_count_goes_on() -> None:
-    assert kind_after_first(block(10, start_ns=T0)) == "jump_back"
 
 
 def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:

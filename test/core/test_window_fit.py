@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from known import SIGMOID
 
-from mr_damper_ros.estimation.local_search import LocalSearch
 from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit, fit_of, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import published as thesis
@@ -294,21 +293,3 @@ def test_no_variance_is_less_than_nothing() -> None:
     for covariance in (fit.whole_covariance, fit.coefficient_covariance):
         assert np.diag(covariance).min() >= 0.0
     assert np.diag(fit.coefficient_discrepancy).min() >= 0.0
-
-
-class FarAway:
-    """Two unknowns, by one of which the residual changes beyond all numbers."""
-
-    bounds = (np.array([0.0, 0.0]), np.array([10.0, 10.0]))
-
-    def residual(self, unknowns: Array) -> Array:
-        return np.array([unknowns[0] - 3.0, 1.0, 2.0])
-
-    def jacobian(self, unknowns: Array) -> Array:
-        return np.array([[1.0, 1e200], [0.0, 0.0], [0.0, np.inf]])
-
-
-def test_a_direction_that_overflows_is_left_alone() -> None:
-    search = LocalSearch(FarAway(), np.array([1.0, 5.0]))
-    search.least_squares()
-    np.testing.assert_allclose(search.best, [3.0, 5.0], rtol=1e-3)
