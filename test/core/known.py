@@ -31,7 +31,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.reports import Report, WindowVerdict
-from mr_damper_ros.tracking.tracker import WindowTracker
+from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 NOISE = 5.53
@@ -89,6 +89,11 @@ def controllable(name: str) -> ParameterSet:
             size = 1.0 if parameter.unit.startswith("1") else 0.1 * coefficient
             values[place] = size * _GROWTH[f"_{order}"]
     return ParameterSet(values, model=name)
+
+
+def weaker(strength: float) -> Array:
+    """The sixteen parameters of the known damper with so many times its yield force."""
+    return np.asarray(PLAUSIBLE * np.where(np.arange(16) == index("f0"), strength, 1.0))
 
 
 def sum_of_squares(problem: WindowProblem) -> float:
@@ -225,6 +230,26 @@ def raw_window(run: Run, *, number: int = 0, temperature: float = math.nan) -> R
         current=np.full(run.force.size, run.current),
         temperature=temperature,
     )
+
+
+def window(number: int = 0, strength: float = 1.0, **changes: Any) -> RawWindow:
+    """Window ``number``, of a second, of the known damper with so many times its yield force."""
+    entries = {"samples": 1000, "seed": number, **changes}
+    return raw_window(run(weaker(strength), **entries), number=number)
+
+
+def tracker(start: ParameterSet | None = None, **settings: Any) -> WindowTracker:
+    """A tracker that starts, if nothing is said, from the known damper at four fifths of it."""
+    entries = {"method": "least_squares", "global_period": 0, **settings}
+    start = start or ParameterSet(weaker(0.8), set_id="start")
+    return WindowTracker(TrackerSettings(model=start.model, **entries), start)
+
+
+def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
+    """Reports of a tracker that these windows are given."""
+    reports = [tracked.follow(window) for window in windows]
+    assert None not in reports
+    return reports  # type: ignore[return-value]
 
 
 def blocks(

@@ -114,7 +114,7 @@ def followed(windows: list[RawWindow], start: ParameterSet) -> tuple[WindowTrack
 
 
 def test_a_window_of_changing_current_is_accepted_where_the_law_is_known() -> None:
-    weaker = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
+    weaker = known.weaker(0.9)
     start = ParameterSet(weaker, observable=np.ones(16, dtype=bool))
     tracker, verdicts = followed([raw(switching())], start)
     assert verdicts == [Verdict.ACCEPTED]

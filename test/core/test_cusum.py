@@ -153,7 +153,7 @@ def stream(
         force = spoil(time, force)
     tracked = WindowTracker(
         TrackerSettings(tracker=tracker, method="least_squares", global_period=0),
-        ParameterSet(known.PLAUSIBLE * np.where(np.arange(16) == 0, 0.8, 1.0), set_id="start"),
+        ParameterSet(known.weaker(0.8), set_id="start"),
     )
     return tracked, known.followed(tracked, whole.displacement, force, 1.0)
 

@@ -14,7 +14,7 @@ from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale
 
-WEAKER = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0)
+WEAKER = known.weaker(0.9)
 
 NOISELESS = 1e-12
 """Relative: what rounding leaves of the fit to a force without noise."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import known
-import numpy as np
 import pytest
 from step_worker import StepWorker
 
@@ -22,8 +21,7 @@ from mr_damper_ros.tracking.identifier import (
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
 
-WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
-START = ParameterSet(WEAK, set_id="start")
+START = ParameterSet(known.weaker(0.8), set_id="start")
 RUN = known.run(samples=3000)
 
 

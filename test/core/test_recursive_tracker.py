@@ -31,8 +31,6 @@ SAMPLES = 1000
 STILL = 1e-9
 """A drift rate [1/sqrt(s)] of nothing: the filter then only averages."""
 
-WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
-
 
 def second(stamp: int) -> int:
     return known.T0 + stamp * known.NANOSECONDS
@@ -52,26 +50,6 @@ def filtered(
     follower = RecursiveFilter(state, problem, second(stamp), drift_rate=rate, **changes)
     follower.take_in(np.ones(window.sample_count, dtype=bool))
     return follower.as_fit(problem)
-
-
-def window(number: int = 0, strength: float = 1.0, **changes: object) -> RawWindow:
-    parameters = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), strength, 1.0)
-    entries: dict[str, object] = {"samples": SAMPLES, "seed": number, **changes}
-    return known.raw_window(known.run(parameters, **entries), number=number)  # type: ignore[arg-type]
-
-
-def tracker(**settings: object) -> WindowTracker:
-    entries: dict[str, object] = {
-        "tracker": METHOD,
-        "method": "least_squares",
-        "global_period": 0,
-        **settings,
-    }
-    return WindowTracker(TrackerSettings(**entries), ParameterSet(WEAK, set_id="start"))  # type: ignore[arg-type]
-
-
-def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
-    return [tracked.follow(w) for w in windows]
 
 
 # -- the filter itself -----------------------------------------------------------------------
@@ -132,7 +110,7 @@ def drifted() -> Drifted:
             known.raw_window(dataclasses.replace(run, force=clean + noise), number=number)
         )
         truth.append(float(clean @ run.clean) / float(run.clean @ run.clean))
-    return Drifted(fed(tracked, *windows)[1:], np.array(truth[1:]))
+    return Drifted(known.fed(tracked, *windows)[1:], np.array(truth[1:]))
 
 
 def test_it_follows_a_drift_and_knows_its_error(drifted: Drifted) -> None:
@@ -146,37 +124,37 @@ def test_it_follows_a_drift_and_knows_its_error(drifted: Drifted) -> None:
 
 @pytest.mark.parametrize("spoil", ["noise", "clipped", "nan"])
 def test_a_bad_window_leaves_the_filter_where_it_was(spoil: str) -> None:
-    tracked = tracker()
-    fed(tracked, *(window(number, strength=1.0 - 0.01 * number) for number in range(5)))
-    good, state = tracked.parameters, tracked.job_of(window(5)).state
-    force = window(5).force.copy()
+    tracked = known.tracker(tracker=METHOD)
+    known.fed(tracked, *(known.window(number, strength=1.0 - 0.01 * number) for number in range(5)))
+    good, state = tracked.parameters, tracked.job_of(known.window(5)).state
+    force = known.window(5).force.copy()
     if spoil == "noise":
         force += np.random.default_rng(9).normal(0.0, 200.0, SAMPLES)
     elif spoil == "clipped":
         force = np.clip(force, -0.4 * force.max(), 0.4 * force.max())
     else:
         force[10] = np.nan
-    report = fed(tracked, dataclasses.replace(window(5), force=force))[0]
+    report = known.fed(tracked, dataclasses.replace(known.window(5), force=force))[0]
     assert not report.accepted
     assert tracked.parameters is good
-    assert tracked.job_of(window(6)).state is state
+    assert tracked.job_of(known.window(6)).state is state
 
 
 @pytest.mark.parametrize("change", ["point", "past", "reset", "replace", "search"])
 def test_it_starts_again_from_a_fit_where_its_state_does_not_hold(change: str) -> None:
-    tracked = tracker()
-    fed(tracked, *(window(number, strength=1.0 - 0.02 * number) for number in range(3)))
-    following = window(3, strength=0.9)
+    tracked = known.tracker(tracker=METHOD)
+    known.fed(tracked, *(known.window(number, strength=1.0 - 0.02 * number) for number in range(3)))
+    following = known.window(3, strength=0.9)
     if change == "point":
-        following = window(3, strength=0.9, current=0.3)
+        following = known.window(3, strength=0.9, current=0.3)
     elif change == "past":
         following = dataclasses.replace(following, start_ns=known.T0 - 10**12)
     elif change == "reset":
         tracked.reset()
     elif change == "replace":
-        tracked.replace(ParameterSet(WEAK, set_id="loaded"))
+        tracked.replace(ParameterSet(known.weaker(0.8), set_id="loaded"))
     else:
-        fed(tracked, window(3, current=0.2, frequency=3.0))
+        known.fed(tracked, known.window(3, current=0.2, frequency=3.0))
         assert tracked.identify(EvolutionSettings(generations=20, population=8)).accepted
     assert run(tracked, following).fit.method == "least_squares"  # type: ignore[union-attr]
 
@@ -200,7 +178,7 @@ def test_every_law_is_followed(model: str) -> None:
         TrackerSettings(model=model, tracker="unscented", global_period=0),
         ParameterSet(values, model=model),
     )
-    reports = fed(tracked, *runs)
+    reports = known.fed(tracked, *runs)
     assert [report.method for report in reports[1:]] == [METHOD] * 2
     # Of the force scale: a quarter of the change.
     assert reports[-1].scale.value == pytest.approx(0.98, abs=0.005)

@@ -10,37 +10,16 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.tracking.acceptance import AcceptanceSettings, Verdict
+from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.reports import Report
-from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 TRUE = ParameterSet(known.PLAUSIBLE, set_id="true")
-WEAK = ParameterSet(
-    known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0), set_id="weak"
-)
-
-
-def window(number: int = 0, strength: float = 1.0, noise: float = known.NOISE) -> RawWindow:
-    parameters = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), strength, 1.0)
-    run = known.run(parameters, samples=1000, seed=number, noise=noise)
-    return known.raw_window(run, number=number)
-
-
-def followed(tracker: WindowTracker, raw: RawWindow) -> Report:
-    report = tracker.follow(raw)
-    assert report is not None
-    return report
-
-
-def tracker(start: ParameterSet, **settings: float) -> WindowTracker:
-    acceptance = AcceptanceSettings(**settings)
-    return WindowTracker(TrackerSettings(method="least_squares", acceptance=acceptance), start)
 
 
 def test_a_set_that_cannot_be_bettered_is_confirmed() -> None:
-    made = tracker(TRUE)
-    reports = [followed(made, window(number)) for number in range(8)]
+    made = known.tracker(TRUE)
+    reports = known.fed(made, *(known.window(number) for number in range(8)))
     refused = [report for report in reports if not report.accepted]
     assert refused
     assert {report.verdict for report in refused} == {Verdict.NO_BETTER}
@@ -55,9 +34,10 @@ def with_misfit(raw: RawWindow) -> RawWindow:
 
 @pytest.fixture(scope="module")
 def misfitted() -> tuple[Report, ParameterSet]:
-    made = tracker(WEAK)
+    made = known.tracker()
     run = known.run(samples=3000)
-    reports = [followed(made, with_misfit(known.raw_window(run, number=n))) for n in range(2)]
+    windows = (with_misfit(known.raw_window(run, number=n)) for n in range(2))
+    reports = known.fed(made, *windows)
     return reports[-1], made.parameters
 
 
@@ -76,7 +56,7 @@ def test_a_misfit_that_repeats_is_told_apart_from_what_scatters(
 
 
 def test_nothing_is_told_of_a_window_that_was_not_fitted() -> None:
-    report = followed(tracker(WEAK), replace(window(), force=np.full(1000, 5.0)))
+    (report,) = known.fed(known.tracker(), replace(known.window(), force=np.full(1000, 5.0)))
     assert math.isnan(report.nrmse_after)
     assert math.isnan(report.amplitude)
     assert np.isnan(report.coefficients).all()
@@ -85,7 +65,7 @@ def test_nothing_is_told_of_a_window_that_was_not_fitted() -> None:
 
 
 def test_a_line_says_what_is_in_use_and_leaves_out_what_is_not_known() -> None:
-    report = followed(tracker(WEAK), window())
+    (report,) = known.fed(known.tracker(), known.window())
     assert report.line.startswith("window-1 is in use: NRMSE ")
     assert "5 mm" in report.line
     assert "nan" not in report.line

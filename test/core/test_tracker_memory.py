@@ -36,7 +36,7 @@ def feed(tracked: WindowTracker, first: int, last: int) -> list[Report]:
     """Windows at two operating points, whose damper gets weaker and, once, too noisy."""
     reports = []
     for number in range(first, last):
-        weaker = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.97**number, 1)
+        weaker = known.weaker(0.97**number)
         # A whole cycle: less does not determine the seven scales.
         run = known.run(
             weaker,

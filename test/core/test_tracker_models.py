@@ -75,16 +75,12 @@ def tracker(model: str, start: ParameterSet | None = None, **settings: object) -
     )
 
 
-def fed(tracked: WindowTracker, *windows: RawWindow) -> list[Report]:
-    return [tracked.follow(w) for w in windows]
-
-
 @cache
 def followed(model: str) -> tuple[WindowTracker, list[Report]]:
     """A tracker that has seen a damper keep its strength, and then lose a tenth of it."""
     tracked = tracker(model)
-    usual = fed(tracked, *(window(model, number) for number in (2, 3)))
-    return tracked, usual + fed(tracked, *(window(model, number, 0.9) for number in (4, 5)))
+    usual = known.fed(tracked, *(window(model, number) for number in (2, 3)))
+    return tracked, usual + known.fed(tracked, *(window(model, number, 0.9) for number in (4, 5)))
 
 
 @EACH
@@ -129,7 +125,7 @@ def test_the_running_set_and_coefficients_are_those_of_the_damper(model: str) ->
 
 def test_compliance_stiffness_and_offset_are_found_after_the_first_window() -> None:
     tracked = tracker("sigmoid_lag", global_period=20)
-    (first,) = fed(tracked, window("sigmoid_lag", 2))
+    (first,) = known.fed(tracked, window("sigmoid_lag", 2))
     assert first.global_due
     report = tracked.identify()
     assert report.accepted, report.reason
@@ -139,7 +135,7 @@ def test_compliance_stiffness_and_offset_are_found_after_the_first_window() -> N
     found = tracked.parameters.as_dict()["compliance"]
     # Relative error of a compliance that is found from one noisy window.
     assert found == pytest.approx(compliance, rel=0.1)
-    (later,) = fed(tracked, window("sigmoid_lag", 3, 0.9))
+    (later,) = known.fed(tracked, window("sigmoid_lag", 3, 0.9))
     assert not later.global_due
     # What is said of the strength does not depend on what was known of the lag.
     assert later.scale.value == pytest.approx(0.9, abs=SCALE_TOLERANCE)
@@ -148,7 +144,7 @@ def test_compliance_stiffness_and_offset_are_found_after_the_first_window() -> N
 @EACH
 def test_the_predictor_takes_what_the_tracker_finds(model: str) -> None:
     tracked = tracker(model)
-    fed(tracked, window(model, 2))
+    known.fed(tracked, window(model, 2))
     displacement, force = damper(model, 5000)
     predictor = ForcePredictor(PredictorSettings(current_timeout=100.0))
     predictor.set_parameters(tracked.parameters)
@@ -200,7 +196,7 @@ def test_a_set_beyond_all_numbers_is_replaced_by_the_first_good_window() -> None
     huge = known.EXAMPLES["bouc_wen"].copy()
     huge[:4] = 1.7e308
     tracked = tracker("bouc_wen", ParameterSet(huge, model="bouc_wen"))
-    (report,) = fed(tracked, window("bouc_wen", 2))
+    (report,) = known.fed(tracked, window("bouc_wen", 2))
     assert report.accepted, report.reason
     error = report.nrmse_after * np.std(damper("bouc_wen")[1])
     assert error < (1.0 + NOISE_ERROR) * NOISE

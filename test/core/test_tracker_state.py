@@ -17,8 +17,7 @@ from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState
 
-WEAK = known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.8, 1.0)
-START = ParameterSet(WEAK, set_id="start")
+START = ParameterSet(known.weaker(0.8), set_id="start")
 
 ROUNDING = 1e-4
 """Relative: a simplex stops within its tolerance, which rounding may move."""
@@ -145,7 +144,7 @@ def test_the_state_of_another_tracker_is_not_replaced(tmp_path: Path) -> None:
 def test_a_set_that_the_next_start_would_refuse_is_not_kept(tmp_path: Path) -> None:
     tracker, state = taught(tmp_path)
     good = (tmp_path / "identifier.yaml").read_bytes()
-    tracker.parameters = ParameterSet(-WEAK, set_id="driving", nrmse=5.0)
+    tracker.parameters = ParameterSet(-known.weaker(0.8), set_id="driving", nrmse=5.0)
     assert "driving is not kept: the parameters state an nrmse of 5" in state.keep_now()
     assert (tmp_path / "identifier.yaml").read_bytes() == good
     state.close()

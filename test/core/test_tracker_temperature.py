@@ -38,10 +38,6 @@ def warmed(number: int, celsius: float, *, thermometer: bool) -> RawWindow:
     return known.raw_window(changed, number=number, temperature=measured)
 
 
-def fed(tracked: WindowTracker, window: RawWindow) -> Report:
-    return tracked.follow(window)
-
-
 def new() -> WindowTracker:
     settings = TrackerSettings(method="least_squares", global_period=0)
     return WindowTracker(settings, ParameterSet(LITERATURE))
@@ -52,7 +48,7 @@ def warming() -> tuple[str, ParameterSet, tuple[Report, ...]]:
     """The memory, the running set and the reports of a tracker that has seen the warming."""
     tracked = new()
     reports = [
-        fed(tracked, warmed(number, celsius, thermometer=True))
+        known.fed(tracked, warmed(number, celsius, thermometer=True))[0]
         for number, celsius in enumerate(np.linspace(COLD, HOT, WARMING).tolist())
     ]
     return to_text(tracked.memory), tracked.parameters, tuple(reports)
@@ -69,7 +65,7 @@ def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
     """Also by a tracker that was started anew with what the other had learnt."""
     tracked = experienced()
     for number, celsius in enumerate((65.0, 50.0, 40.0, 32.0), start=WARMING):
-        report = fed(tracked, warmed(number, celsius, thermometer=False))
+        (report,) = known.fed(tracked, warmed(number, celsius, thermometer=False))
         assert math.isnan(report.temperature)
         # By which an estimate may miss the truth: one in some ten thousand would by chance.
         # Kelvin by which a curve in ln s may differ from the known damper's straight line in F.
@@ -83,7 +79,7 @@ def test_where_it_is_not_it_is_estimated_from_the_force() -> None:
 def leaked(tracked: WindowTracker, later: float) -> Report:
     """A look at a damper that has lost a fifth of its force, so many windows after the last."""
     before = warmed(WARMING, 50.0, thermometer=False)
-    fed(tracked, before)
+    known.fed(tracked, before)
     window = warmed(WARMING + 1, 50.0, thermometer=False)
     duration = window.start_ns - before.start_ns
     look = dataclasses.replace(

@@ -175,7 +175,7 @@ STARTS = {
     "cold": THESIS_28_CELSIUS,
     "warm, of the other basin": THESIS_71_CELSIUS,
     "mirrored": known.PLAUSIBLE * np.where(np.isin(np.arange(16), SCALE_INDICES), -1.0, 1.0),
-    "ten times too strong": known.PLAUSIBLE * np.where(np.arange(16) == 0, 10.0, 1.0),
+    "ten times too strong": known.weaker(10.0),
     "all zero": np.zeros(16),
 }
 

@@ -24,7 +24,7 @@ from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SAMPLES = 2000
-START = ParameterSet(known.PLAUSIBLE * np.where(np.arange(16) == known.index("f0"), 0.9, 1.0))
+START = ParameterSet(known.weaker(0.9))
 
 
 def random_window() -> RawWindow:

@@ -13,13 +13,12 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from mr_damper_msgs.msg import CurrentCommand, ExcitationCommand, MtsSamples, SupplyCurrent
 from sensor_msgs.msg import JointState, Temperature
-from support import Listener, assert_one_sentence
+from support import Listener
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import from_field, header, to_nanoseconds
 
-COLUMNS = "time:s,displacement:mm,force:kN"
 BAG = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
 
 
@@ -219,52 +218,3 @@ def test_a_source_that_cannot_be_opened_leaves_a_managed_node_alive(
     assert state(listener) == State.PRIMARY_STATE_UNCONFIGURED
     listener.wait_for_finding("bridge: source", "there is no bag")
     bridge.stop()
-
-
-@pytest.mark.parametrize(
-    ("parameters", "part"),
-    [
-        ({"source": "tape"}, "source must be one of bag, record, quarter_car, emulated"),
-        ({"sorce": "bag"}, "there is no parameter sorce: did you mean source?"),
-        ({"block_size": "many"}, "block_size must be an integer"),
-        ({"rate": ".inf"}, "rate must be a finite number"),
-        ({"source": "bag", "bag": "/nowhere/at/all"}, "there is no bag"),
-        ({"source": "record", "record__file": "/nowhere.csv"}, "record.columns is empty"),
-        (
-            {
-                "source": "record",
-                "record__file": "/nowhere.csv",
-                "record__columns": COLUMNS,
-                "record__current": 1.0,
-            },
-            "/nowhere.csv",
-        ),
-        ({"emulated__damper": "5mm"}, "the thesis has no condition '5mm'"),
-        ({"use_sim_time": 3}, "use_sim_time"),
-    ],
-)
-def test_a_bad_configuration_is_one_sentence_and_an_exit_code(
-    start: Any, parameters: dict[str, object], part: str
-) -> None:
-    bridge = start("bridge", **parameters)
-    assert bridge.wait() == 2
-    assert part in bridge.errors
-    assert_one_sentence(bridge.errors)
-
-
-def test_a_bad_parameter_file_is_one_sentence(start: Any, tmp_path: Path) -> None:
-    file = tmp_path / "bridge.yaml"
-    file.write_text("/**:\n  ros__parameters:\n    rate: [1, fast]\n", encoding="utf-8")
-    bridge = start("bridge", "--ros-args", "--params-file", str(file), "--")
-    assert bridge.wait() == 2
-    assert "the command line cannot be used" in bridge.errors
-    assert_one_sentence(bridge.errors)
-
-
-def test_an_unknown_argument_is_refused_and_help_lists_the_parameters(start: Any) -> None:
-    bridge = start("bridge", "--rate=2")
-    assert bridge.wait() == 2
-    assert_one_sentence(bridge.errors)
-    bridge = start("bridge", "--help")
-    assert bridge.wait() == 0
-    assert "emulated.hot_force" in bridge.output

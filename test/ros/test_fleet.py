@@ -8,7 +8,7 @@ from typing import Any
 import launch_stand_in
 import pytest
 from mr_damper_msgs.msg import DamperParameters, FitReport, PredictedForce
-from support import Listener, assert_one_sentence
+from support import Listener
 
 from mr_damper_ros.nodes.quality import latched
 from mr_damper_ros.processes.programs import hosting
@@ -115,22 +115,3 @@ def test_each_namespace_takes_its_own_parameters(
         "left": "bingham",
         "right": "sigmoid_lag",
     }
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--namespace",), "not ''"),
-        (("--namespace", "left", "--namespace", "left"), "the namespace left is given twice"),
-        (("--workers", "none"), "--workers needs a number of at least 1, not 'none'"),
-        (("--namespace", "left-hand"), "letters, digits and underscores, not 'left-hand'"),
-        (("--namespace", "left=/nowhere.yaml"), "/nowhere.yaml"),
-    ],
-)
-def test_a_place_that_cannot_be_is_refused(
-    start: Any, arguments: tuple[str, ...], sentence: str
-) -> None:
-    program = start("identifier", *arguments)
-    assert program.wait() == 2
-    assert sentence in program.errors
-    assert_one_sentence(program.errors)

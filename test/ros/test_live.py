@@ -178,10 +178,3 @@ def test_a_killed_node_is_told_from_one_without_samples(start: Any, listener: Li
 def test_other_hosts_are_allowed_by_a_parameter(start: Any) -> None:
     client = Client(start("live", port=0, allowed_hosts="proxy.example rig.example"))
     assert json.loads(client.get("/status", host="rig.example")[1])
-
-
-def test_what_is_no_host_is_refused_at_the_start(start: Any) -> None:
-    live = start("live", port=0, allowed_hosts="http://rig")
-    assert live.wait() == 2
-    assert_one_sentence(live.errors)
-    assert "allowed_hosts" in live.errors

@@ -17,7 +17,7 @@ from geometry_msgs.msg import WrenchStamped
 from mr_damper_msgs.msg import DamperParameters, FitReport, MtsSamples, PredictedForce
 from press import BAD_BLOCKS, BLOCK, Press, block_message
 from rclpy.duration import Duration
-from support import Listener, assert_one_sentence
+from support import Listener
 
 import mr_damper_ros as mr
 from mr_damper_ros.io.bag_reader import read_bag
@@ -378,19 +378,3 @@ def test_it_ends_cleanly(start: Any, listener: Listener, number: signal.Signals)
     model = start("model")
     listener.wait_for_finding("model: latency", "no block since the last report")
     model.stop(number)
-
-
-@pytest.mark.parametrize(
-    ("content", "part"),
-    [(None, "No such file"), ("parameters: {f0: 1}", "is missing"), ("a: [", "not valid YAML")],
-)
-def test_a_parameter_file_that_cannot_be_used_is_one_sentence(
-    start: Any, tmp_path: Path, content: str | None, part: str
-) -> None:
-    path = tmp_path / "parameters.yaml"
-    if content is not None:
-        path.write_text(content)
-    model = start("model", parameter_file=path)
-    assert model.wait() == 2
-    assert_one_sentence(model.errors)
-    assert part in model.errors

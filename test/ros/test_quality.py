@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import pytest
 from mr_damper_msgs.msg import DamperParameters, MtsSamples, PredictedForce
 from press import block_message
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from support import Listener, assert_one_sentence
+from support import Listener
 
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.nodes import quality
@@ -47,21 +46,6 @@ def test_a_best_effort_publisher_is_told_and_can_be_taken(start: Any, listener: 
         return bool(forces)
 
     listener.until(answered, "a prediction for what a best effort publisher sends")
-
-
-@pytest.mark.parametrize(
-    ("override", "part"),
-    [
-        ("/mts/samples.subscription.reliability:=foo", "must be one of reliable, best_effort"),
-        ("/mts/samples.subscription.depth:=many", "must be an integer of at least 1"),
-        ("/mts/samples.subscription.durability:=volatile", "overrides nothing"),
-    ],
-)
-def test_a_wrong_override_is_one_sentence(start: Any, override: str, part: str) -> None:
-    model = start("model", "--ros-args", "-p", f"qos_overrides.{override}")
-    assert model.wait() == 2
-    assert part in model.errors
-    assert_one_sentence(model.errors)
 
 
 def test_an_override_for_another_topic_is_told(start: Any) -> None:

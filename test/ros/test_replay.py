@@ -152,8 +152,7 @@ def test_a_loop_starts_again_and_says_so(start: Any, listener: Listener) -> None
     replay.stop()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("subscribed", [True, False])
+@pytest.mark.parametrize(("number", "subscribed"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
 def test_it_can_be_stopped_at_any_time(
     start: Any, listener: Listener, number: signal.Signals, subscribed: bool
 ) -> None:
@@ -213,25 +212,6 @@ def test_topics_that_another_node_publishes_are_named(start: Any, listener: List
     start("replay", bag=BAG, loop=True, wait_for_subscribers=1, wait_timeout=2.0)
     listener.listen(MtsSamples, SAMPLES)
     listener.wait_for_finding("replay: replay", "/supply/current is published by /listener too")
-
-
-@pytest.mark.parametrize(
-    ("parameters", "part"),
-    [
-        ({}, "no bag is given"),
-        ({"bag": "/nowhere/at/all"}, "there is no bag"),
-        ({"bag": BAG, "topics": "/mts/samples /nothing"}, "has no topic /nothing"),
-        ({"bag": BAG, "rate": "fast"}, "rate must be a number"),
-        ({"bag": BAG, "speed": 2.0}, "there is no parameter speed"),
-    ],
-)
-def test_a_bad_configuration_is_one_sentence_and_an_exit_code(
-    start: Any, parameters: dict[str, object], part: str
-) -> None:
-    replay = start("replay", **parameters)
-    assert replay.wait() == 2
-    assert part in replay.errors
-    assert_one_sentence(replay.errors)
 
 
 def test_a_bag_that_was_changed_is_not_played(start: Any, tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from support import Listener
 
 POLICY = Path(__file__).parents[2] / "config" / "security" / "policy.xml"
 ROOT = Path(__file__).parents[2]
-NODES = ("bridge", "campaign", "controller", "identifier", "model", "supply")
+NODES = (*("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),)
+CONCERNS = {"bridge": "source", "replay": "replay", "supply": "supply"}
 
 ACTION_TOPICS = ("feedback", "status")
 ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
@@ -62,43 +63,25 @@ def done(listener: Listener, node: str) -> dict[str, set[str]]:
 
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_is_allowed_exactly_what_it_does(start: Any, listener: Listener, node: str) -> None:
-    start(node, use_sim_time=True)
-    concern = {"bridge": "source", "supply": "supply"}.get(node, "input")
-    listener.wait_for_finding(f"{node}: {concern}", "")
+    given: dict[str, dict[str, object]] = {
+        "live": {"port": 0, "use_sim_time": True},
+        "replay": {"bag": ROOT / "bags" / "5.0mm_1Hz_1.5A", "start_paused": True},
+    }
+    start(node, **given.get(node, {"use_sim_time": True}))
     wanted = allowed(node)
+    if node == "replay":
+        wanted["publish"] -= {"/temperature"}  # this bag has none
     listener.until(
         lambda: all(wanted[what] <= names for what, names in done(listener, node).items()),
         f"all that the policy allows: {wanted}",
     )
+    if node != "live":
+        listener.wait_for_finding(f"{node}: {CONCERNS.get(node, 'input')}", "")
     assert done(listener, node) == wanted
-
-
-def test_live_is_allowed_exactly_what_it_does(start: Any, listener: Listener) -> None:
-    start("live", port=0, use_sim_time=True)
-    wanted = allowed("live")
-    listener.until(
-        lambda: all(wanted[what] <= names for what, names in done(listener, "live").items()),
-        f"all that the policy allows: {wanted}",
-    )
-    assert done(listener, "live") == wanted
-
-
-def test_replay_is_allowed_what_it_does_with_the_inputs_of_a_bag(
-    start: Any, listener: Listener
-) -> None:
-    start("replay", bag=ROOT / "bags" / "5.0mm_1Hz_1.5A", start_paused=True)
-    listener.wait_for_finding("replay: replay", "paused")
-    wanted = allowed("replay")
-    wanted["publish"] -= {"/temperature"}  # this bag has none
-    listener.until(
-        lambda: all(wanted[what] <= names for what, names in done(listener, "replay").items()),
-        f"all that the policy allows: {wanted}",
-    )
-    assert done(listener, "replay") == wanted
 
 
 def test_every_node_has_an_enclave_of_its_own() -> None:
     root = ElementTree.parse(POLICY).getroot()
     assert (root.tag, root.get("version")) == ("policy", "0.2.0")
     paths = [enclave.get("path") for enclave in root.findall("enclaves/enclave")]
-    assert sorted(paths) == sorted(f"/mr_damper/{node}" for node in (*NODES, "live", "replay"))
+    assert sorted(paths) == sorted(f"/mr_damper/{node}" for node in NODES)

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from mr_damper_msgs.msg import CurrentCommand, SupplyCurrent
-from support import Listener, assert_one_sentence
+from support import Listener
 
 from benchmarks.instrument_server import InstrumentServer
 from mr_damper_ros.nodes import quality
@@ -255,21 +255,3 @@ def test_where_the_node_is_gone_or_frozen_the_watchdog_switches_off(
     if number == signal.SIGSTOP:
         node.send_signal(signal.SIGCONT)
         listener.wait_for_finding("supply: current", "where 0.700 A are set")
-
-
-@pytest.mark.parametrize(
-    ("parameters", "part"),
-    [
-        ({"address": "127.0.0.1:1"}, "127.0.0.1:1: Connection refused"),
-        ({"address": "nowhere at all"}, "give host:port"),
-        ({"profile": "mine"}, "the profile 'mine' cannot be read"),
-        ({"watchdog": 0.05, "rate": 20.0}, "watchdog is 0.05 s"),
-    ],
-)
-def test_it_does_not_start_with_what_it_cannot_use(
-    start: Any, parameters: dict[str, object], part: str
-) -> None:
-    node = start("supply", **parameters)
-    assert node.wait() == 2
-    assert_one_sentence(node.errors)
-    assert part in node.errors
