@@ -207,7 +207,6 @@ def test_a_bad_window_never_replaces_a_good_set_and_the_next_good_one_does(
     report = known.fed(tracked, spoil(known.window(5)))[0]  # type: ignore[operator]
     assert tracked.parameters is good
     assert not report.accepted
-    assert not report.confirms
     assert report.reason != ""
     assert sentence in report.reason
     assert report.set_id == good.set_id
@@ -404,7 +403,6 @@ def test_a_search_is_judged_against_the_running_set() -> None:
     report = tracked.complete(job, dataclasses.replace(outcome, evidence=evidence))
     assert report is not None
     assert report.verdict is Verdict.NO_BETTER
-    assert not report.confirms, "its windows are of the past"
     assert "running set predicts the reservoir as well" in report.reason
     assert tracked.parameters is good
 
