@@ -32,12 +32,7 @@ from mr_damper_ros.nodes.messages import (
 )
 from mr_damper_ros.nodes.mirrors import JointMirror
 from mr_damper_ros.nodes.node_parameters import NodeParameters
-from mr_damper_ros.nodes.pacing import (
-    Outlet,
-    Pacer,
-    SendingThread,
-    wait_for_subscribers,
-)
+from mr_damper_ros.nodes.pacing import PacedSender
 from mr_damper_ros.nodes.spinning import run
 from mr_damper_ros.nodes.topic_source import TopicOptions, TopicSource
 from mr_damper_ros.rig.blocks import Meter, Reading, aligned
@@ -46,11 +41,13 @@ from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, groups, option
 from mr_damper_ros.signals.blocks import MOST_SAMPLES, RigBlock
 
+_MIRROR = "joint_states"
+
 _TOPICS = {
     "mts/samples": MtsSamples,
     "supply/current": SupplyCurrent,
     "temperature": Temperature,
-    "joint_states": JointState,
+    _MIRROR: JointState,
     SUSPENSION_TOPIC: JointState,
 }
 
@@ -58,122 +55,6 @@ _CURRENT_STEP = 0.005
 """Change [A] of the current that is published at once; smaller ones wait for the next reading."""
 
 _TEMPERATURE_PERIOD = 1.0
-
-
-class BridgeStream:
-    """The topics of the bridge, from its configuration to its clean-up.
-
-    ``current_rate`` and ``mirror_rate`` are messages per second [Hz] of the data's time; without a
-    mirror rate there are no joint states, and no motion of a suspension that is not there.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        pacer: Pacer,
-        *,
-        frame_id: str,
-        current_rate: float,
-        mirror_rate: float,
-        unpaced: bool,
-        suspended: bool,
-    ) -> None:
-        self._node = node
-        self._pacer = pacer
-        self._frame_id = frame_id
-        self._current_period = 1.0 / current_rate
-        self._mirror_rate = mirror_rate
-        self.sent = 0
-        self.state = ""
-        self._outlets = {
-            topic: Outlet(node, kind, topic, pacer, unpaced=unpaced)
-            for topic, kind in _TOPICS.items()
-            if (topic != "joint_states" or mirror_rate > 0.0)
-            and (topic != SUSPENSION_TOPIC or suspended)
-        }
-
-    def close(self) -> None:
-        """Withdraw the topics."""
-        for outlet in self._outlets.values():
-            self._node.destroy_publisher(outlet.publisher)
-
-    def send(
-        self, blocks: Iterator[RigBlock], nodes: int, timeout: float, *, live: bool = False
-    ) -> None:
-        """Publish all blocks, each when its last sample is due, or until the pacer is stopped.
-
-        So many ``nodes`` must have subscribed first; they are waited for until a ``timeout`` [s].
-
-        Those of a ``live`` source go out as they come, with their stamps. Others are stamped anew:
-        the first sample is taken when all is ready to send it, and where sending was held up for
-        longer than can be made good, the stamps pause, too.
-        """
-        self.sent = 0
-        self.state = "waits for subscribers"
-        wait_for_subscribers(self._node, self._outlets.values(), nodes, timeout, self._pacer)
-        self.state = "streams"
-        supply = Meter(self._current_period, step=_CURRENT_STEP)
-        thermometer = Meter(_TEMPERATURE_PERIOD)
-        mirror = JointMirror(self._mirror_rate, self._frame_id) if self._mirror_rate else None
-        block = None
-        for block in self._as_they_come(blocks) if live else self._paced(blocks):
-            # What belongs to the samples goes first, so that it is known when they arrive.
-            for reading in supply.read(block, block.current, block.supply_ahead_ns):
-                self._publish_current(reading)
-            for reading in thermometer.read(block, block.temperature):
-                self._outlets["temperature"].publish(
-                    Temperature(
-                        header=header(reading.stamp_ns, self._frame_id), temperature=reading.value
-                    )
-                )
-            if block.suspension is not None:
-                # A force is wanted by the time the controller of the damper has the samples.
-                stamp = header(_last_stamp(block), self._frame_id)
-                self._outlets[SUSPENSION_TOPIC].publish(suspension_message(block.suspension, stamp))
-            self._outlets["mts/samples"].publish(samples_message(block, self._frame_id))
-            if mirror is not None:
-                outlet = self._outlets["joint_states"]
-                for message in mirror.messages(block, heard=quality.heard(outlet.publisher)):
-                    outlet.publish(message)
-            self.sent += block.sample_count
-        if self._pacer.stopped:
-            return
-        if block is not None and not math.isnan(block.current[-1]):
-            # The current is now known up to the last sample.
-            self._publish_current(Reading(_last_stamp(block), float(block.current[-1])))
-        for outlet in self._outlets.values():
-            outlet.wait_for_acknowledgement()
-        self.state = "the recording is at its end: nothing more comes"
-        self._node.get_logger().info(f"end of the recording: {self.sent} samples were sent")
-
-    def _as_they_come(self, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
-        for block in blocks:
-            if self._pacer.stopped:
-                return
-            if block.sample_count:
-                yield block
-
-    def _paced(self, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
-        later_ns: int | None = None
-        for made in blocks:
-            if later_ns is None and made.sample_count > 0:
-                # Its first sample is taken now, and it goes out with its last.
-                first_ns = made.due_ns - (made.stamp_ns(made.sample_count - 1) - made.start_ns)
-                later_ns = self._node.get_clock().now().nanoseconds - first_ns
-                self._pacer.begin(first_ns)
-            if self._pacer.stopped or not self._pacer.wait_until(made.due_ns):
-                return
-            if made.sample_count and later_ns is not None:
-                yield replace(made, start_ns=made.start_ns + later_ns + self._pacer.left_out_ns)
-
-    def _publish_current(self, reading: Reading) -> None:
-        self._outlets["supply/current"].publish(
-            current_message(reading.stamp_ns, reading.value, self._frame_id)
-        )
-
-
-def _last_stamp(block: RigBlock) -> int:
-    return block.stamp_ns(block.sample_count - 1)
 
 
 GROUP = "mr_damper_ros.sources"
@@ -205,9 +86,6 @@ def source_of(name: str, settings: Any, stream: StreamSettings, node: Node) -> S
     if issubclass(kind, TopicSource):
         return kind(settings, stream, node)
     return kind(settings, stream)
-
-
-_MIRROR = "joint_states"
 
 
 @dataclass(frozen=True)
@@ -324,10 +202,9 @@ class BridgeNode(ManagedNode):
             changed=self._apply,
             configured=lambda: self._source is not None,
         )
-        self._stream: BridgeStream | None = None
+        self._sender: PacedSender | None = None
+        self._sent = 0
         self._commands: dict[str, CommandTopic] = {}
-        self._pacer = Pacer(self.parameters.values.rate)
-        self._sending: SendingThread | None = None
         self._diagnostics = Diagnostics(
             self,
             {
@@ -357,28 +234,25 @@ class BridgeNode(ManagedNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the source and announce the topics."""
         values = self.parameters.values
-        self._pacer = Pacer(values.rate)
-        self._source = source_of(
+        source = self._source = source_of(
             values.source,
             values.sources[values.source],
             StreamSettings(values.block_size, values.loop),
             self,
         )
         try:
-            found = self._source.open()
-            if self._source.commander is not None:
-                self._commands["current"] = CurrentCommands(self, self._source.commander)
-            if self._source.mover is not None:
-                self._commands["motion"] = MotionCommands(self, self._source.mover)
-            self._stream = BridgeStream(
-                self,
-                self._pacer,
-                frame_id=values.frame_id,
-                current_rate=values.current_rate,
-                mirror_rate=values.mirror_rate,
-                unpaced=values.rate == 0.0,
-                suspended=self._source.suspended,
-            )
+            found = source.open()
+            if source.commander is not None:
+                self._commands["current"] = CurrentCommands(self, source.commander)
+            if source.mover is not None:
+                self._commands["motion"] = MotionCommands(self, source.mover)
+            topics = {
+                topic: kind
+                for topic, kind in _TOPICS.items()
+                if (topic != _MIRROR or values.mirror_rate > 0.0)
+                and (topic != SUSPENSION_TOPIC or source.suspended)
+            }
+            self._sender = PacedSender(self, values.rate, topics)
         except (ValueError, OSError) as error:
             failed = self._fail("the source cannot be opened", _in_words(error))
             self._close()
@@ -391,25 +265,22 @@ class BridgeNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stream from the beginning."""
         assert self._source is not None
-        assert self._stream is not None
-        stream, values = self._stream, self.parameters.values
+        assert self._sender is not None
+        values = self.parameters.values
         made = self._source.blocks(self.get_clock().now().nanoseconds)
         blocks = aligned(made, values.force_lateness)
-        live = self._source.live
-        self._pacer.start()
-        self._sending = SendingThread(
-            self,
-            self._pacer,
-            lambda: stream.send(
-                blocks, values.wait_for_subscribers, values.wait_timeout, live=live
-            ),
+        paced = self._as_they_come if self._source.live else self._paced
+        self._sent = 0
+        self._sender.start(
+            partial(self._send, self._sender, paced(self._sender, blocks)),
+            values.wait_for_subscribers,
+            values.wait_timeout,
         )
         return TransitionCallbackReturn.SUCCESS
 
     def _stop(self) -> None:
-        if self._sending is not None:
-            self._sending.stop()
-            self._sending = None
+        if self._sender is not None:
+            self._sender.stop()
 
     def _close(self) -> None:
         for commands in self._commands.values():
@@ -418,35 +289,106 @@ class BridgeNode(ManagedNode):
         if self._source is not None:
             self._source.close()
             self._source = None
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
+        if self._sender is not None:
+            self._sender.close()
+            self._sender = None
+
+    # --- sending, in its own thread -------------------------------------------------------------
+
+    def _send(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> None:
+        """Publish all blocks, until the sender is stopped."""
+        values = self.parameters.values
+        frame_id = values.frame_id
+
+        def publish_current(reading: Reading) -> None:
+            message = current_message(reading.stamp_ns, reading.value, frame_id)
+            sender.publish("supply/current", message)
+
+        sender.state = "streams"
+        supply = Meter(1.0 / values.current_rate, step=_CURRENT_STEP)
+        thermometer = Meter(_TEMPERATURE_PERIOD)
+        mirror = JointMirror(values.mirror_rate, frame_id)
+        block = None
+        for block in blocks:
+            # What belongs to the samples goes first, so that it is known when they arrive.
+            for reading in supply.read(block, block.current, block.supply_ahead_ns):
+                publish_current(reading)
+            for reading in thermometer.read(block, block.temperature):
+                stamp = header(reading.stamp_ns, frame_id)
+                sender.publish("temperature", Temperature(header=stamp, temperature=reading.value))
+            if block.suspension is not None:
+                # A force is wanted by the time the controller of the damper has the samples.
+                stamp = header(_last_stamp(block), frame_id)
+                sender.publish(SUSPENSION_TOPIC, suspension_message(block.suspension, stamp))
+            sender.publish("mts/samples", samples_message(block, frame_id))
+            if _MIRROR in sender.publishers:
+                heard = quality.heard(sender.publishers[_MIRROR])
+                for message in mirror.messages(block, heard=heard):
+                    sender.publish(_MIRROR, message)
+            self._sent += block.sample_count
+        if sender.stopped:
+            return
+        if block is not None and not math.isnan(block.current[-1]):
+            # The current is now known up to the last sample.
+            publish_current(Reading(_last_stamp(block), float(block.current[-1])))
+        sender.wait_for_acknowledgements()
+        sender.state = "the recording is at its end: nothing more comes"
+        self.get_logger().info(f"end of the recording: {self._sent} samples were sent")
+
+    def _as_they_come(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
+        """Those of a live source, with their stamps."""
+        for block in blocks:
+            if sender.stopped:
+                return
+            if block.sample_count:
+                yield block
+
+    def _paced(self, sender: PacedSender, blocks: Iterator[RigBlock]) -> Iterator[RigBlock]:
+        """Those of other sources, each when its last sample is due, stamped anew.
+
+        The first sample is taken when all is ready to send it. Where sending was held up for longer
+        than can be made good, the stamps pause, too.
+        """
+        later_ns: int | None = None
+        for made in blocks:
+            if later_ns is None and made.sample_count > 0:
+                # Its first sample is taken now, and it goes out with its last.
+                first_ns = made.due_ns - (_last_stamp(made) - made.start_ns)
+                later_ns = self.get_clock().now().nanoseconds - first_ns
+                sender.begin(first_ns)
+            if sender.stopped or not sender.wait_until(made.due_ns):
+                return
+            if made.sample_count and later_ns is not None:
+                yield replace(made, start_ns=made.start_ns + later_ns + sender.left_out_ns)
 
     # --- state ----------------------------------------------------------------------------------
 
     def _find(self) -> Finding:
+        source, sender = self._source, self._sender
         figures: dict[str, object] = {
             "source": self.parameters.values.source,
-            "samples sent": self._stream.sent if self._stream else 0,
+            "samples sent": self._sent,
         }
         if self._problem:
             return Finding(ERROR, self._problem, figures)
-        if self._source is None or self._stream is None:
+        if source is None or sender is None:
             return Finding(WARN, "not configured: no source is open", figures)
-        if self._sending is None:
+        if not sender.active:
             return Finding(WARN, "not active: the source is open, nothing is streamed", figures)
-        if self._sending.failure:
-            return Finding(ERROR, self._sending.failure, figures)
-        state = self._source.state()
+        if sender.failure:
+            return Finding(ERROR, sender.failure, figures)
+        state = source.state()
         figures.update(state.values)
-        if state.fault:
-            return Finding(WARN, state.fault, figures)
-        return Finding(OK, self._stream.state, figures)
+        return Finding(WARN if state.fault else OK, state.fault or sender.state, figures)
 
     def _find_commands(self, what: str) -> Finding:
         if what not in self._commands:
             return Finding(OK, f"the source takes no commands of the {what}")
         return self._commands[what].finding()
+
+
+def _last_stamp(block: RigBlock) -> int:
+    return block.stamp_ns(block.sample_count - 1)
 
 
 def _in_words(error: Exception) -> str:

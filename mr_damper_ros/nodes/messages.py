@@ -5,6 +5,7 @@ from __future__ import annotations
 import array
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -138,26 +139,27 @@ def suspension_moment(message: JointState, acceleration: float) -> Moment:
     )
 
 
+_OF_A_SET = ("model", "source", "nrmse", "largest_force")
+_ARRAYS_OF_A_SET = ("values", "standard_errors", "discrepancies")
+"""Called alike in a message and in a set."""
+
+
 def parameters_message(parameters: ParameterSet, frame_id: str, node: str) -> DamperParameters:
     """The message of a parameter set, from the node of this fully qualified name."""
+    low, high = zip(parameters.peak_velocity_range, parameters.current_range, strict=True)
     return DamperParameters(
         header=header(parameters.stamp_ns, frame_id),
         id=parameters.set_id,
-        model=parameters.model,
         names=list(parameters.law.parameter_names),
         units=list(parameters.law.units.values()),
-        values=to_field(parameters.values),
-        standard_errors=to_field(parameters.standard_errors),
-        discrepancies=to_field(parameters.discrepancies),
         observable=parameters.observable.tolist(),
-        source=parameters.source,
         node=node,
-        peak_velocity_min=parameters.peak_velocity_range[0],
-        peak_velocity_max=parameters.peak_velocity_range[1],
-        current_min=parameters.current_range[0],
-        current_max=parameters.current_range[1],
-        nrmse=parameters.nrmse,
-        largest_force=parameters.largest_force,
+        peak_velocity_min=low[0],
+        peak_velocity_max=high[0],
+        current_min=low[1],
+        current_max=high[1],
+        **{name: getattr(parameters, name) for name in _OF_A_SET},
+        **{name: to_field(getattr(parameters, name)) for name in _ARRAYS_OF_A_SET},
     )
 
 
@@ -173,20 +175,25 @@ def parameter_set(message: DamperParameters) -> ParameterSet:
             f"the parameters of model '{law.name}' must be {', '.join(law.parameter_names)}, "
             "in this order"
         )
+    arrays: dict[str, Any] = {name: np.array(getattr(message, name)) for name in _ARRAYS_OF_A_SET}
+    if not arrays["discrepancies"].size:  # of an older sender
+        arrays["discrepancies"] = np.full(len(law.parameter_names), np.nan)
     return ParameterSet(
-        values=np.array(message.values),
-        standard_errors=np.array(message.standard_errors),
-        discrepancies=np.array(message.discrepancies or [math.nan] * len(law.parameter_names)),
-        observable=np.array(message.observable, dtype=bool),
         set_id=message.id,
-        source=message.source,
+        stamp_ns=to_nanoseconds(message.header.stamp),
+        observable=np.array(message.observable, dtype=bool),
         peak_velocity_range=(message.peak_velocity_min, message.peak_velocity_max),
         current_range=(message.current_min, message.current_max),
-        nrmse=message.nrmse,
-        stamp_ns=to_nanoseconds(message.header.stamp),
-        model=message.model,
-        largest_force=message.largest_force,
+        **{name: getattr(message, name) for name in _OF_A_SET},
+        **arrays,
     )
+
+
+_OF_A_REPORT = (
+    *("method", "evaluations", "nrmse_before", "nrmse_after", "verdict", "accepted", "confirms"),
+    *("peak_velocity", "amplitude", "frequency", "current", "temperature"),
+)
+"""Called alike in a message and in a report."""
 
 
 def report_message(report: Report, duration: float, frame_id: str, node: str) -> FitReport:
@@ -196,29 +203,18 @@ def report_message(report: Report, duration: float, frame_id: str, node: str) ->
         window_start=to_stamp(report.window_start_ns),
         window_duration=(report.stamp_ns - report.window_start_ns) * 1e-9,
         samples=report.sample_count,
-        method=report.method,
-        evaluations=report.evaluations,
         duration=duration,
-        nrmse_before=report.nrmse_before,
-        nrmse_after=report.nrmse_after,
-        verdict=report.verdict,
-        accepted=report.accepted,
-        confirms=report.confirms,
         reason=report.reason or "it predicts better than the set before",
         parameter_set=report.set_id,
         node=node,
         force_scale=report.scale.value,
         force_scale_standard_error=report.scale.standard_error,
         force_scale_discrepancy=report.scale.discrepancy,
-        peak_velocity=report.peak_velocity,
-        amplitude=report.amplitude,
-        frequency=report.frequency,
-        current=report.current,
-        temperature=report.temperature,
         coefficient_names=list(report.coefficient_names),
         coefficients=to_field(report.coefficients),
         coefficient_standard_errors=to_field(report.coefficient_errors),
         coefficient_discrepancies=to_field(report.coefficient_discrepancies),
+        **{name: getattr(report, name) for name in _OF_A_REPORT},
     )
 
 
@@ -233,38 +229,37 @@ def fluid_temperature_message(report: Report, frame_id: str) -> Temperature:
 
 def coefficients_message(report: Report, frame_id: str) -> DiagnosticArray:
     """The coefficients of a report as named numbers, for plotting tools."""
-    errors = report.coefficient_errors
-    named = zip(report.coefficient_names, report.coefficients, errors, strict=True)
-    return _named_numbers("coefficients", report.set_id, report.stamp_ns, frame_id, named)
+    status = _named_numbers(
+        report.set_id, report.coefficient_names, report.coefficients, report.coefficient_errors
+    )
+    status.name = "coefficients"
+    return DiagnosticArray(header=header(report.stamp_ns, frame_id), status=[status])
 
 
 def parameter_numbers_message(parameters: ParameterSet, frame_id: str) -> DiagnosticArray:
     """The parameters of a set as named numbers, for plotting tools."""
     errors = np.where(parameters.observable, parameters.standard_errors, np.nan)
-    named = zip(parameters.law.parameter_names, parameters.values, errors, strict=True)
-    return _named_numbers("parameters", parameters.set_id, parameters.stamp_ns, frame_id, named)
+    names = parameters.law.parameter_names
+    status = _named_numbers(parameters.set_id, names, parameters.values, errors)
+    status.name = "parameters"
+    return DiagnosticArray(header=header(parameters.stamp_ns, frame_id), status=[status])
 
 
 def _named_numbers(
-    kind: str,
-    set_id: str,
-    stamp_ns: int,
-    frame_id: str,
-    named: Iterable[tuple[str, float, float]],
-) -> DiagnosticArray:
+    set_id: str, names: Iterable[str], values: Array, errors: Array
+) -> DiagnosticStatus:
     """Plotting tools know this message: each of its pairs is a curve, called by its key.
 
     An error is called as its value, with ``_error`` after it; those that are not known are left
     out.
     """
+    named = zip(names, values, errors, strict=True)
     pairs = [pair for name, x, error in named for pair in ((name, x), (f"{name}_error", error))]
-    status = DiagnosticStatus(
+    return DiagnosticStatus(
         level=DiagnosticStatus.OK,
-        name=kind,
         message=set_id,
         values=[KeyValue(key=key, value=f"{x:.9g}") for key, x in pairs if np.isfinite(x)],
     )
-    return DiagnosticArray(header=header(stamp_ns, frame_id), status=[status])
 
 
 class PredictionMessage:

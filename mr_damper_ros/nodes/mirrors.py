@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 
 from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
@@ -13,37 +12,11 @@ from std_msgs.msg import Header
 
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import header, set_stamp
+from mr_damper_ros.rig.blocks import Decimator
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, SampleBlock
 from mr_damper_ros.tracking.prediction import Prediction
 
 SIGNALS_TOPIC = "damper/signals"
-
-
-class Decimator:
-    """Picks at most ``rate`` samples a second of data, none for 0.
-
-    Where stamps fall back it begins anew.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self._interval_ns = round(NANOSECONDS / rate) if rate else 0
-        self._due_ns = 0
-
-    def due(self, start_ns: int, period: float, count: int) -> Iterator[tuple[int, int]]:
-        """Indices and stamps [ns] of those among ``count`` samples, ``period`` [s] apart."""
-        if self._interval_ns == 0:
-            return
-        period_ns = period * NANOSECONDS
-        if not -self._interval_ns <= start_ns - self._due_ns <= self._interval_ns:
-            self._due_ns = start_ns
-        # Half a sample: of stamps that are rounded none comes a whole sample late.
-        k = max(math.ceil((self._due_ns - start_ns) / period_ns - 0.5), 0)
-        while k < count:
-            stamp_ns = start_ns + round(k * period_ns)
-            yield k, stamp_ns
-            late = stamp_ns - self._due_ns > self._interval_ns
-            self._due_ns = (stamp_ns if late else self._due_ns) + self._interval_ns
-            k = max(math.ceil((self._due_ns - start_ns) / period_ns - 0.5), k + 1)
 
 
 class SignalMirror:

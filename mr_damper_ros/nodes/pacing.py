@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Mapping
 
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -42,23 +42,91 @@ _SETTLE = 0.3
 _POLL = 0.05
 
 
-class Pacer:
-    """Holds up a sending thread until the data's time has come; other threads steer it.
+class PacedSender:
+    """Publishes on these topics in a thread of its own, so that the node goes on answering.
 
-    ``rate`` is the speed relative to the data's time; 0 means not to wait at all.
+    ``rate`` is the speed relative to the data's time; 0: as fast as subscribers acknowledge.
+    Topics of ``latched`` keep their last message. ``state`` and ``failure`` say in words what it
+    does, and what went wrong.
     """
 
-    def __init__(self, rate: float, *, paused: bool = False) -> None:
+    def __init__(
+        self,
+        node: Node,
+        rate: float,
+        topics: Mapping[str, type],
+        *,
+        latched: Collection[str] = (),
+        paused: bool = False,
+    ) -> None:
+        self._node = node
         self._rate = rate
         self.paused = paused
         """Whether the sending is held up."""
         self.stopped = False
         """Whether the sending is to end."""
+        self.left_out_ns = 0
+        """Of the data's time, since the start: so much later it is now than its stamps say."""
+        self.state = self.failure = ""
         self._steps = 0
         self._anchor: tuple[int, int] | None = None
         self._changed = threading.Condition()
-        self.left_out_ns = 0
-        """Of the data's time, since the start: so much later it is now than its stamps say."""
+        self._thread: threading.Thread | None = None
+        self.publishers: dict[str, Publisher] = {}
+        self._unacknowledged: dict[str, int] = {}
+        for topic, kind in topics.items():
+            profile = quality.latched() if topic in latched else quality.stream()
+            if rate == 0.0 and topic not in latched:
+                profile = quality.stream(_QUEUE)
+                self._unacknowledged[topic] = 0
+            self.publishers[topic] = quality.publisher(node, kind, topic, profile)
+
+    # --- the thread -----------------------------------------------------------------------------
+
+    def start(self, send: Callable[[], None], nodes: int, timeout: float) -> None:
+        """Call ``send`` once so many nodes subscribe, or a ``timeout`` [s] is over."""
+        self.stopped, self._steps, self._anchor, self.left_out_ns = False, 0, None, 0
+        self.failure = ""
+        self._thread = threading.Thread(
+            target=self._run, args=(send, nodes, timeout), name="sending", daemon=True
+        )
+        self._thread.start()
+
+    @property
+    def active(self) -> bool:
+        """Whether it was started, and has not been stopped since."""
+        return self._thread is not None
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is nothing more to send."""
+        return self._thread is None or not self._thread.is_alive()
+
+    def stop(self) -> None:
+        """End the sending and wait until it has ended."""
+        with self._changed:
+            self.stopped = True
+            self._changed.notify_all()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def close(self) -> None:
+        """Withdraw the topics."""
+        for publisher in self.publishers.values():
+            self._node.destroy_publisher(publisher)
+
+    def _run(self, send: Callable[[], None], nodes: int, timeout: float) -> None:
+        self.state = "waits for subscribers"
+        try:
+            if nodes:
+                self._wait_for_subscribers(nodes, timeout)
+            send()
+        except Exception as error:  # a thread that dies must not die unheard
+            self.failure = f"sending failed: {error}"
+            self._node.get_logger().error(self.failure)
+
+    # --- pace -----------------------------------------------------------------------------------
 
     def wait_until(self, data_ns: int, *, is_step: bool = True) -> bool:
         """Wait for the data's time; returns False where the sending is to end.
@@ -89,23 +157,17 @@ class Pacer:
                 self._changed.wait(early * 1e-9)
             return False
 
-    def restart(self) -> None:
-        """Count the due times anew from the next message: its time is not that of the last one."""
+    def begin(self, data_ns: int | None) -> None:
+        """Let the data's time be this now; None: the one that is waited for next."""
         with self._changed:
-            self._anchor = None
+            self._anchor = None if data_ns is None else (time.monotonic_ns(), data_ns)
 
-    def begin(self, data_ns: int) -> None:
-        """Let the data's time be this now."""
+    def pause(self, *, paused: bool = True) -> None:
+        """Hold up the sending, or let it go on."""
         with self._changed:
-            self._anchor = (time.monotonic_ns(), data_ns)
-
-    def pause(self) -> None:
-        """Hold up the sending."""
-        self._steer(paused=True)
-
-    def resume(self) -> None:
-        """Let the sending go on."""
-        self._steer(paused=False)
+            self.paused = paused
+            self._steps = 0
+            self._changed.notify_all()
 
     def step(self) -> None:
         """Let one message pass while paused."""
@@ -113,138 +175,61 @@ class Pacer:
             self._steps += 1
             self._changed.notify_all()
 
-    def start(self) -> None:
-        """Begin a new sending."""
-        with self._changed:
-            self.stopped = False
-            self._steps = 0
-            self._anchor = None
-            self.left_out_ns = 0
+    # --- subscribers ----------------------------------------------------------------------------
 
-    def stop(self) -> None:
-        """End the sending."""
-        with self._changed:
-            self.stopped = True
-            self._changed.notify_all()
-
-    def _steer(self, *, paused: bool) -> None:
-        with self._changed:
-            self.paused = paused
-            self._steps = 0
-            self._changed.notify_all()
-
-
-class Outlet:
-    """A publisher that, as fast as possible, goes no faster than its subscribers acknowledge."""
-
-    def __init__(
-        self,
-        node: Node,
-        message_type: type,
-        topic: str,
-        pacer: Pacer,
-        *,
-        unpaced: bool,
-        latched: bool = False,
-    ) -> None:
-        self._pacer = pacer
-        self._logger = node.get_logger()
-        self._waits = unpaced and not latched
-        self._unacknowledged = 0
-        profile = quality.stream(_QUEUE) if self._waits else quality.stream()
-        self.publisher: Publisher = quality.publisher(
-            node, message_type, topic, quality.latched() if latched else profile
-        )
-
-    def publish(self, message: object) -> None:
+    def publish(self, topic: str, message: object) -> None:
         """Publish a message, or the bytes of one."""
-        self.publisher.publish(message)
-        if self._waits:
-            self._unacknowledged += 1
-            if self._unacknowledged >= _QUEUE:
-                self.wait_for_acknowledgement()
+        self.publishers[topic].publish(message)
+        if topic in self._unacknowledged:
+            self._unacknowledged[topic] += 1
+            if self._unacknowledged[topic] >= _QUEUE:
+                self._wait_for_acknowledgement(topic)
 
-    def wait_for_acknowledgement(self) -> None:
+    def wait_for_acknowledgements(self) -> None:
         """Wait until every subscriber has all messages, or the sending is to end."""
-        self._unacknowledged = 0
+        for topic in self.publishers:
+            self._wait_for_acknowledgement(topic)
+
+    def _wait_for_acknowledgement(self, topic: str) -> None:
+        if topic in self._unacknowledged:
+            self._unacknowledged[topic] = 0
+        publisher = self.publishers[topic]
         give_up = time.monotonic() + _PATIENCE
-        while not self._pacer.stopped:
-            if self.publisher.wait_for_all_acked(Duration(seconds=_POLL)):
+        while not self.stopped:
+            if publisher.wait_for_all_acked(Duration(seconds=_POLL)):
                 return
             if time.monotonic() > give_up:
-                self._logger.warning(
-                    f"a subscriber of {self.publisher.topic_name} has not acknowledged anything "
-                    f"for {_PATIENCE:g} s: going on without it"
+                self._node.get_logger().warning(
+                    f"a subscriber of {publisher.topic_name} has not acknowledged anything for "
+                    f"{_PATIENCE:g} s: going on without it"
                 )
                 return
 
-
-def wait_for_subscribers(
-    node: Node, outlets: Iterable[Outlet], nodes: int, timeout: float, pacer: Pacer
-) -> None:
-    """Wait until that many nodes subscribe and are connected, or the sending is to end.
-
-    Where they do not come within the ``timeout`` [s], a warning says so.
-    """
-    if nodes == 0:
-        return
-    publishers = [outlet.publisher for outlet in outlets]
-    give_up = time.monotonic() + timeout
-    seen: object = None
-    since = time.monotonic()
-    while not pacer.stopped and time.monotonic() < give_up:
-        present = [_subscribers(node, publisher) for publisher in publishers]
-        if present != seen:
-            seen, since = present, time.monotonic()
-        names = {name for subscribers in present for name in subscribers}
-        connected = all(
-            publisher.get_subscription_count() >= len(subscribers)
-            for publisher, subscribers in zip(publishers, present, strict=True)
-        )
-        if len(names) >= nodes and connected and time.monotonic() - since >= _SETTLE:
-            return
-        time.sleep(_POLL)
-    if not pacer.stopped:
-        node.get_logger().warning(
-            f"fewer than {nodes} nodes subscribed within {timeout:g} s: going on with those that "
-            "are there"
-        )
-
-
-def _subscribers(node: Node, publisher: Publisher) -> list[str]:
-    return sorted(
-        f"{info.node_namespace}/{info.node_name}"
-        for info in node.get_subscriptions_info_by_topic(publisher.topic_name)
-    )
-
-
-class SendingThread:
-    """Runs a sending function in a thread of its own, so that the node goes on answering.
-
-    What goes wrong in it is kept in ``failure``, in words, and logged.
-    """
-
-    def __init__(self, node: Node, pacer: Pacer, send: Callable[[], None]) -> None:
-        self._logger = node.get_logger()
-        self._pacer = pacer
-        self._send = send
-        self.failure = ""
-        self._thread = threading.Thread(target=self._run, name="sending", daemon=True)
-        self._thread.start()
-
-    @property
-    def finished(self) -> bool:
-        """Whether there is nothing more to send."""
-        return not self._thread.is_alive()
-
-    def stop(self) -> None:
-        """End the sending and wait until it has ended."""
-        self._pacer.stop()
-        self._thread.join()
-
-    def _run(self) -> None:
-        try:
-            self._send()
-        except Exception as error:  # a thread that dies must not die unheard
-            self.failure = f"sending failed: {error}"
-            self._logger.error(self.failure)
+    def _wait_for_subscribers(self, nodes: int, timeout: float) -> None:
+        publishers = self.publishers.values()
+        seen: object = None
+        since = time.monotonic()
+        give_up = since + timeout
+        while not self.stopped and time.monotonic() < give_up:
+            present = [
+                {(info.node_namespace, info.node_name, bytes(info.endpoint_gid)) for info in found}
+                for found in (
+                    self._node.get_subscriptions_info_by_topic(each.topic_name)
+                    for each in publishers
+                )
+            ]
+            if present != seen:
+                seen, since = present, time.monotonic()
+            names = {place[:2] for subscribers in present for place in subscribers}
+            connected = all(
+                publisher.get_subscription_count() >= len(subscribers)
+                for publisher, subscribers in zip(publishers, present, strict=True)
+            )
+            if len(names) >= nodes and connected and time.monotonic() - since >= _SETTLE:
+                return
+            time.sleep(_POLL)
+        if not self.stopped:
+            self._node.get_logger().warning(
+                f"fewer than {nodes} nodes subscribed within {timeout:g} s: going on with those "
+                "that are there"
+            )

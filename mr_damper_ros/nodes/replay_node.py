@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -22,7 +22,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import to_stamp
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
-from mr_damper_ros.nodes.pacing import Outlet, Pacer, SendingThread, wait_for_subscribers
+from mr_damper_ros.nodes.pacing import PacedSender
 from mr_damper_ros.nodes.spinning import FAILURE, SUCCESS, run
 from mr_damper_ros.settings.option_table import ParameterTable, option
 
@@ -209,65 +209,50 @@ class ReplayNode(Node):  # type: ignore[misc]
             f"playing {values.bag}: {self._bag.message_count} messages, "
             f"{self._bag.duration:.3g} s{'; ' + provenance if provenance else ''}"
         )
-        self._pacer = Pacer(values.rate, paused=values.start_paused)
-        unpaced = values.rate == 0.0
-        self._outlets = {
-            topic.name: Outlet(
-                self,
-                topic.message_type,
-                topic.name,
-                self._pacer,
-                unpaced=unpaced,
-                latched=topic.latched,
-            )
-            for topic in self._bag.topics
-        }
+        self._sender = PacedSender(
+            self,
+            values.rate,
+            {topic.name: topic.message_type for topic in self._bag.topics},
+            latched=[topic.name for topic in self._bag.topics if topic.latched],
+            paused=values.start_paused,
+        )
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._clock_step_ns = round(_CLOCK_PERIOD_NS * max(values.rate, 1.0))
         self._sent = 0
         self._rounds = 0
         self._others: list[str] = []
-        self._state = "waits for subscribers"
-        for name, act, said in (
-            ("pause", self._pacer.pause, "paused"),
-            ("resume", self._pacer.resume, "playing"),
-            ("step", self._pacer.step, "one message more"),
-        ):
-            self.create_service(Trigger, f"~/{name}", partial(self._steer, act, said))
+        for name in ("pause", "resume", "step"):
+            self.create_service(Trigger, f"~/{name}", partial(self._steer, name))
         self._diagnostics = Diagnostics(self, {"replay": self._find})
-        self._sending = SendingThread(self, self._pacer, self._send)
+        self._sender.start(self._send, values.wait_for_subscribers, values.wait_timeout)
 
     def destroy_node(self) -> None:
         """End the sending before its publishers go."""
-        self._sending.stop()
+        self._sender.stop()
         self._bag.close()
         super().destroy_node()
 
     # --- sending, in its own thread -----------------------------------------------------------
 
     def _send(self) -> None:
-        values = self.parameters.values
-        nodes, timeout = values.wait_for_subscribers, values.wait_timeout
-        wait_for_subscribers(self, self._outlets.values(), nodes, timeout, self._pacer)
         self._find_others()
         while True:
-            self._state = "plays"
+            self._sender.state = "plays"
             if not self._play_once():
                 return
             self._rounds += 1
-            if not values.loop:
+            if not self.parameters.values.loop:
                 break
-            self._pacer.restart()
+            self._sender.begin(None)
             self.get_logger().info("the bag starts again: stamps and /clock jump back")
-        self._state = "waits until the subscribers have the last message"
-        for outlet in self._outlets.values():
-            outlet.wait_for_acknowledgement()
+        self._sender.state = "waits until the subscribers have the last message"
+        self._sender.wait_for_acknowledgements()
         self.get_logger().info(f"end of the bag: {self._sent} messages were sent")
 
     def _find_others(self) -> None:
         """Say which topics another node publishes too: who listens gets a mixture."""
         own = self.get_fully_qualified_name()
-        for topic in (outlet.publisher.topic_name for outlet in self._outlets.values()):
+        for topic in (each.topic_name for each in self._sender.publishers.values()):
             for name in sorted({*quality.publishing_nodes(self, topic)} - {own}):
                 self._others.append(f"{topic} is published by {name} too: choose others to play")
         for sentence in self._others:
@@ -278,16 +263,16 @@ class ReplayNode(Node):  # type: ignore[misc]
         for topic, stamp, data in self._bag.messages():
             # The clock goes on between messages too, and never runs ahead of the next one.
             while tick is not None and tick < stamp:
-                if not self._pacer.wait_until(tick, is_step=False):
+                if not self._sender.wait_until(tick, is_step=False):
                     return False
                 self._tick(tick)
                 tick += self._clock_step_ns
-            if not self._pacer.wait_until(stamp):
+            if not self._sender.wait_until(stamp):
                 return False
             if tick is None:
                 self._tick(stamp)
                 tick = stamp + self._clock_step_ns
-            self._outlets[topic].publish(data)
+            self._sender.publish(topic, data)
             self._sent += 1
         return True
 
@@ -297,33 +282,37 @@ class ReplayNode(Node):  # type: ignore[misc]
     # --- steering -----------------------------------------------------------------------------
 
     def _steer(
-        self, act: Callable[[], None], said: str, _: Trigger.Request, response: Trigger.Response
+        self, asked: str, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        response.success = act != self._pacer.step or self._pacer.paused
-        response.message = said
-        if response.success:
-            act()
-        else:
+        sender = self._sender
+        response.success = asked != "step" or sender.paused
+        if not response.success:
             response.message = "only a paused bag can be stepped: call ~/pause before"
+        elif asked == "step":
+            sender.step()
+            response.message = "one message more"
+        else:
+            sender.pause(paused=asked == "pause")
+            response.message = "paused" if sender.paused else "playing"
         return response
 
     # --- state --------------------------------------------------------------------------------
 
     def exit_code(self) -> int | None:
         """None while there is something to send, then whether all of it was."""
-        if not self._sending.finished:
+        if not self._sender.finished:
             return None
-        return FAILURE if self._sending.failure else SUCCESS
+        return FAILURE if self._sender.failure else SUCCESS
 
     def _find(self) -> Finding:
         figures = {"bag": self._bag.path, "messages sent": self._sent, "rounds": self._rounds}
-        if self._sending.failure:
-            return Finding(ERROR, self._sending.failure, figures)
+        if self._sender.failure:
+            return Finding(ERROR, self._sender.failure, figures)
         if self._others or self._bag.omitted:
             return Finding(WARN, "; ".join(self._others + self._bag.omitted), figures)
-        if self._pacer.paused:
+        if self._sender.paused:
             return Finding(OK, "paused: call ~/resume or ~/step", figures)
-        return Finding(OK, self._state, figures)
+        return Finding(OK, self._sender.state, figures)
 
 
 def main() -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -144,8 +144,34 @@ def _without_first(block: RigBlock, count: int) -> RigBlock:
     )
 
 
-@dataclass(frozen=True)
-class Reading:
+class Decimator:
+    """Picks at most ``rate`` samples a second of data, none for 0.
+
+    Where stamps fall back it begins anew.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._interval_ns = round(NANOSECONDS / rate) if rate else 0
+        self._due_ns = 0
+
+    def due(self, start_ns: int, period: float, count: int) -> Iterator[tuple[int, int]]:
+        """Indices and stamps [ns] of those among ``count`` samples, ``period`` [s] apart."""
+        if self._interval_ns == 0:
+            return
+        period_ns = period * NANOSECONDS
+        if not -self._interval_ns <= start_ns - self._due_ns <= self._interval_ns:
+            self._due_ns = start_ns
+        # Half a sample: of stamps that are rounded none comes a whole sample late.
+        k = max(math.ceil((self._due_ns - start_ns) / period_ns - 0.5), 0)
+        while k < count:
+            stamp_ns = start_ns + round(k * period_ns)
+            yield k, stamp_ns
+            late = stamp_ns - self._due_ns > self._interval_ns
+            self._due_ns = (stamp_ns if late else self._due_ns) + self._interval_ns
+            k = max(math.ceil((self._due_ns - start_ns) / period_ns - 0.5), k + 1)
+
+
+class Reading(NamedTuple):
     """A value and its stamp."""
 
     stamp_ns: int
@@ -160,7 +186,7 @@ class Meter:
     """
 
     def __init__(self, period: float, *, step: float = math.inf) -> None:
-        self._period = period
+        self._decimator = Decimator(1.0 / period)
         self._step = step
         self._last = math.nan
 
@@ -169,8 +195,8 @@ class Meter:
 
         ``ahead_ns``: how far the instrument's own clock is ahead of that of the samples.
         """
-        every = max(round(self._period / block.period), 1)
-        regular = set(range(-block.sequence % every, values.size, every))
+        due = self._decimator.due(block.start_ns, block.period, values.size)
+        regular = {index for index, _ in due}
         moved = np.flatnonzero(np.diff(values, prepend=self._last))
         readings = []
         for index in sorted(regular.union(moved.tolist())):

@@ -11,20 +11,18 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack, closing
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mr_damper_ros.api.comparison import Comparison, save_figures
+from mr_damper_ros.api.comparison import Comparison, save_figures, validate
+from mr_damper_ros.api.findings import parameter_estimates, text_table
 from mr_damper_ros.io.bag_reader import read_bag
-from mr_damper_ros.kinematics.motion import window_motion
-from mr_damper_ros.models.published import LITERATURE
-from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, sine_force
+from mr_damper_ros.models.parameter_set import start_set
 from mr_damper_ros.processes.programs import Program, ProgramError, RosDomain, node_arguments
-from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
 from mr_damper_ros.tools.console import program
 
@@ -86,9 +84,7 @@ def _demo(options: argparse.Namespace) -> int:
     print(f"bag: {bag}")
     for key, text in recording.details.items():
         print(f"  {key}: {text}")
-    with ExitStack() as stack:
-        # A domain of its own: nothing of a laboratory that is running is touched.
-        stack.enter_context(stack.enter_context(RosDomain()).entered())
+    with _own_domain() as stack:
         running = {name: stack.enter_context(closing(start_node(name))) for name in _NODES}
         running["live"] = stack.enter_context(closing(start_node("live", port=0)))
         print(f"page of this run, while it lasts: {page_of(running['live'])}")
@@ -106,9 +102,7 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _live(options: argparse.Namespace) -> int:
-    with ExitStack() as stack:
-        # A domain of its own: nothing of a laboratory that is running is touched.
-        stack.enter_context(stack.enter_context(RosDomain()).entered())
+    with _own_domain() as stack:
 
         def started(name: str, **parameters: object) -> Program:
             return stack.enter_context(closing(start_node(name, **parameters)))
@@ -121,9 +115,18 @@ def _live(options: argparse.Namespace) -> int:
             running["replay"] = started("replay", wait_for_subscribers=2, **bag)
         else:
             running["bridge"] = started("bridge", wait_for_subscribers=2)
-        while True:
-            check_running(running)
-            time.sleep(_LOOK)
+        with suppress(KeyboardInterrupt):  # the way to end it
+            while True:
+                check_running(running)
+                time.sleep(_LOOK)
+    return 0
+
+
+@contextmanager
+def _own_domain() -> Iterator[ExitStack]:
+    """A domain that touches nothing of a laboratory that is running."""
+    with RosDomain() as domain, domain.entered(), ExitStack() as stack:
+        yield stack
 
 
 def start_node(name: str, **parameters: object) -> Program:
@@ -194,59 +197,36 @@ class _Heard:
 
 
 def _summary(heard: _Heard, recording: Recording, folder: Path) -> int:
-    found = heard.sets[-1]
-    values = dict(zip(found.names, found.values, strict=True))
-    print("\nparameter        value  standard error  unit")
-    for parameter, value, error, unit, observable in zip(
-        found.names,
-        found.values,
-        found.standard_errors,
-        found.units,
-        found.observable,
-        strict=True,
-    ):
-        shown = f"{error:14.3g}" if observable else "not observable"
-        print(f"{parameter:>9} {value:12.6g}  {shown}  {unit}")
+    from mr_damper_ros.nodes.messages import parameter_set
 
+    found = parameter_set(heard.sets[-1])
+    print(f"\n{text_table('parameter', parameter_estimates(found))}\n")
+    for known, when in ((start_set(found.model), "before"), (found, "after")):
+        nrmse = validate(known, recording).nrmse
+        print(f"NRMSE with the set {known.set_id}, {when}: {nrmse:.2%}")
     samples = {message.seq: message for message in heard.samples}
-    displacement, measured = (
-        np.concatenate([getattr(samples[seq], name) for seq in sorted(samples)])
-        for name in ("displacement", "force")
-    )
-    motion = window_motion(displacement, recording.period)
-    kinematics = (motion.displacement, motion.velocity, motion.acceleration)
-    identified = np.array([values[parameter] for parameter in PARAMETER_NAMES])
-    amperes = float(np.mean(recording.current))
-    before = _nrmse(sine_force(LITERATURE, *kinematics, amperes), measured)
-    after = _nrmse(sine_force(identified, *kinematics, amperes), measured)
-    print(f"\nNRMSE with the literature set, before:     {before:10.2%}")
-    print(f"NRMSE with the identified set, after:      {after:10.2%}")
     forces = {m.seq: m.force for m in heard.forces if m.valid and m.seq in samples}
     if not forces:
         raise DemoError("the model node predicted nothing valid: see /diagnostics")
-    predicted = np.concatenate([forces[seq] for seq in sorted(forces)])
-    seen = np.concatenate([samples[seq].force for seq in sorted(forces)])
-    print(f"NRMSE of the force predicted while it ran: {_nrmse(predicted, seen):10.2%}")
-    evaluations = sum(report.evaluations for report in heard.reports)
-    print(f"evaluations of the force law:              {evaluations:10d}")
-    first = min(forces)
-    chosen = slice(first, first + predicted.size)
+    numbers = sorted(forces)
+    moved, measured = (
+        np.concatenate([getattr(samples[seq], name) for seq in numbers])
+        for name in ("displacement", "force")
+    )
+    period = recording.period
     comparison = Comparison(
         name=recording.name,
-        time=recording.time[chosen],
-        displacement=motion.displacement[chosen],
-        velocity=motion.velocity[chosen],
-        measured=seen,
-        predicted=predicted,
+        time=np.concatenate([(seq + np.arange(len(forces[seq]))) * period for seq in numbers]),
+        displacement=moved,
+        velocity=np.gradient(moved, period),
+        measured=measured,
+        predicted=np.concatenate([forces[seq] for seq in numbers]),
         provenance=recording.details.get("provenance", ""),
     )
+    print(f"NRMSE of the force predicted while it ran: {comparison.error.nrmse:.2%}")
     figures = save_figures([comparison], folder, ["png"], "predicted while the bag was playing")
     print("figures: " + ", ".join(str(path) for path in figures))
     return 0
-
-
-def _nrmse(predicted: Array, measured: Array) -> float:
-    return float(np.sqrt(np.mean((predicted - measured) ** 2)) / np.std(measured))
 
 
 main = program(_parser, _run)

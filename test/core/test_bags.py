@@ -153,6 +153,11 @@ def test_a_block_without_samples_is_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_exchanged_arguments_are_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="give the path first, then the recording"):
+        write_bag(recording(), tmp_path / "bag")  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("start_ns", [-1, 2**31 * 10**9 - 1000])
 def test_a_time_that_no_stamp_can_hold_is_refused(tmp_path: Path, start_ns: int) -> None:
     with pytest.raises(BagError, match="from 1970 to 2038"):

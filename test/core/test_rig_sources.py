@@ -187,7 +187,8 @@ def test_what_is_missing_is_said(name: str, settings: dict[str, Any], part: str)
 
 def block_of(values: np.ndarray, sequence: int = 0) -> RigBlock:
     nothing = np.zeros(values.size)
-    return RigBlock(START, sequence, 1e-3, nothing, nothing, values, nothing)
+    start_ns = START + sequence * 1_000_000
+    return RigBlock(start_ns, sequence, 1e-3, nothing, nothing, values, nothing)
 
 
 def test_a_meter_reads_at_its_own_rate_whatever_the_blocks() -> None:
