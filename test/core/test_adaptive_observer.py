@@ -92,24 +92,6 @@ def test_a_jump_of_the_sensor_leaves_no_trace() -> None:
     assert np.abs(found - a)[settled].max() < 0.5 * np.abs(a).max()
 
 
-def test_nothing_is_learnt_of_a_sensor_that_is_stuck() -> None:
-    u, _ = measured(1.0, 1e-3, 8000)
-    stuck = np.concatenate([u, np.full(4000, u[-1])])
-    assert bandwidth_after(stuck) == pytest.approx(bandwidth_after(u))
-
-
-@pytest.mark.parametrize("size", [1, 7, 50, 333])
-def test_a_jump_is_seen_however_the_stream_is_cut(size: int) -> None:
-    u, _ = measured(1.0, 1e-3, 2000)
-    u[[1000, 1003]] += AMPLITUDE
-    u[1500:] *= -1.0
-    whole, parts = AdaptiveObserver(1e-3), AdaptiveObserver(1e-3)
-    found = np.concatenate(
-        [parts.follow(u[first : first + size])[1] for first in range(0, u.size, size)]
-    )
-    np.testing.assert_allclose(found, whole.follow(u)[1], atol=1e-9)
-
-
 @pytest.mark.parametrize(("start", "settled"), [("hard", True), ("jump", False)])
 def test_a_motion_that_starts_hard_is_no_jump(start: str, settled: bool) -> None:
     time = 1e-3 * np.arange(20)

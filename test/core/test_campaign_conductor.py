@@ -195,17 +195,6 @@ def test_swept_and_random_runs_are_made_on_a_machine(
     assert np.abs(velocity).max() <= LIMITS.peak_velocity
 
 
-def test_between_the_runs_the_machine_rests(planned: list[PlannedRun], tmp_path: Path) -> None:
-    conductor, _ = begun(tmp_path)
-    machine = EmulatedMachine(conductor)
-    machine.until(lambda: conductor.status().stage is CampaignStage.IDENTIFYING)  # type: ignore[union-attr]
-    for _ in range(100):
-        machine.block()
-        assert conductor.command == REST
-    assert np.abs(machine.seen[0, -10:]).max() < 1e-9
-    assert np.all(machine.seen[2, -10:] == 0.0)
-
-
 def test_the_temperature_is_kept_with_the_runs(planned: list[PlannedRun], tmp_path: Path) -> None:
     conductor, _ = begun(tmp_path)
     conductor.add_temperature(0, 31.5)

@@ -11,7 +11,7 @@ import pytest
 from campaign_of_three import GOAL, LIMITS, RUNS, TASK, perform, plan_quickly
 
 import mr_damper_ros as mr
-from mr_damper_ros.campaign.course import CampaignCourse, fault_of_run
+from mr_damper_ros.campaign.course import fault_of_run
 from mr_damper_ros.campaign.folder import (
     CampaignFolder,
     read_campaign_runs,
@@ -132,19 +132,6 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
             CampaignFolder(tmp_path, TASK)
     finally:
         first.close()
-
-
-def test_a_refused_run_is_kept_beside_and_made_again(quick: list[int], tmp_path: Path) -> None:
-    folder = CampaignFolder(tmp_path, TASK)
-    course = CampaignCourse(TASK, folder=folder)
-    dead = replace(perform(RUNS[0]), force=np.zeros(1000))
-    assert "load cell" in course.take(dead)
-    assert course.next_run == RUNS[0]
-    assert course.take(perform(RUNS[0])) == ""
-    folder.close()
-    (refused,) = (tmp_path / "runs").glob("refused_001_*")
-    (recording,) = mr.read_bag(refused)
-    assert "load cell" in recording.details["provenance"]
 
 
 @pytest.mark.parametrize(

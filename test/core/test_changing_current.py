@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import known
 import numpy as np
 import pytest
@@ -74,16 +72,6 @@ def test_a_part_whose_past_is_not_known_is_left_out_of_a_law_that_remembers() ->
     assert len(parts_by_current(LAW, window(early), TOLERANCE)) == 1
 
 
-def test_a_part_at_rest_is_left_out() -> None:
-    given = window(switching())
-    still = given.current > 1.0
-    m = given.motion
-    velocity = np.where(still, 0.0, m.velocity)
-    motion = Motion(m.displacement, velocity, m.acceleration, m.peak_velocity, None)
-    (part,) = parts_by_current(SIXTEEN, replace(given, motion=motion), TOLERANCE)
-    assert np.unique(part.current) == [0.2]
-
-
 def test_the_right_law_over_the_current_explains_the_parts_and_a_wrong_one_does_not() -> None:
     given = window(switching())
     parts = parts_by_current(SIXTEEN, given, TOLERANCE)
@@ -91,14 +79,6 @@ def test_the_right_law_over_the_current_explains_the_parts_and_a_wrong_one_does_
     wrong = known.PLAUSIBLE.copy()
     wrong[known.index("k2")] *= 0.7
     assert not judge_parts(given, parts, ParameterSet(wrong)).explained
-
-
-def test_the_parts_are_judged_at_the_peak_velocities_of_the_set() -> None:
-    given = window(switching())
-    narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 5e-3))
-    measured = replace(given, force=narrow.window_force(given))
-    parts = parts_by_current(SIXTEEN, measured, TOLERANCE)
-    assert judge_parts(measured, parts, narrow).explained
 
 
 def followed(windows: list[RawWindow], start: ParameterSet) -> tuple[WindowTracker, list[Verdict]]:
@@ -128,13 +108,6 @@ def test_the_dependence_on_the_current_is_learnt_from_one_window_that_switches()
     law, given = MODELS["sigmoid"], window(switching(), number=1)
     error = law.window_force(given, tracker.parameters.values) - given.force
     assert known.rms(error) < 1.1 * known.NOISE
-
-
-def test_a_coil_without_lag_changes_nothing() -> None:
-    given = window(switching())
-    assert in_coil(given, 0.0) is given
-    steady = known.run().window
-    assert in_coil(steady, LAG) is steady
 
 
 def test_the_current_of_the_coil_approaches_a_step_exponentially() -> None:

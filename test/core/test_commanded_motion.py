@@ -23,9 +23,6 @@ PERIOD = 2e-3
 ROUNDING = 1e-9
 """Relative."""
 
-CYCLES = 2.0
-"""A sine grows within so many."""
-
 Told = list[tuple[float, PeriodicMotion | None]]
 
 
@@ -76,20 +73,6 @@ def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(
     # What the velocity makes of a displacement within a period, and the acceleration of it.
     assert np.abs(np.diff(u)).max() <= np.abs(v).max() * PERIOD * 1.01
     assert np.abs(np.diff(v)).max() <= np.abs(a).max() * PERIOD * 1.01
-
-
-def test_it_moves_as_commanded_once_it_has_grown() -> None:
-    u, v, _ = moved([(0.0, sine(0.008, 3.0))], 4.0)
-    begin = round((CYCLES / BY_ITSELF.frequency + CYCLES / 3.0) / PERIOD)
-    assert np.abs(u[begin:]).max() == pytest.approx(0.008, rel=1e-3)
-    assert np.abs(v[begin:]).max() == pytest.approx(2.0 * math.pi * 3.0 * 0.008, rel=1e-3)
-
-
-def test_it_comes_to_rest() -> None:
-    u, v, _ = moved([(0.0, sine(0.008, 3.0)), (3.0, None)], 5.0)
-    end = round((3.0 + CYCLES / 3.0) / PERIOD) + 1
-    assert np.abs(u[end:]).max() < ROUNDING
-    assert np.abs(v[end:]).max() < ROUNDING
 
 
 def test_the_machine_rests_when_the_commands_stop() -> None:

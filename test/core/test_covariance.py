@@ -56,13 +56,6 @@ def test_the_covariance_is_that_of_repeated_experiments(memory: float) -> None:
     assert np.all((ratio > 0.75**2) & (ratio < 1.25**2)), ratio
 
 
-def test_white_noise_counts_as_white() -> None:
-    lengths = [
-        correlation_length(np.random.default_rng(seed).normal(size=N)) for seed in range(200)
-    ]
-    assert np.mean(np.array(lengths) == 0) >= 0.98
-
-
 @pytest.mark.parametrize("memory", [0.5, 0.8, 0.95])
 def test_the_length_of_a_correlation_is_found(memory: float) -> None:
     exact = 4.0 * np.log(0.05) / np.log(memory)
@@ -83,12 +76,6 @@ def test_the_error_of_k5_is_that_of_a_quotient() -> None:
     errors = MODELS["sigmoid"].fitted_errors(scales, covariance)[1]
     assert errors[6] == pytest.approx(np.std(draws[:, 6] / draws[:, 0]), rel=0.02)
     np.testing.assert_allclose(errors[:6], np.sqrt(np.diag(covariance))[:6])
-
-
-def test_without_a_yield_force_k5_is_unknown() -> None:
-    errors = MODELS["sigmoid"].fitted_errors(np.zeros(7), np.eye(7))[1]
-    assert np.isnan(errors[6])
-    assert np.isfinite(errors[:6]).all()
 
 
 @pytest.mark.parametrize("rows", [3, 4096, 4097, 20_000])

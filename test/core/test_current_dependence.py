@@ -20,7 +20,6 @@ from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.force_scale import with_strength
-from mr_damper_ros.tracking.operating_point import thinned_to_keep
 
 FOLLOWING = [name for name, model in MODELS.items() if isinstance(model, CurrentDependentModel)]
 
@@ -148,17 +147,6 @@ def test_a_set_of_one_current_means_any_current(name: str) -> None:
     motion = known.run(noise=0.0).window.motion
     forces = [model.force(found.values, motion, i, known.PERIOD) for i in (0.0, 1.5)]
     np.testing.assert_allclose(forces[1], forces[0], rtol=SAME)
-
-
-@pytest.mark.parametrize("name", FOLLOWING)
-def test_a_window_kept_without_its_past_has_a_force_whatever_the_coil(name: str) -> None:
-    model, values = MODELS[name], truth(name)
-    values[-1] = LAG
-    current = 1.0 + 1e-3 * np.sin(np.arange(750))
-    here = moved(name, truth(name), current)
-    kept = thinned_to_keep(here, with_past=model.remembers).window
-    assert np.all(np.isfinite(model.window_force(kept, values)))
-    assert model.settled(kept, values).any()
 
 
 @pytest.mark.parametrize("name", FOLLOWING)

@@ -11,9 +11,7 @@ import pytest
 
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.cusum import SLACK, ChangeWatch, change_point, fit_scale
-from mr_damper_ros.tracking.jobs import Job
-from mr_damper_ros.tracking.jobs import run as work
+from mr_damper_ros.tracking.cusum import SLACK, ChangeWatch, fit_scale
 from mr_damper_ros.tracking.recursive_tracker import METHOD
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
@@ -112,27 +110,7 @@ def test_the_factor_comes_with_its_standard_error() -> None:
     assert np.std(scores) == pytest.approx(1.0, abs=SPREAD_ERROR)
 
 
-@pytest.mark.parametrize("begin", [0, 30, 130, 300])
-def test_the_begin_of_a_change_is_found_to_the_sample(begin: int) -> None:
-    predicted = 100.0 + 50.0 * np.sin(np.arange(400) * 0.03)
-    measured = np.where(np.arange(400) >= begin, 0.9, 1.0) * predicted + noise(0, 400, 2.0)
-    # By which noise may move the begin of a change.
-    assert change_point(predicted, measured, 40) == pytest.approx(begin, abs=2)
-
-
 # -- looks -----------------------------------------------------------------------------------
-
-
-def test_a_look_compares_with_the_force_that_the_set_predicts() -> None:
-    run = known.run()
-    narrow = ParameterSet(known.PLAUSIBLE, peak_velocity_range=(0.0, 0.5 * run.top_speed))
-    predicted = narrow.window_force(run.window)
-    measured = predicted + run.force - run.clean
-    watch = ChangeWatch.after_fit(predicted, measured, run.window.operating_point, 0.02)
-    raw = dataclasses.replace(known.raw_window(run), force=measured, look=500)
-    result = work(Job(narrow, raw=raw, watch=watch))
-    assert result.watch is not None
-    assert not result.watch.changed
 
 
 # -- early fits ------------------------------------------------------------------------------

@@ -43,10 +43,6 @@ def test_a_turn_back_is_no_cycle() -> None:
     assert not holds_cycle(sine(0.1, 0.2, 1e-6))
 
 
-def test_a_slow_stroke_with_a_ripple_is_none() -> None:
-    assert not holds_cycle(sine(0.2) + 0.02 * sine(40.0))
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_random_motion_is_one(seed: int) -> None:
     rng = np.random.default_rng(seed)

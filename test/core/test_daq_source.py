@@ -106,19 +106,6 @@ def test_a_device_that_is_lost_goes_on_after_a_gap(fake: Callable[..., Streamed]
     assert times[5] - times[4] > 300_000_000
 
 
-def test_what_a_device_left_out_is_missing_in_the_count(
-    fake: Callable[..., Streamed],
-) -> None:
-    hole = readings(0)
-    hole.values[1, 20:23] = np.nan
-    made = fake([hole])
-    made.until(lambda: made.samples >= 40)
-    # The seven after the last whole block wait for others.
-    assert sorted(set(range(43)) - set((made.numbers() - made.numbers()[0]).tolist())) == [
-        *(20, 21, 22)
-    ]
-
-
 @pytest.mark.parametrize(
     ("options", "part"),
     [

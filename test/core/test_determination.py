@@ -97,15 +97,6 @@ def test_open_combinations_are_those_that_the_samples_do_not_notice(seed: int, r
             assert np.linalg.norm(jacobian @ move) <= unnoticed
 
 
-def test_two_parameters_with_the_same_effect_are_one_combination() -> None:
-    jacobian = 10.0 * np.random.default_rng(0).normal(size=(400, 16))
-    jacobian[:, known.index("a3")] = 2.0 * jacobian[:, known.index("a2")]
-    (combination,) = determination(SIGMOID, jacobian, np.ones(16), np.ones(16)).open
-    assert combination.weights == pytest.approx({"a2": 1.0, "a3": -0.5})
-    assert combination.words == ("a2 and a3 only together: as a2 grows by 10 %, a3 shrinks by 5 %")
-    assert math.isinf(combination.standard_error)
-
-
 @pytest.mark.parametrize(("power", "word"), [(1.0, "product"), (-1.0, "ratio")])
 def test_two_parameters_of_which_only_a_product_or_a_ratio_counts(power: float, word: str) -> None:
     values = np.linspace(0.5, 2.0, 16)

@@ -45,14 +45,6 @@ def test_a_stream_that_ends_completes_the_jobs_that_wait() -> None:
     assert stamps == sorted(stamps)
 
 
-def test_windows_do_not_depend_on_the_blocks() -> None:
-    run = recording()
-    one, other = (mr.replay(run, settings=QUICK, block_size=size) for size in (10, 97))
-    assert [r.verdict for r in one.reports] == [r.verdict for r in other.reports]
-    for a, b in zip(one.sets, other.sets, strict=True):
-        np.testing.assert_array_equal(a.values, b.values)
-
-
 def test_the_given_set_predicts_from_the_start() -> None:
     run = recording()
     truth = ParameterSet(

@@ -43,16 +43,6 @@ def test_a_lead_by_chance_is_a_normal_number(memory: float) -> None:
     assert np.std(leads) == pytest.approx(1.0, abs=CHANCE)
 
 
-def test_of_a_better_force_the_lead_grows_with_the_samples() -> None:
-    parts = [
-        Lead.of(np.zeros(N), np.full(N, 0.1), 0.1 + noise(0.0, seed), every, NoiseModel.of(one))
-        for seed, one, every in ((s, noise(0.0, s), np.ones(N, dtype=bool)) for s in range(9))
-    ]
-    together = Lead.together(parts)
-    assert together > 2.0 * Lead.together(parts[:1])
-    assert together == pytest.approx(0.5 * 0.1 * math.sqrt(9 * N), rel=0.3)
-
-
 def test_without_noise_the_better_force_is_infinitely_ahead() -> None:
     every = np.ones(N, dtype=bool)
     force = np.sin(np.arange(N) / 80.0)

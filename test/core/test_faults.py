@@ -140,10 +140,6 @@ def test_a_change_of_motion_does_not_jump(name: str) -> None:
     assert np.abs(np.diff(moved)).max() < fastest + 2.0 * 0.005 / 100.0
 
 
-def test_a_clock_that_was_set_does_not_change_when_a_block_is_due() -> None:
-    assert [b.due_ns for b in sent(f"clock_jump:60@{BEGIN}")] == [b.due_ns for b in HEALTHY]
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

@@ -166,18 +166,3 @@ def test_unknown_temperatures_and_scales_are_left_out() -> None:
         maps.add(POINT, celsius, ForceScale())
     (found,) = maps.identified
     assert found.windows == 60
-
-
-def test_what_is_kept_of_a_long_run_is_bounded_and_says_the_same() -> None:
-    maps = TemperatureMaps()
-    data = observed(count=3000)
-    for celsius, scale, error in zip(*data, strict=True):
-        maps.add(POINT, celsius, ForceScale(scale, error))
-    kept, whole = maps.at(POINT), fitted(*data)
-    assert kept is not None
-    assert kept.windows <= 400
-    assert (kept.low, kept.high) == (whole.low, whole.high)
-    middle = 0.5 * (whole.low + whole.high)
-    expected = whole.scale(middle).value
-    # Of the error of one window, by which a map of kept points may differ from one of all points.
-    assert kept.scale(middle).value == pytest.approx(expected, abs=0.2 * ERROR)

@@ -292,21 +292,6 @@ def test_a_prediction_that_the_measured_force_belies_commands_nothing() -> None:
     assert command.current == 0.0
 
 
-def test_a_force_beyond_all_that_can_be_had_is_given_as_near_as_can_be() -> None:
-    for size in (1e5, 1e20, 1e300):
-        loop = ControlLoop(
-            controlled(WHOLE), ModelDamper(WHOLE, PERIOD), excitation=SineMotion(5e-3, 1.0)
-        )
-        currents = []
-        for block in loop.blocks(4.0):
-            loop.controller.want(block.end_ns, size)
-            currents.append(loop.controller.command(block).current)
-            loop.command(currents[-1])
-        # Extending the damper can pull, being compressed it cannot.
-        assert min(currents[300:]) == 0.0
-        assert max(currents[300:]) > 1.0
-
-
 # -- a doubt of a moment ---------------------------------------------------------------------------
 
 SPAN = 2.0
@@ -342,15 +327,6 @@ def test_a_doubt_that_lasts_takes_the_current_to_the_safe_one_without_a_jump() -
     assert currents[5] == 1.0
     assert currents[-1] == 0.0
     assert max(np.abs(np.diff(currents))) <= SPAN * STEP / 0.2 + 1e-9
-
-
-def test_control_comes_back_without_a_jump_once_the_doubt_is_long_over() -> None:
-    course = "." + 40 * "?" + 40 * "."
-    currents = currents_of(begun(doubt_time=0.1, fade_time=0.2), course)
-    back = currents[41:]
-    assert back[8] == 0.0
-    assert back[-1] == 1.0
-    assert max(np.abs(np.diff(back))) <= SPAN * STEP / 0.2 + 1e-9
 
 
 def test_control_that_does_not_last_is_waited_for_ever_longer() -> None:

@@ -15,7 +15,6 @@ import pytest
 from known import SIGMOID
 
 from mr_damper_ros.estimation.differential_evolution import (
-    STRATEGIES,
     EvolutionSettings,
     GlobalProgress,
     ProgressClock,
@@ -23,18 +22,14 @@ from mr_damper_ros.estimation.differential_evolution import (
 )
 from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identify_global
 from mr_damper_ros.estimation.observability import (
-    determined_parameters,
     varied_parameters,
 )
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.models.quantities import CoefficientTable
-from mr_damper_ros.models.sigmoid.coefficient_laws import fit_laws
 from mr_damper_ros.models.sigmoid.law import (
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    operating_point_coefficients,
     sine_force,
 )
 from mr_damper_ros.signals.arrays import Array
@@ -233,16 +228,6 @@ def test_what_was_varied_limits_what_can_be_known(
     assert varied_parameters(SIGMOID, speeds, currents) == set(SCALE_PARAMETER_NAMES) | names
 
 
-def test_a_parameter_without_effect_is_not_determined() -> None:
-    rng = np.random.default_rng(0)
-    jacobian = rng.normal(size=(400, 16))
-    jacobian[:, known.index("a1")] = 0.0
-    jacobian[:, known.index("k0")] *= 1e-6
-    ranges = dict.fromkeys(known.SHAPE_PARAMETER_NAMES, 10.0)
-    determined = determined_parameters(SIGMOID, jacobian, frozenset(PARAMETER_NAMES), ranges)
-    assert set(PARAMETER_NAMES) - determined == {"a1", "k0"}
-
-
 # -- methods, seeds, progress, stop, errors --------------------------------------------------
 
 SMALL = grid(CURRENTS, (5e-3,), (2.0,), 250)
@@ -262,13 +247,6 @@ def test_differential_evolution_over_the_samples_comes_near() -> None:
     fit = identify_global(SIGMOID, SMALL, LITERATURE, settings, method="differential_evolution")
     # Median NRMSE: a search that is cut short ends at the noise, 0.005, or not far from it.
     assert fit.median_nrmse < 0.05
-
-
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_every_strategy_of_the_thesis_runs(strategy: str) -> None:
-    settings = EvolutionSettings(strategy=strategy, generations=100)
-    fit = identify_global(SIGMOID, SMALL, LITERATURE, settings)
-    assert excess(SMALL, fit) < AT_THE_NOISE_OF_FEW
 
 
 def test_progress_is_told_and_grows() -> None:
@@ -348,20 +326,6 @@ def searched(
 ) -> Array:
     clock = ProgressClock(2000, None)
     return evolve(cost, bounds, EvolutionSettings(), clock, stage=stage, start=start)[0]
-
-
-def test_the_laws_are_found_from_exact_coefficients() -> None:
-    speeds = np.repeat([0.015, 0.05, 0.1, 0.2], 5)
-    currents = np.tile([0.0, 0.4, 0.8, 1.2, 1.6], 4)
-    coefficients = np.stack(
-        operating_point_coefficients(known.PLAUSIBLE, speeds, currents), axis=-1
-    )
-    table = CoefficientTable(speeds, currents, coefficients, 1e-6 * np.abs(coefficients))
-    parameters = fit_laws(table, LITERATURE, frozenset(PARAMETER_NAMES), searched)
-    again = np.stack(operating_point_coefficients(parameters, speeds, currents), axis=-1)
-    sizes = np.sqrt(np.mean(coefficients**2, axis=0))
-    # Of the size of a coefficient: the error that the table of coefficients states.
-    np.testing.assert_allclose(again / sizes, coefficients / sizes, rtol=0.0, atol=1e-6)
 
 
 # -- differential evolution ------------------------------------------------------------------

@@ -10,13 +10,10 @@ import pytest
 from step_worker import StepWorker
 
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.identifier import (
     Identifier,
     PipelineSettings,
     Publication,
-    Search,
-    SearchEnded,
 )
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
@@ -91,18 +88,6 @@ def test_the_end_gives_out_what_waits() -> None:
     made.close()
     assert [item.report.set_id for item in made.flush()] == ["window-1"]
     assert made.flush() == []
-
-
-def test_the_end_of_a_search_comes_with_its_report() -> None:
-    made = identifier(StateByHand())
-    search = Search()
-    made.add_search(search)
-    events = worked_off(made)
-    (report,) = [item for item in events if isinstance(item, Publication)]
-    (ended,) = [item for item in events if isinstance(item, SearchEnded)]
-    assert ended.search is search
-    assert ended.report is report.report
-    assert report.report.verdict is Verdict.FAULT_OF_DATA
 
 
 @pytest.mark.parametrize(

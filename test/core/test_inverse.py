@@ -77,34 +77,6 @@ def test_a_hundred_thousand_forces_of_the_published_sets(first, block):
         assert np.concatenate([part.attainable for part in found])[inside].all()
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_every_law_gives_what_was_wanted(name):
-    rng = np.random.default_rng(3)
-    chosen = controllable(name)
-    inverse = InverseModel(chosen, LOWEST, HIGHEST)
-    attained = 0
-    for _ in range(40):
-        motion = random_motion(1, rng)
-        _, state = chosen.law.follow(
-            inverse.values, random_motion(1, rng), np.array([rng.uniform(0.0, 2.0)]), PERIOD, None
-        )
-        every = np.linspace(LOWEST, HIGHEST, 81)
-        forces = np.array(
-            [
-                chosen.law.follow(inverse.values, motion, np.array([i]), PERIOD, state)[0][0]
-                for i in every
-            ]
-        )
-        least, most = forces.min(keepdims=True), forces.max(keepdims=True)
-        wanted = rng.uniform(least - 0.2 * (most - least), most + 0.2 * (most - least))
-        found = inverse.currents(motion, wanted, period=PERIOD, state=state)
-        force, _ = chosen.law.follow(inverse.values, motion, found.current, PERIOD, state)
-        assert misses(force, wanted, least, most).max() <= 0.0
-        np.testing.assert_allclose(found.force, force, rtol=1e-12, atol=ROUNDING)
-        attained += int(found.attainable[0])
-    assert attained > 5
-
-
 @pytest.mark.parametrize("name", ["sigmoid", "sigmoid_lag"])
 def test_the_law_without_jumps_is_inverted_along_a_motion(name):
     chosen = controllable(name)

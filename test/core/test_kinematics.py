@@ -156,12 +156,6 @@ MOTIONS = {"triangle": ROUNDED_TRIANGLE, "random": RANDOM}
 NEAR_THE_BEST = 4.0
 """The filter's length comes from the data: it may cost this factor against the best length."""
 
-NOISELESS_VELOCITY = {"triangle": 2e-5, "random": 2e-6}
-"""Relative: what a polynomial of fourth order over the shortest filter misses of the motion."""
-
-NOISELESS_ACCELERATION = {"triangle": 1e-4, "random": 3e-5}
-"""The same of the acceleration."""
-
 
 @functools.cache
 def smoothed(name: str, noise: float) -> tuple[Array, Array]:
@@ -199,15 +193,6 @@ def test_velocity_and_acceleration_of_any_motion_are_near_the_best_there_is(
     assert found[1] < NEAR_THE_BEST * best[1]
     found, best = smoothed(name, noise)
     assert found[0] < NEAR_THE_BEST * best[0]
-
-
-@pytest.mark.parametrize("name", MOTIONS)
-def test_without_noise_the_derivatives_of_any_motion_are_right(name: str) -> None:
-    truth = MOTIONS[name].at(TIME)
-    found = window_motion(truth.displacement, PERIOD)
-    assert found.sine is None
-    assert relative(found.velocity, truth.velocity) < NOISELESS_VELOCITY[name]
-    assert relative(found.acceleration, truth.acceleration) < NOISELESS_ACCELERATION[name]
 
 
 # -- causal differentiator -------------------------------------------------------------------

@@ -174,15 +174,6 @@ def left_alone(clock: Clock) -> LiveRecord:
     return record
 
 
-def test_the_status_says_how_long_each_is_silent(left_alone: LiveRecord) -> None:
-    left_alone.add_concern(Concern("model: prediction", 3, "no samples come", {}))
-    told = status(left_alone)
-    silences = {concern["name"]: concern["silence"] for concern in told["concerns"]}
-    assert silences == {"identifier: fit": 10.0, "model: prediction": 0.0}
-    assert told["silence"] == 10.0
-    assert told["silent_after"] == live_record.SILENT_AFTER
-
-
 def line_of(text: str, part: str) -> str:
     return next(line for line in text.splitlines() if part in line)
 

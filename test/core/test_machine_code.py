@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -93,44 +91,6 @@ def test_a_loop_whose_machine_code_cannot_be_kept_is_compiled_all_the_same() -> 
     with as_machine_code():
         (result,), _ = run_loop(place["first"], (), (np.full(COUNT, 7.0),), 1)
     assert result[0] == 7.0
-
-
-YIELD = """
-import sys
-sys.path[:] = {path!r}
-import numpy as np
-import resource
-resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file}, resource.RLIM_INFINITY))
-from mr_damper_ros.models import bouc_wen
-from mr_damper_ros.models.machine_code import as_machine_code, run_loop
-given = np.linspace(0.0, 0.1, 50), np.full(50, 1e-3)
-called = (bouc_wen.hysteresis_step,)
-with as_machine_code():
-    _, (z, _) = run_loop(bouc_wen.follow_yield, called, given, 1, 1e-3, 0.4, 1.5, 0.0, 0.0)
-assert z > 0.9
-"""
-
-
-def run_with_cache(folder: Path, largest_file: int = -1) -> None:
-    code = YIELD.format(path=sys.path, largest_file=largest_file)
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
-
-
-@pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_machine_code_that_was_damaged_on_disk_is_made_anew(tmp_path: Path, ending: str) -> None:
-    pytest.importorskip("numba")
-    run_with_cache(tmp_path)
-    (kept,) = tmp_path.rglob(f"*.{ending}")
-    kept.write_bytes(kept.read_bytes()[:100])
-    run_with_cache(tmp_path)
-    assert kept.stat().st_size > 100
-
-
-def test_a_full_disk_is_no_obstacle_to_machine_code(tmp_path: Path) -> None:
-    pytest.importorskip("numba")
-    run_with_cache(tmp_path, largest_file=0)
-    assert not list(tmp_path.rglob("*.nb?"))
 
 
 def test_a_stream_does_not_wait_for_a_compiler() -> None:

@@ -111,19 +111,6 @@ def test_samples_before_which_the_past_is_unknown_have_no_residual() -> None:
     assert known.rms(residual[unsettled:]) < FITTED * NOISE
 
 
-NEVER_FORGETS = {"bouc_wen": ("yield_length", 20.0), "series_springs": ("k2", 1e-3)}
-"""A parameter and the factor with which the law forgets nothing in the length of a window."""
-
-
-@pytest.mark.parametrize("name", NEVER_FORGETS)
-def test_the_beginning_of_a_window_has_samples_to_be_fitted(name: str) -> None:
-    parameter, factor = NEVER_FORGETS[name]
-    values = known.EXAMPLES[name].copy()
-    values[MODELS[name].parameter_names.index(parameter)] *= factor
-    part = window(name, sine=False).part(slice(0, 200))
-    assert np.count_nonzero(MODELS[name].settled(part, values)) >= 150
-
-
 @pytest.mark.parametrize("name", MODELS)
 def test_the_jacobian_is_that_of_differences(name: str) -> None:
     misfit = WindowProblem(MODELS[name], window(name), known.EXAMPLES[name])

@@ -14,7 +14,6 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.models.published import LITERATURE
@@ -88,12 +87,6 @@ def test_sixteen_plain_numbers_are_enough() -> None:
     assert read.values.tolist() == list(range(16))
     assert not read.observable.any()
     assert read.source == "file"
-
-
-def test_a_power_of_ten_that_yaml_takes_for_text_is_read() -> None:
-    text = by_hand().replace("a0: 3", "a0: 1e5")
-    assert text != by_hand()
-    assert ParameterSet.from_yaml(text).as_dict()["a0"] == 1e5
 
 
 FAULTS = {
@@ -237,14 +230,6 @@ def test_an_entry_of_any_size_is_refused_in_a_short_sentence() -> None:
     with pytest.raises(ParameterError) as caught:
         ParameterSet.from_yaml(text)
     assert len(str(caught.value)) < 300
-
-
-def test_the_force_of_a_motion_is_that_of_its_window() -> None:
-    found = ParameterSet(MODELS["sigmoid"].initial_values()[0], peak_velocity_range=(0.0, 1.0))
-    time = np.arange(1000) * 1e-3
-    moved = 5e-3 * np.sin(2.0 * np.pi * time)
-    window = Window.from_samples(moved, moved, np.full(1000, 0.5), 1e-3)
-    np.testing.assert_array_equal(found.force(time, moved, 0.5), found.window_force(window))
 
 
 @pytest.mark.parametrize(

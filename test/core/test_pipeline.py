@@ -124,18 +124,6 @@ def test_the_oldest_waiting_window_makes_room() -> None:
     assert starts(b.work_off()) == [0, 4]
 
 
-def test_a_fit_that_is_cut_counts_with_the_best_so_far() -> None:
-    made = bench()
-    made.identifier.add_windows([window(0)])
-    made.worker.stopped = True  # as when its time is over
-    (cut,) = of_windows(made.work_off())
-    assert math.isfinite(cut.nrmse_after)
-    # The next one is not cut, and starts from what is in use.
-    made.identifier.add_windows([window(1)])
-    (whole,) = of_windows(made.work_off())
-    assert whole.accepted, whole.reason
-
-
 def test_a_window_that_cannot_be_fitted_has_its_report() -> None:
     b = bench()
     b.worker.failing = True
@@ -214,14 +202,6 @@ def test_a_new_set_makes_the_running_fit_start_again_from_it() -> None:
     for number in range(2):
         reference.identifier.add_windows([window(number)])
     assert results(b.work_off()) == results(reference.work_off())
-
-
-def test_a_look_that_sees_nothing_is_no_event_and_no_waiting_window() -> None:
-    b = bench()
-    b.identifier.add_windows([window(0)])
-    b.identifier.add_windows([replace(window(0), look=200)])
-    assert (b.identifier.running, b.identifier.waiting_windows) == ("fit", 0)
-    assert len(b.work_off()) == 1
 
 
 def test_a_look_that_sees_a_change_ends_in_an_early_set() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from random_motion import BandLimitedRandom
 
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -149,28 +148,10 @@ def test_a_confirmation_makes_parameters_young_again() -> None:
     assert last_reason(made, stream()) == ""
 
 
-@pytest.mark.parametrize(
-    ("confirmed_ns", "timeout"), [(None, 5.0), (known.T0 - 10**18, 0.0), (known.T0 + 10**18, 5.0)]
-)
-def test_parameters_without_an_age_or_a_limit_stay_valid(
-    confirmed_ns: int | None, timeout: float
-) -> None:
-    made = predictor(parameters=None, parameters_timeout=timeout)
-    made.set_parameters(SET, confirmed_ns=confirmed_ns)
-    assert last_reason(made, stream()) == ""
-
-
 @pytest.mark.parametrize("current", [0.39, 1.61])
 def test_a_current_that_was_not_identified_is_doubtful(current: float) -> None:
     reason = last_reason(predictor(current=current), stream())
     assert f"the current of {current:.2f} A is outside of the identified 0.50 to 1.50 A" in reason
-
-
-@pytest.mark.parametrize("factor", [0.4, 2.5])
-def test_a_velocity_that_was_not_identified_is_doubtful(factor: float) -> None:
-    reason = last_reason(predictor(), stream(factor * RUN.displacement))
-    assert "the peak velocity of" in reason
-    assert "outside of the identified 0.02 to 0.05 m/s" in reason
 
 
 @pytest.mark.parametrize(("frequency", "edge"), [(1.0, 0.05), (4.0, 0.02)])
@@ -187,17 +168,6 @@ def test_the_law_is_not_extrapolated_beyond_the_identified_peak_velocities(
     got = forces(predicted(predictor(limited), stream(run.displacement)))
     assert nrmse(got[late], expected[late]) < PREDICTED
     assert nrmse(run.clean[late], expected[late]) > 2.0 * PREDICTED
-
-
-def random_motion(rms: float) -> Array:
-    time = np.arange(SAMPLES) * PERIOD
-    return BandLimitedRandom(rms=rms, low=0.5, high=4.0, seed=4).at(time).displacement
-
-
-def test_a_random_motion_that_passes_through_low_speeds_stays_valid() -> None:
-    limited = dataclasses.replace(SET, peak_velocity_range=(0.02, 0.5))
-    predictions = predicted(predictor(limited), stream(random_motion(3e-3)))
-    assert {p.reason for p in predictions[300:]} == {""}
 
 
 # -- models ----------------------------------------------------------------------------------
@@ -224,14 +194,6 @@ def test_another_model_is_doubtful_until_it_knows_its_past() -> None:
     rest = predicted(made, blocks[333:])
     assert "does not know its past" in rest[0].reason
     assert rest[-1].valid, rest[-1].reason
-
-
-def test_after_a_gap_the_memory_of_a_model_is_empty() -> None:
-    made, blocks = predictor(set_of("bouc_wen")), stream()
-    predicted(made, blocks[:400])
-    again = predicted(made, blocks[410:])
-    fresh = predicted(predictor(set_of("bouc_wen")), blocks[410:])
-    np.testing.assert_array_equal(forces(again), forces(fresh))
 
 
 def test_a_force_beyond_all_numbers_is_no_force() -> None:

@@ -75,17 +75,6 @@ def test_the_levels_of_the_records_are_found() -> None:
     np.testing.assert_allclose(zeros + scales * offset, ZEROS, atol=10.0 * 2.0)
 
 
-def test_the_shape_is_not_bent_by_them() -> None:
-    place = LAW.parameter_names.index("c")
-    with_levels, without = (
-        abs(identified(spread).parameter_set.values[place] / TRUTH[place] - 1.0)
-        for spread in (0.1, 0.0)
-    )
-    # Relative, of the viscous damping, which shows in how the force grows with the speed.
-    # Relative: what ignored levels do to it at least.
-    assert with_levels < 0.02 < 0.05 < without
-
-
 def test_the_set_knows_its_strength_no_better_than_the_levels_allow() -> None:
     found = identified(0.1).parameters["alpha"]
     of_the_mean = found.value * 0.1 / np.sqrt(len(SCALES))
@@ -175,16 +164,6 @@ def test_levels_of_a_damper_of_another_law_are_found_and_make_nothing_up(damper:
         for level, scale, zero in zip(found, OTHER_SCALES, OTHER_ZEROS, strict=True)
     ]
     assert np.abs(off).max() < HONEST
-
-
-def test_every_sample_counts_where_the_law_holds_and_few_where_it_does_not() -> None:
-    prior = LevelPrior((0, 1, 2, 3))
-    pooled = Misfit(LAW, windows(), [5.0] * 4)
-    holds, does_not = (
-        counted_samples(pooled, prior, factor * TRUTH) / pooled.sample_count
-        for factor in (1.0, 2.0)
-    )
-    assert does_not < 0.01 < 0.5 < holds
 
 
 @pytest.mark.parametrize("alpha", [1e200, np.inf])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from itertools import islice
@@ -89,15 +88,6 @@ def test_a_command_changes_the_current_with_the_next_block_and_holds_for_its_tim
     assert set(next(blocks).current) == {0.8}
     rig.commander.command(0.8, 2, 0.0, time.monotonic() - 3600.0)
     assert set(next(blocks).current) == {0.0}
-
-
-def test_the_air_around_the_emulated_rig_can_be_changed_while_it_runs() -> None:
-    rig = source_of("emulated", block_size=1000, conductance=1e4, heat_capacity=0.1)
-    rig.open()
-    blocks = rig.blocks(START)
-    assert next(blocks).temperature[-1] == pytest.approx(22.0, abs=0.1)
-    rig.settings = dataclasses.replace(rig.settings, ambient_temperature=35.0)
-    assert next(blocks).temperature[-1] == pytest.approx(35.0, abs=0.1)
 
 
 @pytest.mark.parametrize("excitation", ["chirp", "steps", "random"])

@@ -15,7 +15,6 @@ from campaign_of_three import perform
 import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
 from mr_damper_ros.campaign.folder import CampaignStep
-from mr_damper_ros.campaign.runs import signal
 from mr_damper_ros.estimation.experiment_design import Cycles, PlanState, RunPlanner
 from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
 from mr_damper_ros.kinematics.window import Window
@@ -159,18 +158,6 @@ def test_the_next_run_helps_within_the_limits(planner: RunPlanner) -> None:
         assert run.peak_velocity <= LIMITS.peak_velocity
         assert 0.0 <= min(run.currents) <= max(run.currents) <= LIMITS.current
         assert run.stretch * run.frequency >= 1.0
-
-
-@pytest.mark.parametrize("run", RUNS)
-def test_a_signal_starts_and_ends_at_rest_within_the_limits(run: PlannedRun) -> None:
-    time, displacement, current = signal(run, 1000.0)
-    velocity = np.gradient(displacement, time)
-    assert abs(displacement[0]) < 1e-9
-    assert abs(displacement[-1]) < 1e-9
-    assert abs(velocity[[0, -1]]).max() < 1e-3 * run.peak_velocity
-    assert np.abs(displacement).max() <= run.amplitude * (1.0 + 1e-12)
-    assert np.abs(velocity).max() <= run.peak_velocity * (1.0 + 1e-9)
-    assert list(dict.fromkeys(current.tolist())) == list(run.currents)
 
 
 @pytest.mark.parametrize(

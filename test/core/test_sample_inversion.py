@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from known import controllable, fixed
 
 from mr_damper_ros.control.inverse_model import TOLERANCE, InverseModel
-from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_sample import MotionSample
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
@@ -158,49 +157,3 @@ def test_the_force_of_a_sample_is_that_of_the_law(name: str) -> None:
         )
 
     check()
-
-
-CLOSEST_ROOTS = 2e-3
-"""Amperes: of roots that lie closer to each other, the scan that is compared with sees none."""
-
-
-def winding(rng: np.random.Generator) -> ParameterSet:
-    """A damper whose force rises with the current, and falls again, where the motion is slow."""
-    values = controllable("sigmoid").values.copy()
-    values[[2, 6, 12, 13]] = [-1.0, 6.0, 4.0, -0.3] * rng.uniform(0.7, 1.4, 4)
-    return ParameterSet(values)
-
-
-@pytest.mark.parametrize("gradual", [False, True])
-@pytest.mark.parametrize("last", [None, 0.0, 0.7, HIGHEST])
-def test_of_the_roots_that_a_scan_finds_it_is_the_lowest_or_the_nearest(
-    last: float | None, gradual: bool
-) -> None:
-    rng = np.random.default_rng(7)
-    every = np.linspace(LOWEST, HIGHEST, 4001)
-    several = 0
-    for _ in range(30):
-        inverse = InverseModel(winding(rng), LOWEST, HIGHEST, gradual_reversal=gradual)
-        velocity = rng.uniform(-0.1, 0.1, 10)
-        motion = Motion(
-            displacement=np.zeros(10),
-            velocity=velocity,
-            acceleration=rng.normal(0.0, 5.0, 10),
-            peak_velocity=np.abs(velocity) + rng.uniform(0.0, 0.1, 10),
-            sine=None,
-        )
-        forces = inverse.law.current_response(inverse.values).forces(
-            MotionSample.each(motion), every, PERIOD, None
-        )
-        least, most = forces.min(axis=1), forces.max(axis=1)
-        wanted = rng.uniform(0.95 * least + 0.05 * most, 0.05 * least + 0.95 * most)
-        found = inverse.currents(motion, wanted, last=last, period=PERIOD)
-        for place, current in enumerate(found.current.tolist()):
-            above = forces[place] > wanted[place]
-            roots = every[np.flatnonzero(above[1:] != above[:-1])]
-            several += int(roots.size > 1)
-            away = np.abs(roots - (LOWEST if last is None else last))
-            # What is about equally near may be the other one.
-            nearest = roots[away <= away.min() + CLOSEST_ROOTS]
-            assert np.abs(nearest - current).min() <= CLOSEST_ROOTS
-    assert several > 10

@@ -62,8 +62,3 @@ def test_after_a_gap_nothing_is_made_of_what_was_before() -> None:
     for block in blocks:
         time = (block.start_ns - START) * 1e-9 + np.arange(block.sample_count) * PERIOD
         np.testing.assert_allclose(block.displacement, motion(time), atol=1e-9)
-
-
-def test_without_a_skew_the_blocks_pass_as_they_are() -> None:
-    blocks = skewed(0.0, [10, 10])
-    assert list(aligned(blocks, 0.0)) == blocks

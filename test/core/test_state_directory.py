@@ -58,17 +58,6 @@ def test_only_plain_names_are_taken(tmp_path: Path, name: str) -> None:
     assert os.listdir(tmp_path) == []
 
 
-def test_the_memory_of_a_set_comes_back_with_it(tmp_path: Path) -> None:
-    state = StateDirectory(tmp_path)
-    path = state.save("running", SET, '{"windows":3}')
-    kept, memory = state.load_with_memory("running")
-    assert (same(kept, SET), memory) == (True, '{"windows":3}')
-    assert same(state.load("running"), SET)
-    assert same(read_parameter_file(path), SET)
-    # To any other reader of YAML the memory is a comment.
-    assert same(ParameterSet.from_yaml(path.read_text()), SET)
-
-
 def test_what_a_killed_process_left_behind_is_removed(tmp_path: Path) -> None:
     state = StateDirectory(tmp_path)
     path = state.save("running", SET)

@@ -62,13 +62,6 @@ def test_a_command_holds_for_its_time_and_then_the_current_is_zero_at_once() -> 
     assert tried.origin(10.5) is Origin.TIMED_OUT
 
 
-def test_the_age_of_a_command_counts_as_time_that_it_has_held() -> None:
-    tried = commander(command_timeout=0.5)
-    assert tried.command(1.0, 0, 0.3, now=10.0) == ""
-    assert tried.step(10.19) == 1.0
-    assert tried.step(10.2) == 0.0
-
-
 def test_a_command_stamped_ahead_within_the_tolerance_keeps_no_other_out() -> None:
     tried = commander(stamp_tolerance=0.4)
     assert tried.command(1.0, 10 * SECOND + 4 * SECOND // 10, -0.4, now=10.0) == ""
@@ -160,22 +153,6 @@ def clock() -> SetClock:
 @pytest.fixture
 def instrument(clock: SetClock) -> EmulatedInstrument:
     return EmulatedInstrument(time_constant=0.05, clock=clock)
-
-
-def test_its_watchdog_switches_off_when_it_is_due_and_must_be_cleared(
-    instrument: EmulatedInstrument, clock: SetClock
-) -> None:
-    for line in ("OUTP:PROT:WDOG:DEL 1", "OUTP:PROT:WDOG ON", "CURR 1", "OUTP ON"):
-        instrument.hear(line)
-    clock.now += 0.9
-    assert instrument.current() == pytest.approx(1.0)
-    clock.now += 0.15  # 50 ms, one time constant, after it was due
-    assert instrument.current() == pytest.approx(math.exp(-1.0))
-    clock.now += 1.0
-    instrument.hear("OUTP ON")
-    assert instrument.is_off
-    instrument.hear("OUTP:PROT:CLE")
-    assert not instrument.is_off
 
 
 def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) -> None:
@@ -335,17 +312,6 @@ def test_nobody_at_the_address_is_a_lost_link(server: InstrumentServer) -> None:
         connect(server.address, Patience(TIMEOUT))
 
 
-def test_somebody_else_can_end_the_wait_for_an_answer(
-    server: InstrumentServer, supply: ScpiSupply
-) -> None:
-    supply.open()
-    supply.patience.timeout = 60.0
-    server.silent = True
-    threading.Timer(TIMEOUT, lambda: setattr(supply.patience, "end", 0.0)).start()
-    with pytest.raises(LinkLostError, match="has not answered within"):
-        supply.measured()
-
-
 class SerialInstrument:
     """An instrument at one end of a serial line, of which the other is ``path``."""
 
@@ -447,20 +413,6 @@ def test_a_driven_supply_gives_what_is_commanded_and_stops_with_the_commands(
     assert readings[4] == pytest.approx(1.0, abs=1e-3)
     assert readings[15] == pytest.approx(0.0, abs=1e-3)
     assert not driver.state.deviates
-
-
-def test_a_current_that_does_not_come_is_noticed(
-    instrument: EmulatedInstrument, clock: SetClock
-) -> None:
-    driver, commands = driven(instrument)
-    driver.start(clock.now)
-    commands.set_by_hand(1.0)
-    driver.obey(clock.now)
-    instrument.hear("OUTP OFF")  # its protection has tripped
-    for passed in (0.5, 1.5):
-        clock.now += 1.0 if passed > 1.0 else 0.5
-        driver.read(clock.now)
-        assert driver.state.deviates == (passed > 1.0)
 
 
 # --- in a thread of its own ---------------------------------------------------------------------

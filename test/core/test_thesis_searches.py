@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -114,47 +109,6 @@ def test_results_do_not_depend_on_workers_and_are_kept(tmp_path, monkeypatch):
     again = Campaign(Settings(tmp_path / "one")).each("evolution", counted, tasks)
     assert again == one
     assert len(calls) == 1
-
-
-PROGRAM = """
-import sys, time
-from pathlib import Path
-from studies.thesis.campaign import Campaign, Settings
-def task(place, seconds):
-    time.sleep(seconds)
-    return place
-def say(text):
-    print(text, flush=True)
-if __name__ == "__main__":
-    campaign = Campaign(Settings(Path(sys.argv[1]), workers=2), say)
-    seconds = [0, 0, float(sys.argv[2]), float(sys.argv[2])]
-    campaign.each("name", task, [{"place": k, "seconds": s} for k, s in enumerate(seconds)])
-"""
-
-
-# Ctrl-C waits for the tasks that run; a kill must not.
-@pytest.mark.parametrize(("stop", "seconds"), [(signal.SIGINT, "1"), (signal.SIGKILL, "60")])
-def test_a_stopped_campaign_keeps_what_is_done_and_leaves_no_process(tmp_path, stop, seconds):
-    program = tmp_path / "program.py"
-    program.write_text(PROGRAM)
-    command = [sys.executable, str(program), str(tmp_path), seconds]
-    with subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
-    ) as process:
-        assert process.stdout is not None
-        said = [process.stdout.readline() for _ in range(2)]
-        process.send_signal(stop)
-        # The workers hold the standard output too: it ends with the last of them.
-        assert process.stdout.read() == ""
-    assert said == ["name: 1 of 4\n", "name: 2 of 4\n"]
-    assert process.returncode == -stop
-    (file,) = (tmp_path / "data").iterdir()
-    kept = [json.loads(line)[1] for line in file.read_text().splitlines() if line]
-    assert sorted(kept) == [0, 1]
 
 
 @pytest.mark.parametrize(

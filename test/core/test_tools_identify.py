@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import known
@@ -176,40 +174,6 @@ def test_what_would_be_refused_is_taken_with_a_warning_where_that_is_asked_for(
     dead = tmp_path / "dead"
     write_bag(dead, dataclasses.replace(RUN, force=0.0 * RUN.force))
     assert identify.main([str(dead), "--accept-doubtful"]) == 2
-
-
-PROGRESS = GlobalProgress("laws", 3, 9, 0.5, 10.0)
-
-
-def shown_progress(monkeypatch: pytest.MonkeyPatch, *told: GlobalProgress) -> list[str]:
-    """What the line shows of each progress, a second after the one before."""
-    clock = iter(float(second) for second in range(len(told)))
-    # Its own alone: others read the clock meanwhile.
-    stand_in = SimpleNamespace(monotonic=lambda: next(clock))
-    monkeypatch.setattr("mr_damper_ros.tools.console.time", stand_in)
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    written: list[str] = []
-    monkeypatch.setattr("sys.stderr.write", written.append, raising=False)
-    line = ProgressLine()
-    assert all(line(progress) for progress in told)
-    return written
-
-
-def test_the_progress_tells_no_cost_that_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    (shown,) = shown_progress(monkeypatch, dataclasses.replace(PROGRESS, best_cost=math.inf))
-    assert "misfit" not in shown
-    assert "generation 3 of at most 9, at most 10 s left" in shown
-
-
-def test_the_time_left_never_counts_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    estimates = (10.0, 12.0, 5.0, 300.0)
-    shown = shown_progress(
-        monkeypatch, *(dataclasses.replace(PROGRESS, time_left=left) for left in estimates)
-    )
-    ends = [text.partition("0.70711, ")[2].removesuffix("\033[K") for text in shown]
-    assert ends == ["at most 10 s left", "at most 9 s left", "at most 5 s left"] + [
-        "longer than expected"
-    ]
 
 
 def test_a_second_interrupt_ends_at_once() -> None:

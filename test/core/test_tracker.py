@@ -15,7 +15,6 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, sine_force
 from mr_damper_ros.tracking.acceptance import Verdict
-from mr_damper_ros.tracking.evidence import held_back_samples
 from mr_damper_ros.tracking.jobs import run
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
@@ -231,29 +230,7 @@ def test_a_force_beyond_all_change_is_taken_after_a_reset_only() -> None:
     assert known.fed(tracked, known.window(15, strength=5.0))[0].accepted
 
 
-def test_a_force_that_comes_late_is_not_taken_by_repetition() -> None:
-    tracked = known.tracker()
-    known.fed(tracked, *(known.window(number, samples=2000) for number in range(6)))
-    good = tracked.parameters
-    late = [known.window(number, samples=2000) for number in range(6, 16)]
-    late = [dataclasses.replace(w, force=np.roll(w.force, 100)) for w in late]
-    assert not any(report.accepted for report in known.fed(tracked, *late))
-    assert tracked.parameters is good
-    assert known.fed(tracked, known.window(16, samples=2000))[0].confirms
-
-
 # -- held-back samples -----------------------------------------------------------------------
-
-
-def test_the_held_back_samples_take_no_part_in_the_judged_fit() -> None:
-    # Only held-back samples are spoilt: the fit to the others cannot explain them.
-    tracked = experienced()
-    good = known.window(5)
-    spoilt = np.where(held_back_samples(SAMPLES), good.force + 100.0, good.force)
-    report = known.fed(tracked, dataclasses.replace(good, force=spoilt))[0]
-    assert not report.accepted
-    # [N], of the 100 N on held-back samples that a fit to the others cannot explain.
-    assert report.nrmse_after * np.std(spoilt) > 80.0
 
 
 # -- parameter sets --------------------------------------------------------------------------

@@ -83,13 +83,6 @@ def test_after_a_reset_the_damper_may_still_be_another_one() -> None:
     assert not resumed(again).memory.other_damper
 
 
-def test_the_filter_of_another_tracker_is_not_used() -> None:
-    tracked = tracker(tracker="recursive")
-    feed(tracked, 0, 3)
-    assert tracked.memory.state is not None
-    assert resumed(tracked, tracker="window").memory.state is None
-
-
 def learnt() -> dict[str, Any]:
     """The text of a tracker that has seen a few windows, as JSON gives it."""
     tracked = tracker(tracker="recursive")

@@ -12,11 +12,9 @@ import pytest
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.jobs import run
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.tracker_state import from_text, to_text
 from mr_damper_ros.tracking.window_assembler import RawWindow
 
 SCALE_TOLERANCE = 0.01
@@ -181,17 +179,6 @@ def test_a_sudden_loss_of_strength_is_fitted_early(model: str) -> None:
     assert [r for r in changing(model, 1.0) if r.method == EARLY_SOURCE] == []
 
 
-@EACH
-def test_a_tracker_goes_on_from_its_text(model: str) -> None:
-    tracked = followed(model)[0]
-    again = tracker(model)
-    again.resume(tracked.parameters, from_text(to_text(tracked.memory), MODELS[model]))
-    task, other = (t.job_of(window(model, 6, 0.9)) for t in (tracked, again))
-    reports = [tracked.complete(task, run(task)), again.complete(other, run(other))]
-    assert reports[0].scale == reports[1].scale
-    assert reports[0].nrmse_after == reports[1].nrmse_after
-
-
 def test_a_set_beyond_all_numbers_is_replaced_by_the_first_good_window() -> None:
     huge = known.EXAMPLES["bouc_wen"].copy()
     huge[:4] = 1.7e308
@@ -200,15 +187,3 @@ def test_a_set_beyond_all_numbers_is_replaced_by_the_first_good_window() -> None
     assert report.accepted, report.reason
     error = report.nrmse_after * np.std(damper("bouc_wen")[1])
     assert error < (1.0 + NOISE_ERROR) * NOISE
-
-
-@EACH_OF_ONE_CURRENT
-def test_the_form_that_a_model_starts_from_has_no_force_and_is_valid_nowhere(model: str) -> None:
-    predictor = ForcePredictor(PredictorSettings())
-    predictor.set_parameters(start_set(model))
-    predictor.add_current(known.T0, 0.0)
-    stream = known.blocks(*damper(model, 900), (10,))
-    predictions = [predictor.predict(block) for block in stream]
-    assert not any(prediction.valid for prediction in predictions)
-    # [N].
-    np.testing.assert_allclose(predictions[-1].force, 0.0, atol=1e-3)

@@ -157,13 +157,6 @@ def test_a_bridge_hits_what_was_lost(size: int) -> None:
     assert np.max(np.abs(rows[:, 1] - truth)) < 1e-3 * AMPLITUDE
 
 
-def test_a_gap_longer_than_may_be_bridged_starts_anew() -> None:
-    grid = UniformGrid(GridSettings(longest_gap=0.005))
-    blocks = stream([5] * 10)
-    kinds = [p.continuity.kind for p in placed_in(grid, [*blocks[:4], *blocks[5:7], *blocks[9:]])]
-    assert kinds[4:] == ["bridged", "next", "gap"]
-
-
 # -- jitter ----------------------------------------------------------------------------------
 
 
@@ -203,14 +196,6 @@ def test_samples_that_were_taken_unevenly_are_brought_onto_the_grid(size: int) -
     without = late.std() * AMPLITUDE * 2.0 * np.pi * FREQUENCY / np.sqrt(2.0)
     # Error of samples brought onto the grid, over that of those that are not.
     assert np.std(error) < 0.1 * without
-
-
-def test_how_stamps_jitter_may_be_told() -> None:
-    blocks = stream([1] * 200, jittered(200), sampled=True)
-    told = UniformGrid(GridSettings(stamps="clock"))
-    placed_in(told, blocks)
-    assert not told.uneven
-    assert UniformGrid(GridSettings(stamps="sampling")).uneven
 
 
 def test_that_samples_were_taken_unevenly_is_seen_though_some_are_lost() -> None:

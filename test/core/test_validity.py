@@ -16,7 +16,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, joined
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.prediction import Prediction
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
@@ -127,21 +127,6 @@ def test_a_measured_force_of_a_cycle_makes_other_currents_valid() -> None:
         assert kinds(predictions, 4000) == {kind}
 
 
-def test_a_measured_force_of_a_cycle_makes_a_motion_known() -> None:
-    """Before the sine is known, and before its fourth half-cycle."""
-    run = known.run(frequency=0.05, amplitude=0.1, samples=12_000, period=5e-3, seed=0)
-    first = []
-    for maximum_error in (0.0, 0.2):
-        made = ForcePredictor(PredictorSettings(maximum_error=maximum_error))
-        made.set_parameters(SET)
-        results = []
-        for block in known.blocks(run.displacement, run.force, (20,), period=5e-3):
-            made.add_current(block.start_ns, 1.0)
-            results.append(made.predict(block).valid)
-        first.append(0.1 * results.index(True))
-    assert 10.0 < first[1] < 20.0 < first[0]
-
-
 def spiked(size: float) -> Array:
     """The force with wild samples of this size [N] in the second before the change."""
     force = RUN.force.copy()
@@ -170,12 +155,6 @@ def test_new_parameters_that_are_right_are_valid_soon() -> None:
         results.append(made.predict(block))
     assert not any(p.valid for p in results[:400])
     assert all(p.valid for p in results[500:]), results[500].reason
-
-
-def test_a_load_cell_that_sticks_is_told() -> None:
-    predictions = predicted(force=spoilt(RUN.force, float(RUN.force[CHANGE])))
-    assert predictions[-1].doubt.kind is DoubtKind.SENSOR
-    assert "maximum_error" in predictions[-1].reason
 
 
 def test_a_measured_force_that_drives_the_motion_is_told() -> None:
@@ -299,19 +278,6 @@ def test_a_displacement_that_sticks_is_a_rest() -> None:
     assert kinds(predictions, 5000) == {DoubtKind.AT_REST}
 
 
-def test_a_slow_motion_is_not_valid_before_a_half_cycle_and_valid_after_some() -> None:
-    run = known.run(frequency=0.05, amplitude=0.1, samples=16_000, period=5e-3, seed=0)
-    blocks = known.blocks(run.displacement + 0.05, run.force, (20,), period=5e-3)
-    made = ForcePredictor(PredictorSettings())
-    made.set_parameters(SET)
-    results = []
-    for block in blocks:
-        made.add_current(block.start_ns, 1.0)
-        results.append(made.predict(block))
-    assert not any(p.valid for p in results[:140])
-    assert all(p.valid for p in results[600:]), {p.reason for p in results[600:]}
-
-
 # -- age -------------------------------------------------------------------------------------
 
 
@@ -413,21 +379,3 @@ def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come()
 
 
 # -- blocks that came late -------------------------------------------------------------------
-
-
-def test_after_joined_blocks_the_force_goes_on_as_valid_as_before() -> None:
-    made = ForcePredictor(PredictorSettings())
-    made.set_parameters(SET)
-    made.add_current(known.T0, 1.0)
-    blocks = known.blocks(RUN.displacement, RUN.force, (10,))
-    for block in blocks[:400]:
-        made.add_current(block.start_ns, 1.0)
-        made.predict(block)
-    made.add_current(blocks[449].start_ns, 1.0)
-    for block in joined(blocks[400:450]):
-        made.predict(block)
-    prediction = made.predict(blocks[450])
-    assert prediction.valid, prediction.reason
-    np.testing.assert_allclose(
-        prediction.force, RUN.clean[4500:4510], atol=0.02 * np.abs(RUN.clean).max()
-    )

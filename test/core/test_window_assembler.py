@@ -138,13 +138,6 @@ def test_lengths_that_make_no_windows_are_refused(window: float, hop: float, sen
 # -- temperature -----------------------------------------------------------------------------
 
 
-def test_a_window_has_the_temperature_of_its_end() -> None:
-    made = assembler(1.0, 1.0)
-    assert math.isnan(cut(stream(100, last=1000), made)[0].temperature)
-    made.add_temperature(41.5)
-    assert cut(stream(100, first=1000, last=2000), made)[0].temperature == 41.5
-
-
 # -- current ---------------------------------------------------------------------------------
 
 
@@ -208,11 +201,6 @@ def test_windows_do_not_depend_on_when_the_current_arrives(turns: list[int], beh
         np.testing.assert_array_equal(one.current, other.current)
 
 
-def test_a_current_that_is_no_number_is_refused() -> None:
-    with pytest.raises(ValueError, match="the current is nan: it must be a finite number"):
-        WindowAssembler(1.0, 0.5).add_current(T0, math.nan)
-
-
 def test_after_a_jump_back_no_current_of_the_time_before_is_used() -> None:
     # The clock was set back: the current of the second pass is 2 A, but comes late.
     made = WindowAssembler(1.0, 1.0)
@@ -246,18 +234,6 @@ def test_a_step_falls_on_its_sample_at_any_rate(rate: float) -> None:
         current = made.at(T0, period, 1000)
         assert int(np.argmax(current)) == sample
         assert current.sum() == 1000 - sample
-
-
-def test_a_value_that_jumps_back_replaces_what_came_after() -> None:
-    made = held((0.0, 0.5), (1.0, 1.0), (3.0, 1.5), (1.4, 0.7))
-    assert made.at(at(0.0), 0.5, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 0.7, 0.7]
-    assert made.last_stamp_ns == at(1.4)
-
-
-def test_a_value_that_is_late_takes_its_place() -> None:
-    made = held((0.0, 0.5), (0.5, 1.0), (1.0, 1.5), (0.75, 0.7))
-    assert made.at(at(0.0), 0.25, 6).tolist() == [0.5, 0.5, 1.0, 0.7, 1.5, 1.5]
-    assert made.last_stamp_ns == at(1.0)
 
 
 def test_after_a_reset_the_window_starts_again() -> None:

@@ -127,22 +127,6 @@ def test_two_that_command_are_an_error(
     assert found.level == DiagnosticStatus.ERROR
 
 
-def test_a_commander_whose_clock_is_ahead_keeps_the_right_one_out_no_longer(
-    supply: Any, server: InstrumentServer, listener: Listener
-) -> None:
-    right = Commander(listener)
-    with Listener() as other:
-        wrong = Commander(other)
-        for _ in range(5):
-            wrong.send(0.2, age=-0.45)
-        right.current = 1.2
-        listener.until(gives(server, 1.2), "the current of the right one")
-        wrong.send(0.2, age=-0.45)
-        found = listener.wait_for_finding("supply: current", "s ahead, where 0.05 s are tolerated")
-    assert found.level == DiagnosticStatus.ERROR
-    assert "end all but one" in found.message, "both are told"
-
-
 def test_a_current_that_is_set_to_its_value_of_before_counts_after_a_time_out(
     start: Any, server: InstrumentServer, listener: Listener
 ) -> None:
