@@ -343,9 +343,9 @@ def _number(set_id: str) -> int:
 
 def _same_baselines(before: TrackerMemory, after: TrackerMemory) -> bool:
     """Whether all baselines of before are still there."""
-    return len(after.baselines) >= len(before.baselines) and all(
+    return len(after.points.baselines) >= len(before.points.baselines) and all(
         np.array_equal(one.coefficients, other.coefficients)
-        for one, other in zip(before.baselines, after.baselines, strict=False)
+        for one, other in zip(before.points.baselines, after.points.baselines, strict=False)
     )
 
 

@@ -28,8 +28,13 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.fluid_temperature import TemperatureMap, TemperatureMaps
-from mr_damper_ros.tracking.force_scale import Baselines, force_scale
+from mr_damper_ros.tracking.fluid_temperature import (
+    TemperatureMap,
+    temperature_map,
+    with_temperature,
+)
+from mr_damper_ros.tracking.force_scale import force_scale
+from mr_damper_ros.tracking.operating_point import KnownPoints
 
 
 @dataclass(frozen=True)
@@ -128,13 +133,13 @@ _STEADY_CURRENT = 0.02
 """Change [A] of the current that a piece may have."""
 
 
-def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> TemperatureMaps:
-    """Maps from all runs together; ``found`` is the set identified from them.
+def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> list[TemperatureMap]:
+    """Maps from all runs together, of each operating point where they identify one.
 
-    Each run is cut into pieces of a few cycles, whose fitted scales give the force scale. Pieces
-    whose force cannot be fitted are left out.
+    ``found`` is the set identified from the runs. Each run is cut into pieces of a few cycles,
+    whose fitted scales give the force scale. Pieces whose force cannot be fitted are left out.
     """
-    maps, baselines = TemperatureMaps(), Baselines()
+    known = KnownPoints()
     for run in runs:
         for window, celsius in zip(run.windows, run.temperatures, strict=True):
             if celsius is None:
@@ -144,9 +149,11 @@ def temperature_maps(runs: Sequence[MeasuredRun], found: ParameterSet) -> Temper
                     fit = fit_window(found.law, piece, found.values, method="least_squares")
                 except ValueError:
                     continue
-                baselines.add(fit)
-                maps.add(fit.operating_point, mean, force_scale(found.law, piece, fit, baselines))
-    return maps
+                known = known.with_baseline(fit)
+                scale = force_scale(found.law, piece, fit, known.baselines)
+                known = with_temperature(known, fit.operating_point, mean, scale)
+    maps = (temperature_map(each) for each in known.records)
+    return [each for each in maps if each is not None]
 
 
 def _pieces(window: Window, celsius: Array) -> Iterator[tuple[Window, float]]:

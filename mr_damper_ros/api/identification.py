@@ -205,7 +205,7 @@ class Identification(ComparedRuns):
         if all(celsius is None for run in measured for celsius in run.temperatures):
             return Findings([], {})
         found = temperature_maps(measured, self.parameter_set)
-        return findings.temperatures(found.identified)
+        return findings.temperatures(found)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the parameter set as YAML, for ``ParameterSet.load``, ``validate`` and the nodes.

@@ -299,7 +299,7 @@ class IdentifierNode(Node):
                 f"{report.fluid.celsius:.1f} ± {report.fluid.standard_error:.1f}"
             ),
             "accepted windows": tracker.accepted_windows,
-            "operating points": tracker.reservoir.operating_points,
+            "operating points": len(tracker.points.windows),
         }
         if report.verdict is Verdict.ACCEPTED_EARLY:
             return Finding(WARN, f"{report.reason} as {report.set_id}", values)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 from mr_damper_ros.settings.option_table import CheckedSettings, option
 from mr_damper_ros.tracking.evidence import BEYOND_CHANCE, HARDLY, STILL_GOOD, WORTH_WHILE, Evidence
 from mr_damper_ros.tracking.operating_point import (
     KnownForce,
-    KnownForces,
+    KnownPoints,
     OperatingPoint,
-    SeenResidual,
-    UsualResiduals,
+    Residual,
+    excess_residual,
 )
 
 _OTHER_SHAPE = 0.3
@@ -32,6 +32,10 @@ _SAME_FORCE = 0.05
 _FAR_BETTER = 1.5
 """Where a set holds and the residual stays large, another force is taken for that of a sensor,
 unless it is so near the known one, or the new set leaves so many times less."""
+
+
+_REMEMBERED = 150
+"""Residuals of so many good windows."""
 
 
 class Verdict(IntEnum):
@@ -157,48 +161,32 @@ class AcceptanceSettings(CheckedSettings):
     )
 
 
-@dataclass(frozen=True)
-class AcceptanceHistory:
-    """What a gatekeeper remembers.
+@dataclass(eq=False)
+class Experience:
+    """What the judgement of windows builds on, and adds to.
 
-    ``residuals``: RMSE [N] and NRMSE of the newest good windows, with the peak velocity [m/s] and
-    the current [A] where they were kept; ``refused_for_residual``: refusals in a row since;
-    ``forces`` known of the damper, and the ``level`` of the running set against them.
+    ``points``: what is known at each operating point; ``residuals`` of the newest good windows, and
+    how many windows have been ``refused_for_residual`` in a row since; ``level`` of the running
+    set's force against that first known, 1 = as at first.
     """
 
-    residuals: tuple[tuple[float, ...], ...] = ()
+    points: KnownPoints = field(default_factory=KnownPoints)
+    residuals: tuple[Residual, ...] = ()
     refused_for_residual: int = 0
-    forces: tuple[KnownForce, ...] = ()
     level: float = 1.0
 
 
 class Gatekeeper:
-    """Accepts or refuses new sets, with the reason; remembers the usual residual."""
+    """Accepts or refuses new sets, with the reason, by the ``known`` experience."""
 
     _PATIENCE = 4
     """After so many refusals in a row for the residual the larger residual is the usual one, ..."""
     _PATIENCE_WHERE_KNOWN = 12
     """... and after so many, where the running set holds: a sensor is repaired sooner than that."""
 
-    def __init__(
-        self, settings: AcceptanceSettings, history: AcceptanceHistory | None = None
-    ) -> None:
-        """Go on from a history, or begin without one."""
-        history = history or AcceptanceHistory()
+    def __init__(self, settings: AcceptanceSettings, known: Experience | None = None) -> None:
         self._settings = settings
-        self._usual = UsualResiduals(SeenResidual(*entry) for entry in history.residuals)
-        self._refused_for_residual = history.refused_for_residual
-        self._forces = KnownForces(history.forces, history.level)
-
-    @property
-    def history(self) -> AcceptanceHistory:
-        """What is remembered now."""
-        return AcceptanceHistory(
-            tuple(each.kept for each in self._usual.seen),
-            self._refused_for_residual,
-            self._forces.known,
-            self._forces.level,
-        )
+        self.known = known or Experience()
 
     def judge(
         self,
@@ -223,11 +211,20 @@ class Gatekeeper:
         if judgement.verdict.accepted and (sentence := objection()):
             judgement = Judgement(Verdict.POOR_FIT, sentence)
         if judgement.teaches:
-            seen = SeenResidual(evidence.rmse_after, evidence.nrmse_after, *(point or ()))
-            self._usual.add(seen)
-        if force is not None and judgement.teaches:
-            self._forces.follow(force)
+            seen = (evidence.rmse_after, evidence.nrmse_after, *(point or ()))
+            self.known.residuals = (*self.known.residuals, seen)[-_REMEMBERED:]
+            if force is not None:
+                self._learn(force)
         return judgement
+
+    def _learn(self, force: KnownForce) -> None:
+        """Take in a force that was accepted; the first of its operating point is kept."""
+        known, point = self.known, force.operating_point
+        here = known.points.known_force(point)
+        if here is not None:
+            known.level = force.size / here.size
+        elif min(force.size, force.peak_velocity, force.largest) > 0.0:
+            known.points = known.points.noted(point, force=force)
 
     def judge_global(
         self, evidence: Evidence, objection: Callable[[], str] = str, *, tentative: bool = False
@@ -269,25 +266,25 @@ class Gatekeeper:
         It must leave no more than the usual residual, predict better, and need no confirmation.
         What it says leaves no trace: the next window judges again.
         """
+        limit, level = self._settings.change_limit, self.known.level * (1.0 + evidence.force_change)
         return bool(
-            self._usual
+            self.known.residuals
             and self.is_usual(evidence.rmse_after, evidence.nrmse_after)
             and evidence.better
             and abs(evidence.force_change) <= self._settings.step_limit
-            and not self._forces.changes_too_much(
-                1.0 + evidence.force_change, self._settings.change_limit
-            )
+            and (not self.known.points.knows_forces or 1.0 / limit <= level <= limit)
         )
 
     def follow_change(self, evidence: Evidence) -> None:
         """An early fit has changed the force of the running set."""
-        self._forces.level *= 1.0 + evidence.force_change
+        self.known.level *= 1.0 + evidence.force_change
 
     def is_usual(self, rmse: float, nrmse: float) -> bool:
         """Whether a residual, RMSE [N] and NRMSE, is that of samples to identify from."""
         if not nrmse <= self._settings.maximum_nrmse:
             return False
-        return self._usual.excess(rmse, nrmse) <= self._settings.residual_factor
+        excess = excess_residual(self.known.residuals, rmse, nrmse)
+        return excess <= self._settings.residual_factor
 
     def _judge(
         self,
@@ -297,7 +294,7 @@ class Gatekeeper:
         holds: bool,
         same_motion: bool,
     ) -> Judgement:
-        settings = self._settings
+        settings, experience = self._settings, self.known
         if not math.isfinite(evidence.nrmse_after):
             return Judgement(Verdict.POOR_FIT, "the fit has no finite error: the window is refused")
         if evidence.nrmse_after > settings.maximum_nrmse:
@@ -317,11 +314,13 @@ class Gatekeeper:
                 f"{beyond}: check the sensors and their clocks; where the damper is another one "
                 "now, call reset",
             )
-        known = bool(self._usual)
+        known = bool(experience.residuals)
         if known:
-            excess = self._usual.excess(evidence.rmse_after, evidence.nrmse_after, point)
+            excess = excess_residual(
+                experience.residuals, evidence.rmse_after, evidence.nrmse_after, point
+            )
             if excess > settings.residual_factor:
-                self._refused_for_residual += 1
+                experience.refused_for_residual += 1
                 # A known force with another residual: the sensor, not the damper.
                 doubtful = (
                     holds
@@ -329,11 +328,11 @@ class Gatekeeper:
                     and evidence.nrmse_before < _FAR_BETTER * evidence.nrmse_after
                 )
                 patience = self._PATIENCE_WHERE_KNOWN if holds else self._PATIENCE
-                if self._refused_for_residual <= patience or doubtful:
+                if experience.refused_for_residual <= patience or doubtful:
                     return _disturbed(excess, evidence.nrmse_before)
                 # It has lasted: the rig itself has become noisier.
-                self._usual.forget()
-        self._refused_for_residual = 0
+                experience.residuals = ()
+        experience.refused_for_residual = 0
         # Where the running set was never identified, a set that was serves better.
         if not (evidence.better if holds else evidence.nrmse_after < evidence.nrmse_before):
             return Judgement(
@@ -348,7 +347,9 @@ class Gatekeeper:
         change = evidence.force_change
         if force is not None and not holds:
             # The running set does not tell what the force was here; that accepted before does.
-            change = min(change, self._forces.change_at(force, otherwise=change), key=abs)
+            here = experience.points.known_force(force.operating_point)
+            if here is not None:
+                change = min(change, force.size / (here.size * experience.level) - 1.0, key=abs)
         surprise = ""
         if abs(change) > settings.step_limit:
             surprise = f"the force changed by {change:+.0%} at once"
@@ -366,6 +367,6 @@ class Gatekeeper:
         Where the running set holds, it tells what the force was at first at a new operating point.
         """
         limit = self._settings.change_limit
-        expected = self._forces.level * (1.0 + evidence.force_change) if holds else math.nan
-        objection = self._forces.objection(force, limit, expected)
+        expected = self.known.level * (1.0 + evidence.force_change) if holds else math.nan
+        objection = self.known.points.objection(force, limit, expected)
         return f"{objection}, more than change_limit ({limit:g}) allows" if objection else ""

@@ -14,7 +14,6 @@ never interpolated: sets of different temperatures may lie in different basins.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +22,7 @@ from mr_damper_ros.estimation.covariance import least_squares_covariance
 from mr_damper_ros.estimation.observability import SURE
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import ForceScale
-from mr_damper_ros.tracking.operating_point import OperatingPoint, nearest_same
+from mr_damper_ros.tracking.operating_point import KnownPoints, OperatingPoint, PointRecord
 
 _FEWEST = 8
 """Fewer windows than this give no map."""
@@ -163,88 +162,39 @@ def _schwarz(residual: Array, weights: Array, count: int) -> float:
     return residual.size * math.log(power) + count * math.log(residual.size)
 
 
-@dataclass(frozen=True, eq=False)
-class TemperatureHistory:
-    """What was seen at an operating point: temperature [°C], force scale and its error, (n, 3)."""
-
-    operating_point: OperatingPoint
-    seen: Array
-
-
 def can_be_seen(seen: Array) -> bool:
-    """Whether these (n, 3) can be those of a :class:`TemperatureHistory`.
+    """Whether these (n, 3), temperature [°C], force scale and its error, can be those of a damper.
 
     A thermometer whose sensor is not connected tells 9.9e37 °C: SCPI's word for it.
     """
     return bool(np.all(np.abs(seen) < _LARGEST) and np.all(seen[:, 1:] > 0.0))
 
 
-class TemperatureMaps:
-    """Temperatures and force scales of good windows, and the maps that they identify.
+def with_temperature(
+    known: KnownPoints, point: OperatingPoint, celsius: float, scale: ForceScale
+) -> KnownPoints:
+    """The records after a window, if its temperature [°C] and its force scale are known.
 
-    The force scales of one operating point must be against one baseline: begin with new maps where
-    the baselines, or the damper, have become others.
+    The force scales of one operating point must be against one baseline.
     """
-
-    def __init__(self, histories: Iterable[TemperatureHistory] = ()) -> None:
-        """Begin with these histories, each of another operating point."""
-        self._points: list[OperatingPoint] = []
-        self._seen: list[list[tuple[float, float, float]]] = []
-        self._maps: dict[int, TemperatureMap | None] = {}
-        for history in histories:
-            self._points.append(history.operating_point)
-            self._seen.append([(row[0], row[1], row[2]) for row in history.seen.tolist()])
-
-    @property
-    def histories(self) -> tuple[TemperatureHistory, ...]:
-        """All that is kept of what was seen."""
-        pairs = zip(self._points, self._seen, strict=True)
-        return tuple(TemperatureHistory(point, np.array(seen)) for point, seen in pairs)
-
-    def add(self, operating_point: OperatingPoint, celsius: float, scale: ForceScale) -> None:
-        """Take in a window, if its temperature [°C] and its force scale are known."""
-        row = (celsius, scale.value, scale.standard_error)
-        if not can_be_seen(np.array([row])):
-            return
-        place = nearest_same(self._points, operating_point)
-        if place is None:
-            place = len(self._points)
-            self._points.append(operating_point)
-            self._seen.append([])
-        self._seen[place].append(row)
-        if len(self._seen[place]) > _MOST:
-            self._seen[place] = _paired(self._seen[place])
-        self._maps.pop(place, None)
-
-    def at(self, operating_point: OperatingPoint) -> TemperatureMap | None:
-        """The map of an operating point, if one has been identified there."""
-        place = nearest_same(self._points, operating_point)
-        if place is None:
-            return None
-        if place not in self._maps:
-            celsius, scales, errors = np.array(self._seen[place]).T
-            self._maps[place] = fit_temperature_map(self._points[place], celsius, scales, errors)
-        return self._maps[place]
-
-    @property
-    def identified(self) -> tuple[TemperatureMap, ...]:
-        """All maps, in the order in which their operating points were first seen."""
-        maps = (self.at(point) for point in self._points)
-        return tuple(found for found in maps if found is not None)
-
-    def temperature(self, operating_point: OperatingPoint, scale: ForceScale) -> FluidTemperature:
-        """Temperature that the force scale of a window tells of; unknown where there is no map."""
-        found = self.at(operating_point)
-        return FluidTemperature() if found is None else found.temperature(scale)
+    row = np.array([[celsius, scale.value, scale.standard_error]])
+    if not can_be_seen(row):
+        return known
+    seen = np.concatenate([known.at(point).temperatures, row])
+    return known.noted(point, temperatures=_paired(seen) if len(seen) > _MOST else seen)
 
 
-def _paired(seen: Iterable[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """Half as many, each the mean of two neighbours in temperature; the ends stay."""
-    ordered = sorted(seen)
+def temperature_map(known: PointRecord) -> TemperatureMap | None:
+    """The map of an operating point, if what was seen there identifies one."""
+    return fit_temperature_map(known.point, *known.temperatures.T)
+
+
+def _paired(seen: Array) -> Array:
+    """Half as many (n, 3), each the mean of two neighbours in temperature; the ends stay."""
+    ordered = seen[np.argsort(seen[:, 0], kind="stable")]
     inner = ordered[1:-1]
-    pairs = [
-        (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * math.hypot(a[2], b[2]))
-        for a, b in zip(inner[::2], inner[1::2], strict=False)
-    ]
-    odd = inner[-1:] if len(inner) % 2 else []
-    return [ordered[0], *pairs, *odd, ordered[-1]]
+    count = len(inner) // 2 * 2
+    one, other, odd = inner[0:count:2], inner[1:count:2], inner[count:]
+    pairs = 0.5 * (one + other)
+    pairs[:, 2] = 0.5 * np.hypot(one[:, 2], other[:, 2])
+    return np.concatenate([ordered[:1], pairs, odd, ordered[-1:]])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,97 +56,57 @@ class SeenScale:
     standard_error: float
 
 
-class ScaleScatter:
-    """How much the scale of a constant damper varies with the motion, learnt from window to window.
+def widened(
+    scale: ForceScale, seen: tuple[SeenScale, ...], start_ns: int, end_ns: int
+) -> tuple[ForceScale, tuple[SeenScale, ...]]:
+    """The scale of a window with an error that holds its scatter, and the scales seen with it.
 
+    How much the scale of a constant damper varies with the motion is learnt from window to window.
     What a law cannot follow depends on the motion and may last longer than a window, so no window
     tells by itself how far off its scale is. The difference of two windows that have no sample in
     common does: the standard errors are widened until its median is what they say (the ratio of
     Birge, Physical Review 40, 1932). A median, since a damper that changes at once is another
     matter.
     """
-
-    def __init__(self, seen: Iterable[SeenScale] = ()) -> None:
-        """Begin with these, oldest first."""
-        self._seen = deque(seen, maxlen=_REMEMBERED)
-
-    @property
-    def seen(self) -> tuple[SeenScale, ...]:
-        """The newest, oldest first."""
-        return tuple(self._seen)
-
-    def widened(self, scale: ForceScale, start_ns: int, end_ns: int) -> ForceScale:
-        """The scale of a window with an error that holds the scatter, and learn from it."""
-        if not (math.isfinite(scale.misfit) and scale.standard_error > 0.0):
-            return scale
-        if self._seen and start_ns < self._seen[-1].start_ns:
-            self._seen.clear()  # time was set back
-        self._seen.append(SeenScale(start_ns, end_ns, scale.value, scale.standard_error))
-        squares = self._squares()
-        if len(squares) < _FEWEST_PAIRS:
-            # Until it is known, it may be all that is not understood.
-            return replace(scale, standard_error=max(scale.misfit, scale.standard_error))
-        ratio = math.sqrt(float(np.median(squares)) / _MEDIAN_SQUARE)
-        return replace(scale, standard_error=max(ratio, 1.0) * scale.standard_error)
-
-    def _squares(self) -> list[float]:
-        """Squared differences of neighbours without a sample in common, in their variances."""
-        squares = []
-        for place, later in enumerate(self._seen):
-            before = [e for e in list(self._seen)[:place] if e.end_ns <= later.start_ns]
-            if before:
-                variance = before[-1].standard_error ** 2 + later.standard_error**2
-                squares.append((later.value - before[-1].value) ** 2 / variance)
-        return squares
+    if not (math.isfinite(scale.misfit) and scale.standard_error > 0.0):
+        return scale, seen
+    if seen and start_ns < seen[-1].start_ns:
+        seen = ()  # time was set back
+    seen = (*seen, SeenScale(start_ns, end_ns, scale.value, scale.standard_error))[-_REMEMBERED:]
+    squares = _squares(seen)
+    if len(squares) < _FEWEST_PAIRS:
+        # Until it is known, it may be all that is not understood.
+        return replace(scale, standard_error=max(scale.misfit, scale.standard_error)), seen
+    ratio = math.sqrt(float(np.median(squares)) / _MEDIAN_SQUARE)
+    return replace(scale, standard_error=max(ratio, 1.0) * scale.standard_error), seen
 
 
-class Baselines:
-    """The first accepted fit at each operating point."""
-
-    def __init__(self, fits: Iterable[WindowFit] = ()) -> None:
-        """Begin with these fits, each of another operating point."""
-        self._fits = list(fits)
-
-    @property
-    def fits(self) -> tuple[WindowFit, ...]:
-        """All baselines, oldest first."""
-        return tuple(self._fits)
-
-    def add(self, fit: WindowFit) -> None:
-        """Keep a fit unless its operating point has a baseline already."""
-        if self.get(fit.operating_point) is None:
-            self._fits.append(fit)
-
-    def at_current(self, operating_point: OperatingPoint) -> WindowFit | None:
-        """The oldest baseline at the current of an operating point, whatever its motion."""
-        speed, current = operating_point
-        points = [(speed, fit.operating_point[1]) for fit in self._fits]
-        same = (
-            place
-            for place, each in enumerate(points)
-            if nearest_same([each], (speed, current)) == 0
-        )
-        oldest = next(same, None)
-        return None if oldest is None else self._fits[oldest]
-
-    def get(self, operating_point: OperatingPoint) -> WindowFit | None:
-        """The baseline of an operating point (peak velocity [m/s], current [A]), if any."""
-        index = nearest_same([fit.operating_point for fit in self._fits], operating_point)
-        return None if index is None else self._fits[index]
+def _squares(seen: Sequence[SeenScale]) -> list[float]:
+    """Squared differences of neighbours without a sample in common, in their variances."""
+    squares = []
+    for place, later in enumerate(seen):
+        before = [each for each in seen[:place] if each.end_ns <= later.start_ns]
+        if before:
+            variance = before[-1].standard_error ** 2 + later.standard_error**2
+            squares.append((later.value - before[-1].value) ** 2 / variance)
+    return squares
 
 
-def force_scale(model: Model, window: Window, fit: WindowFit, baselines: Baselines) -> ForceScale:
+def force_scale(
+    model: Model, window: Window, fit: WindowFit, baselines: Sequence[WindowFit]
+) -> ForceScale:
     """Scale that maps the force of the baseline onto that of a window, in the least-squares sense.
 
     In a steady sine the force of the window is what its fit predicts: what the law cannot follow is
     in both and plays no part. The standard error is that of the fit from window to window; that of
     the baseline is common to all reports and left out. In any other motion a fit follows the motion
     of its window more than the damper: there the oldest baseline at the current is the one
-    reference, held against the measured force; see :class:`ScaleScatter` for its error.
+    reference, held against the measured force; see :func:`widened` for its error. ``baselines``:
+    the first accepted fit of each operating point, oldest first.
     """
     steady = window.motion.sine is not None
     point = fit.operating_point
-    baseline = baselines.get(point) if steady else baselines.at_current(point)
+    baseline = baseline_at(baselines, point) if steady else _at_current(baselines, point)
     if baseline is None:
         return ForceScale()
     problem = WindowProblem(model, window, fit.parameters)
@@ -162,6 +121,21 @@ def force_scale(model: Model, window: Window, fit: WindowFit, baselines: Baselin
         return scale
     besides = scale_between(reference, present, jacobian, fit.discrepancy).standard_error
     return replace(scale, discrepancy=besides)
+
+
+def baseline_at(baselines: Sequence[WindowFit], point: OperatingPoint) -> WindowFit | None:
+    """That of an operating point (peak velocity [m/s], current [A]), if any."""
+    index = nearest_same([fit.operating_point for fit in baselines], point)
+    return None if index is None else baselines[index]
+
+
+def _at_current(baselines: Sequence[WindowFit], point: OperatingPoint) -> WindowFit | None:
+    """The oldest at the current of an operating point, whatever its motion."""
+    speed, _ = point
+    for fit in baselines:
+        if nearest_same([(speed, fit.operating_point[1])], point) == 0:
+            return fit
+    return None
 
 
 def _measured_scale(reference: Array, measured: Array) -> ForceScale:

@@ -43,7 +43,12 @@ from mr_damper_ros.tracking.evidence import (
     held_back_samples,
     rival_wins,
 )
-from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale, with_strength
+from mr_damper_ros.tracking.force_scale import (
+    ForceScale,
+    baseline_at,
+    force_scale,
+    with_strength,
+)
 from mr_damper_ros.tracking.operating_point import Kept, nearest_same, thinned_to_keep
 from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
 from mr_damper_ros.tracking.running_set import WindowSummary, candidate
@@ -347,7 +352,7 @@ def _start_of(job: Job, window: Window) -> Array:
     From far away a search may end in another minimum. Only the force of the latter counts: what has
     been learnt since of other operating points stays.
     """
-    baseline = Baselines(job.baselines).get(window.operating_point)
+    baseline = baseline_at(job.baselines, window.operating_point)
     if baseline is None:
         return job.start
     model = job.model
@@ -386,7 +391,7 @@ def _outcome(
         parts=judge_parts(window, parts, found) if divided else None,
         state=state,
         watch=watch,
-        scale=force_scale(model, window, fit, Baselines(job.baselines)),
+        scale=force_scale(model, window, fit, job.baselines),
     )
 
 
@@ -502,7 +507,7 @@ def _look(job: Job, window: Window) -> Outcome:
         summary=WindowSummary.of(changed),
         state=state,
         watch=watch,
-        scale=force_scale(model, changed, fit, Baselines(job.baselines)),
+        scale=force_scale(model, changed, fit, job.baselines),
     )
 
 

@@ -1,21 +1,24 @@
-"""What the same operating point is, and what is known there besides a parameter set.
+"""What is known of a damper at each operating point (peak velocity, current): a record for each.
 
-Of each operating point (peak velocity, current) the newest good window is kept for the global
-identification (:class:`Reservoir`), the first accepted force, by which a new one is told from
-another damper's (:class:`KnownForces`), and what a fit usually leaves (:class:`UsualResiduals`).
-The tolerance is one and stands here, for baselines and temperatures too.
+What the same operating point is, is said here, for all that asks. A record holds the first accepted
+fit (the baseline of the force scale) and the size of its force, by which a later one is told from
+another damper's, the temperatures seen with their force scales, and the newest good window, for the
+global identification.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from statistics import median
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 OperatingPoint = tuple[float, float]
@@ -36,6 +39,12 @@ _MOST_WINDOWS = 100
 
 RECENT = 10.0
 """Operating points of so many seconds are those that a set will be used at."""
+
+_OTHER_SPEED = 2.0
+"""At another speed the force lies between the same and in proportion, within this factor."""
+
+_OTHER_CURRENT = 30.0
+"""At another current it may be so many times as large or as small: the range of these dampers."""
 
 
 def nearest_same(points: Sequence[OperatingPoint], wanted: OperatingPoint) -> int | None:
@@ -67,14 +76,14 @@ def _apart(one: OperatingPoint, other: OperatingPoint) -> tuple[float, float]:
 
 
 class Kept(NamedTuple):
-    """A window as the reservoir keeps it, and its operating point."""
+    """A window as it is kept for the global identification, and its operating point."""
 
     window: Window
     point: OperatingPoint
 
 
 def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Kept:
-    """A window with the few hundred samples of which the reservoir keeps it.
+    """A window with the few hundred samples of which it is kept.
 
     One of several ``parts`` of a window is kept with fewer.
     The motion between the samples goes ``with_past`` only: a law without memory needs none.
@@ -82,72 +91,6 @@ def thinned_to_keep(window: Window, *, with_past: bool, parts: int = 1) -> Kept:
     few = window.thinned(max(_MOST_SAMPLES // parts, _FEWEST_SAMPLES))
     kept = few if with_past else Window(few.motion, few.force, few.current)
     return Kept(kept, window.operating_point)
-
-
-class Reservoir:
-    """The newest good window of each operating point, see :func:`thinned_to_keep`."""
-
-    def __init__(
-        self,
-        windows: Iterable[Window] = (),
-        points: Iterable[OperatingPoint] = (),
-        stamps: Iterable[int] = (),
-    ) -> None:
-        """Begin with these windows, oldest first, their operating points and last stamps [ns].
-
-        Windows without a stamp count as old.
-        """
-        self._windows = list(windows)
-        self._points = list(points)
-        self._stamps = list(stamps) or [0] * len(self._windows)
-
-    @property
-    def windows(self) -> tuple[Window, ...]:
-        """All windows kept, oldest first."""
-        return tuple(self._windows)
-
-    @property
-    def points(self) -> tuple[OperatingPoint, ...]:
-        """The operating point of each window."""
-        return tuple(self._points)
-
-    @property
-    def stamps(self) -> tuple[int, ...]:
-        """Stamp [ns] of the last sample of each window."""
-        return tuple(self._stamps)
-
-    def recent(self, end_ns: int) -> tuple[Window, ...]:
-        """The windows of the last :data:`RECENT` seconds up to a stamp [ns], oldest first."""
-        since = end_ns - round(RECENT * NANOSECONDS)
-        return tuple(
-            window
-            for window, stamp in zip(self._windows, self._stamps, strict=True)
-            if since <= stamp <= end_ns
-        )
-
-    @property
-    def operating_points(self) -> int:
-        """Number of different operating points."""
-        return len(self._windows)
-
-    def add(self, kept: Kept, stamp_ns: int = 0) -> None:
-        """Keep a window up to this stamp in place of the older one at its operating point."""
-        window, point = kept
-        older = nearest_same(self._points, point)
-        if older is None and len(self._windows) == _MOST_WINDOWS:
-            older = 0
-        if older is not None:
-            del self._windows[older], self._points[older], self._stamps[older]
-        self._windows.append(window)
-        self._points.append(point)
-        self._stamps.append(stamp_ns)
-
-
-_OTHER_SPEED = 2.0
-"""At another speed the force lies between the same and in proportion, within this factor."""
-
-_OTHER_CURRENT = 30.0
-"""At another current it may be so many times as large or as small: the range of these dampers."""
 
 
 @dataclass(frozen=True)
@@ -168,21 +111,105 @@ class KnownForce:
         return self.peak_velocity, self.current
 
 
-class KnownForces:
-    """The first accepted force at each operating point, which nothing later moves.
+@dataclass(frozen=True, eq=False)
+class PointRecord:
+    """What is known at an operating point.
 
-    ``level`` is that of the running set against them, 1 = as at first.
+    ``baseline``: the first accepted fit, and ``force``: its force, which nothing later moves;
+    ``temperatures`` (n, 3): measured temperature [°C], force scale and its standard error;
+    ``window``: the newest good one, and ``stamp_ns``: that of its last sample.
     """
 
-    def __init__(self, known: Iterable[KnownForce] = (), level: float = 1.0) -> None:
-        """Begin with these, oldest first."""
-        self._known = list(known)
-        self.level = level
+    point: OperatingPoint
+    baseline: WindowFit | None = None
+    force: KnownForce | None = None
+    temperatures: Array = field(default_factory=lambda: np.empty((0, 3)))
+    window: Window | None = None
+    stamp_ns: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPoints:
+    """The records of all operating points, in the order in which these were first seen."""
+
+    records: tuple[PointRecord, ...] = ()
+
+    def at(self, point: OperatingPoint) -> PointRecord:
+        """The record of an operating point; an empty one where nothing is known of it."""
+        place = nearest_same([each.point for each in self.records], point)
+        return PointRecord(point) if place is None else self.records[place]
+
+    def noted(self, point: OperatingPoint, **entries: Any) -> KnownPoints:
+        """The same with these entries in the record of an operating point."""
+        before = self.at(point)
+        after = replace(before, **entries)
+        if any(each is before for each in self.records):
+            return KnownPoints(tuple(after if r is before else r for r in self.records))
+        return KnownPoints((*self.records, after))
+
+    # Baselines
 
     @property
-    def known(self) -> tuple[KnownForce, ...]:
-        """All of them, oldest first."""
-        return tuple(self._known)
+    def baselines(self) -> tuple[WindowFit, ...]:
+        """The first accepted fits, oldest first."""
+        return tuple(each.baseline for each in self.records if each.baseline is not None)
+
+    def with_baseline(self, fit: WindowFit) -> KnownPoints:
+        """The same with a fit as the baseline of its operating point, unless that has one."""
+        if self.at(fit.operating_point).baseline is not None:
+            return self
+        return self.noted(fit.operating_point, baseline=fit)
+
+    # Windows
+
+    @property
+    def kept(self) -> tuple[PointRecord, ...]:
+        """Records with a window, of which the newest is the last."""
+        with_window = [each for each in self.records if each.window is not None]
+        return tuple(sorted(with_window, key=lambda each: each.stamp_ns))
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """The newest good window of each operating point, oldest first."""
+        return tuple(each.window for each in self.kept if each.window is not None)
+
+    def recent(self, end_ns: int) -> tuple[Window, ...]:
+        """The windows of the last :data:`RECENT` seconds up to a stamp [ns], oldest first."""
+        since = end_ns - round(RECENT * NANOSECONDS)
+        return tuple(
+            each.window
+            for each in self.kept
+            if each.window is not None and since <= each.stamp_ns <= end_ns
+        )
+
+    def with_window(self, kept: Kept, stamp_ns: int = 0) -> KnownPoints:
+        """The same with a window up to this stamp in place of the older one at its point."""
+        known = self.noted(kept.point, window=kept.window, stamp_ns=stamp_ns)
+        while len(known.kept) > _MOST_WINDOWS:
+            known = known.noted(known.kept[0].point, window=None)
+        return known
+
+    def without_temperatures(self) -> KnownPoints:
+        """The same without the temperatures seen, with which the force was another."""
+        none = PointRecord((0.0, 0.0)).temperatures
+        return KnownPoints(tuple(replace(each, temperatures=none) for each in self.records))
+
+    # Forces
+
+    def known_force(self, wanted: OperatingPoint) -> KnownForce | None:
+        """The first accepted force at the nearest operating point with a comparable one."""
+        forces = self._forces
+        place = nearest_comparable([force.operating_point for force in forces], wanted)
+        return None if place is None else forces[place]
+
+    @property
+    def _forces(self) -> tuple[KnownForce, ...]:
+        return tuple(each.force for each in self.records if each.force is not None)
+
+    @property
+    def knows_forces(self) -> bool:
+        """Whether any force is known."""
+        return bool(self._forces)
 
     def objection(self, found: KnownForce, limit: float, expected: float = math.nan) -> str:
         """Why a force cannot be this damper's, in words; empty where it can.
@@ -190,12 +217,12 @@ class KnownForces:
         ``limit``: factor, up or down, within which a damper changes. ``expected`` [1]: the force
         over that of the law as it was at first, NaN where the law is not known there.
         """
-        here = self._nearest(found)
+        here = self.known_force(found.operating_point)
         if here is not None:
             expected = found.size / here.size
         if not math.isnan(expected) and not 1.0 / limit <= expected <= limit:
             return f"the force is {expected:.3g} times what it was at first"
-        for known in self._known:
+        for known in self._forces:
             ratio = found.peak_velocity / known.peak_velocity
             besides = limit * _besides(found, known)
             low, high = min(1.0, ratio) / besides, max(1.0, ratio) * besides
@@ -204,31 +231,6 @@ class KnownForces:
             if found.size < low * known.size:
                 return f"the force spreads by {found.size:.3g} N, {known.size:.3g} N at first"
         return ""
-
-    def changes_too_much(self, factor: float, limit: float) -> bool:
-        """Whether a change of the running set's force by this factor leads beyond the limit."""
-        return bool(self._known) and not 1.0 / limit <= self.level * factor <= limit
-
-    def change_at(self, found: KnownForce, otherwise: float) -> float:
-        """Relative change of a force against that known at its operating point.
-
-        Besides the change that the running set has seen elsewhere; ``otherwise`` where it is new.
-        """
-        here = self._nearest(found)
-        return otherwise if here is None else found.size / (here.size * self.level) - 1.0
-
-    def follow(self, found: KnownForce) -> None:
-        """Take in a force that was accepted; the first of its operating point is kept."""
-        here = self._nearest(found)
-        if here is not None:
-            self.level = found.size / here.size
-        elif min(found.size, found.peak_velocity, found.largest) > 0.0:
-            self._known.append(found)
-
-    def _nearest(self, wanted: KnownForce) -> KnownForce | None:
-        points = [known.operating_point for known in self._known]
-        index = nearest_comparable(points, wanted.operating_point)
-        return None if index is None else self._known[index]
 
 
 def _besides(one: KnownForce, other: KnownForce) -> float:
@@ -239,7 +241,6 @@ def _besides(one: KnownForce, other: KnownForce) -> float:
     return 1.0 if speed <= _COMPARABLE[0] else _OTHER_SPEED
 
 
-_REMEMBERED = 150
 _AT_ONE_POINT = 15
 """So many of the newest at an operating point tell what is usual there."""
 
@@ -250,69 +251,30 @@ _ELSEWHERE = 0.05
 """Part of the force that a law may usually leave where it has never been fitted: of the records of
 a commercial damper the median is 0.08."""
 
+Residual = tuple[float, ...]
+"""RMSE [N] and NRMSE of a good window; peak velocity [m/s] and current [A] if it has one current.
+"""
 
-@dataclass(frozen=True)
-class SeenResidual:
-    """Residual of a good window: RMSE [N] and NRMSE.
 
-    ``peak_velocity`` [m/s] and ``current`` [A] are those of its operating point, NaN where that
-    was not kept.
+def excess_residual(
+    seen: Sequence[Residual], rmse: float, nrmse: float, point: OperatingPoint | None = None
+) -> float:
+    """Residual, RMSE [N] and NRMSE, over the usual one of those seen, oldest first; 1 of none.
+
+    A sensor's noise keeps its newtons, a model's error its share of the force: a disturbance
+    exceeds both. Of an operating point that is new, it is not known what the law leaves there: a
+    residual that is large for the others may be usual.
     """
-
-    rmse: float
-    nrmse: float
-    peak_velocity: float = math.nan
-    current: float = math.nan
-
-    @property
-    def kept(self) -> tuple[float, ...]:
-        """What is known of it, in this order."""
-        known = (self.rmse, self.nrmse, self.peak_velocity, self.current)
-        return known[:2] if math.isnan(self.peak_velocity) else known
-
-    def is_near(self, point: OperatingPoint) -> bool:
-        """Whether the residual is comparable with one at this operating point."""
-        known = (self.peak_velocity, self.current)
-        return math.isnan(self.peak_velocity) or nearest_comparable([known], point) is not None
-
-
-class UsualResiduals:
-    """Remembers the residuals of the newest good windows."""
-
-    def __init__(self, seen: Iterable[SeenResidual] = ()) -> None:
-        """Begin with these, oldest first."""
-        self._seen = deque(seen, maxlen=_REMEMBERED)
-
-    def __bool__(self) -> bool:
-        """Whether any is known."""
-        return bool(self._seen)
-
-    @property
-    def seen(self) -> tuple[SeenResidual, ...]:
-        """All of them, oldest first."""
-        return tuple(self._seen)
-
-    def add(self, residual: SeenResidual) -> None:
-        """Remember that of a good window."""
-        self._seen.append(residual)
-
-    def forget(self) -> None:
-        """The rig has become another: nothing is usual any more."""
-        self._seen.clear()
-
-    def excess(self, rmse: float, nrmse: float, point: OperatingPoint | None = None) -> float:
-        """Residual, RMSE [N] and NRMSE, over the usual one; 1 where none is known.
-
-        A sensor's noise keeps its newtons, a model's error its share of the force: a disturbance
-        exceeds both. Of an operating point (peak velocity [m/s], current [A]) that is new, it is
-        not known what the law leaves there: a residual that is large for the others may be usual.
-        """
-        if not self._seen:
-            return 1.0
-        near = [each for each in self._seen if point is None or each.is_near(point)]
-        known = (near or list(self._seen))[-_AT_ONE_POINT:]
-        usual_rmse, usual_nrmse = median(e.rmse for e in known), median(e.nrmse for e in known)
-        # A force without noise, as a simulation has it, leaves rounding: that is no measure.
-        spread = rmse / max(nrmse, _NO_NOISE)
-        usual_nrmse = max(usual_nrmse, _NO_NOISE if near else _ELSEWHERE)
-        return min(rmse / max(usual_rmse, _NO_NOISE * spread), nrmse / usual_nrmse)
+    if not seen:
+        return 1.0
+    near = [
+        each
+        for each in seen
+        if point is None or not each[2:] or nearest_comparable([(each[2], each[3])], point) == 0
+    ]
+    known = (near or seen)[-_AT_ONE_POINT:]
+    usual_rmse, usual_nrmse = median(e[0] for e in known), median(e[1] for e in known)
+    # A force without noise, as a simulation has it, leaves rounding: that is no measure.
+    spread = rmse / max(nrmse, _NO_NOISE)
+    usual_nrmse = max(usual_nrmse, _NO_NOISE if near else _ELSEWHERE)
+    return min(rmse / max(usual_rmse, _NO_NOISE * spread), nrmse / usual_nrmse)

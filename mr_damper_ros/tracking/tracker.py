@@ -14,8 +14,7 @@ from functools import partial
 import numpy as np
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, WindowFit
-from mr_damper_ros.kinematics.window import Window
+from mr_damper_ros.estimation.window_fit import WINDOW_METHODS
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, start_set
 from mr_damper_ros.models.plausibility import implausible
@@ -23,8 +22,8 @@ from mr_damper_ros.processes.blas_threads import one_thread
 from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
-    AcceptanceHistory,
     AcceptanceSettings,
+    Experience,
     Gatekeeper,
     Judgement,
     Verdict,
@@ -33,12 +32,12 @@ from mr_damper_ros.tracking.acceptance import (
 from mr_damper_ros.tracking.cusum import ChangeWatch
 from mr_damper_ros.tracking.fluid_temperature import (
     FluidTemperature,
-    TemperatureHistory,
-    TemperatureMaps,
+    temperature_map,
+    with_temperature,
 )
-from mr_damper_ros.tracking.force_scale import Baselines, ScaleScatter, SeenScale
+from mr_damper_ros.tracking.force_scale import SeenScale, widened
 from mr_damper_ros.tracking.jobs import TRACKERS, FitOptions, Job, Kind, Outcome, run
-from mr_damper_ros.tracking.operating_point import OperatingPoint, Reservoir
+from mr_damper_ros.tracking.operating_point import KnownPoints
 from mr_damper_ros.tracking.recursive_tracker import FilterState
 from mr_damper_ros.tracking.reports import Report, report_of_search, report_of_window
 from mr_damper_ros.tracking.running_set import (
@@ -157,19 +156,16 @@ class TrackerSettings(CheckedSettings):
 
 
 @dataclass(eq=False)
-class TrackerMemory:
+class TrackerMemory(Experience):
     """All of a tracker but its settings and its running set; see ``WindowTracker``.
 
     ``windows`` judged so far (they number the sets); ``accepted`` since the start or reset;
     ``accepted_since_global``: good windows since the last global identification, whether their set
-    was taken or the one in use confirmed; ``history`` of acceptance; ``baselines`` of the force
-    scale; ``reservoir`` windows and their operating points (peak velocity [m/s], current [A]);
-    ``state`` of the recursive filter; ``watch`` for changes; ``changed_ns``: begin of the last
-    sudden change; ``temperatures`` with the force scales that came with them; ``searched_points``:
-    operating points that the last global identification had; ``scales`` seen in motions that were
-    no sine; ``global_patience``: good windows until the next search; ``other_damper``: whether the
-    damper may be another one than that of the running set; ``motion`` of the newest good windows;
-    ``kept_ns``: stamp of the newest window in the reservoir; ``reservoir_stamps``: that of each;
+    was taken or the one in use confirmed; ``state`` of the recursive filter; ``watch`` for changes;
+    ``changed_ns``: begin of the last sudden change; ``searched_points``: operating points that the
+    last global identification had; ``scales`` seen in motions that were no sine;
+    ``global_patience``: good windows until the next search; ``other_damper``: whether the damper
+    may be another one than that of the running set; ``motion`` of the newest good windows;
     ``unexplained_windows``: windows whose dependence on the current the law did not explain since
     the last search, and ``unexplained_patience``: after how many the next one follows, 0 for the
     usual number.
@@ -178,21 +174,14 @@ class TrackerMemory:
     windows: int = 0
     accepted: int = 0
     accepted_since_global: int = 0
-    history: AcceptanceHistory = field(default_factory=AcceptanceHistory)
-    baselines: tuple[WindowFit, ...] = ()
-    reservoir: tuple[Window, ...] = ()
-    reservoir_points: tuple[OperatingPoint, ...] = ()
     state: FilterState | None = None
     watch: ChangeWatch | None = None
     changed_ns: int = 0
-    temperatures: tuple[TemperatureHistory, ...] = ()
     searched_points: int = 0
     scales: tuple[SeenScale, ...] = ()
     global_patience: int = 1
     other_damper: bool = False
     motion: SteadyMotion = field(default_factory=SteadyMotion)
-    kept_ns: int = 0
-    reservoir_stamps: tuple[int, ...] = ()
     unexplained_windows: int = 0
     unexplained_patience: int = 0
 
@@ -217,33 +206,18 @@ class WindowTracker:
 
     @property
     def memory(self) -> TrackerMemory:
-        """All that has been learnt besides the running set."""
-        return replace(
-            self._now,
-            history=self._gatekeeper.history,
-            baselines=self._baselines.fits,
-            reservoir=self._reservoir.windows,
-            reservoir_points=self._reservoir.points,
-            reservoir_stamps=self._reservoir.stamps,
-            temperatures=self._temperatures.histories,
-            scales=self._scatter.seen,
-        )
+        """All that has been learnt besides the running set, as it is now."""
+        return replace(self._now)
 
     def _remember(self, memory: TrackerMemory) -> None:
         self._now = replace(memory)
-        self._gatekeeper = Gatekeeper(self._settings.acceptance, memory.history)
-        self._baselines = Baselines(memory.baselines)
-        self._reservoir = Reservoir(
-            memory.reservoir, memory.reservoir_points, memory.reservoir_stamps
-        )
-        self._temperatures = TemperatureMaps(memory.temperatures)
-        self._scatter = ScaleScatter(memory.scales)
+        self._now.unexplained_patience = memory.unexplained_patience or _PATIENCE
+        self._gatekeeper = Gatekeeper(self._settings.acceptance, self._now)
         self._seen_ns = 0
         # Whether the law over the current does not explain the newest window.
         self._unexplained = False
         # A set of a search, or of a surprising window, that the next window must confirm.
         self._rival: ParameterSet | None = None
-        self._now.unexplained_patience = memory.unexplained_patience or _PATIENCE
 
     def resume(self, parameters: ParameterSet, memory: TrackerMemory) -> None:
         """Go on where another tracker was, which may have had other settings.
@@ -273,9 +247,9 @@ class WindowTracker:
         return self._now.accepted
 
     @property
-    def reservoir(self) -> Reservoir:
-        """Windows kept for the global identification."""
-        return self._reservoir
+    def points(self) -> KnownPoints:
+        """What is known at each operating point, with the windows for the global identification."""
+        return self._now.points
 
     def reset(self) -> None:
         """Back to the initial set; baselines and reservoir are forgotten."""
@@ -313,8 +287,8 @@ class WindowTracker:
             self._settings.fit_options,
             window,
             None if window.look else self._rival,
-            () if window.look else self._reservoir.recent(window.start_ns),
-            self._baselines.fits,
+            () if window.look else self.points.recent(window.start_ns),
+            self.points.baselines,
             self._now.state,
             self._now.watch,
             self._now.changed_ns,
@@ -329,14 +303,16 @@ class WindowTracker:
         self._now.accepted_since_global = 0
         self._now.unexplained_windows = 0
         self._now.global_patience += max(self._now.global_patience // 2, 1)
-        self._now.searched_points = self._reservoir.operating_points
+        kept = self.points.kept
+        self._now.searched_points = len(kept)
+        newest_ns = kept[-1].stamp_ns if kept else 0
         return Job(
             self.parameters,
             self._settings.fit_options,
-            windows=self._reservoir.windows,
+            windows=self.points.windows,
             evolution=evolution or self._settings.evolution,
-            stamp_ns=max(self._now.kept_ns, self.parameters.stamp_ns),
-            recent=len(self._reservoir.recent(self._now.kept_ns)),
+            stamp_ns=max(newest_ns, self.parameters.stamp_ns),
+            recent=len(self.points.recent(newest_ns)),
             asked=asked,
         )
 
@@ -357,7 +333,7 @@ class WindowTracker:
         self._paused_before(job.samples)
         judgement = self._judge_with_rival(job, outcome)
         raw = job.samples
-        scale = self._scatter.widened(outcome.scale, raw.start_ns, raw.end_ns)
+        scale, self._now.scales = widened(outcome.scale, self._now.scales, raw.start_ns, raw.end_ns)
         outcome = replace(outcome, scale=scale)
         report = report_of_window(
             job, outcome, judgement, self.parameters.set_id, global_due=self._global_is_due()
@@ -428,7 +404,7 @@ class WindowTracker:
             self._now.motion = self._now.motion.followed_by(summary)
             if parts is None or parts.explained:
                 # A wrong law over the current is nothing to compare other windows with.
-                self._baselines.add(fit)
+                self._now.points = self.points.with_baseline(fit)
         if judgement.verdict.accepted:
             self._now.watch = outcome.watch
             self._now.other_damper = False
@@ -440,10 +416,9 @@ class WindowTracker:
             self._unexplained = False
         self._now.unexplained_windows += self._unexplained
         if judgement.teaches or self._unexplained:
-            self._now.kept_ns = job.samples.end_ns
             self._now.accepted_since_global += judgement.teaches
             for kept in outcome.kept:
-                self._reservoir.add(kept, job.samples.end_ns)
+                self._now.points = self.points.with_window(kept, job.samples.end_ns)
         return judgement
 
     def _paused_before(self, window: RawWindow) -> bool:
@@ -457,8 +432,9 @@ class WindowTracker:
         assert outcome.fit is not None
         point, celsius = outcome.fit.operating_point, job.samples.temperature
         if math.isnan(celsius):
-            return self._temperatures.temperature(point, outcome.scale)
-        self._temperatures.add(point, celsius, outcome.scale)
+            found = temperature_map(self.points.at(point))
+            return FluidTemperature() if found is None else found.temperature(outcome.scale)
+        self._now.points = with_temperature(self.points, point, celsius, outcome.scale)
         return FluidTemperature()
 
     def _complete_look(self, job: Job, outcome: Outcome) -> Report | None:
@@ -490,7 +466,7 @@ class WindowTracker:
         self._now.watch = None
         if not paused:
             # Nothing warms or cools so fast: the same force now means another temperature.
-            self._temperatures = TemperatureMaps()
+            self._now.points = self.points.without_temperatures()
         length = round((fit.sample_count - 1) * raw.period * NANOSECONDS)
         self._now.changed_ns = raw.end_ns - length
         judgement = Judgement(
@@ -504,7 +480,7 @@ class WindowTracker:
         return replace(report, coefficient_errors=unknown, coefficient_discrepancies=unknown)
 
     def _global_is_due(self) -> bool:
-        period, points = self._settings.global_period, self._reservoir.operating_points
+        period, points = self._settings.global_period, len(self.points.kept)
         if period == 0:
             return False
         now = self._now

@@ -26,6 +26,7 @@ from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.processes.deferred import BackgroundWriter
 from mr_damper_ros.processes.files import FolderLock
 from mr_damper_ros.tracking.fluid_temperature import can_be_seen
+from mr_damper_ros.tracking.operating_point import PointRecord, nearest_same
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker
 
@@ -33,9 +34,6 @@ T = TypeVar("T")
 
 _DATA = "float64"
 """Key of an array's doubles (little endian, base64); its shape goes with it."""
-
-_NO_LONGER_KEPT = {"pending_change"}
-"""Entries of earlier versions that say nothing any more."""
 
 _STAMP_LIMIT = 2**63
 """Stamps [ns] have 64 bits."""
@@ -52,20 +50,51 @@ def from_text(text: str, model: Model) -> TrackerMemory:
     Raises StateError where the text is not one, or holds what no tracker has learnt.
     """
     try:
-        memory = _read(TrackerMemory, json.loads(text), "memory")
+        data = json.loads(text)
+        if isinstance(data, dict) and "points" not in data:
+            data = _with_records(data)
+        memory = _read(TrackerMemory, data, "memory")
         # An older version may have known fewer parameters.
-        baselines = tuple(
-            dataclasses.replace(fit, parameters=model.completed(fit.parameters))
-            for fit in memory.baselines
-        )
-        memory = check(dataclasses.replace(memory, baselines=baselines), model)
+        for each in memory.points.records:
+            if (fit := each.baseline) is not None:
+                completed = dataclasses.replace(fit, parameters=model.completed(fit.parameters))
+                memory.points = memory.points.noted(each.point, baseline=completed)
+        return check(memory, model)
     except RecursionError as error:
         raise StateError("the memory of the tracker is nested too deeply") from error
     except StateError:
         raise
-    except (ValueError, OverflowError) as error:
+    except (ValueError, OverflowError, TypeError, LookupError) as error:
         raise StateError(f"the memory of the tracker cannot be used: {error}") from error
-    return memory
+
+
+_OF_EARLIER = ("baselines", "reservoir", "reservoir_points", "reservoir_stamps", "temperatures")
+
+
+def _with_records(data: dict[str, Any]) -> dict[str, Any]:
+    """What an earlier version kept, one table for each kind of knowledge, in records of points."""
+    fits, windows, points, stamps, temperatures = (data.get(name, []) for name in _OF_EARLIER)
+    history = data.get("history", {})
+    found = [(fit["operating_point"], {"baseline": fit}) for fit in fits]
+    for window, point, stamp in zip(windows, points, stamps or [0] * len(windows), strict=True):
+        found.append((point, {"window": window, "stamp_ns": stamp}))
+    for each in temperatures:
+        found.append((each["operating_point"], {"temperatures": each["seen"]}))
+    for force in history.get("forces", []):
+        found.append(([force["peak_velocity"], force["current"]], {"force": force}))
+    records: list[dict[str, Any]] = []
+    for point, entries in found:
+        place = nearest_same([each["point"] for each in records], point)
+        if place is None:
+            place = len(records)
+            nothing = np.empty((0, 3))
+            records.append({"point": point, "temperatures": _plain(nothing)})
+        records[place] |= entries
+    gone = {*_OF_EARLIER, "history", "kept_ns"}
+    kept = {name: value for name, value in data.items() if name not in gone}
+    names = ("residuals", "refused_for_residual", "level")
+    kept |= {name: history[name] for name in names if name in history}
+    return {**kept, "points": {"records": records}}
 
 
 def _plain(value: Any) -> Any:
@@ -136,10 +165,9 @@ def _dataclass(kind: Any, data: Any, where: str) -> Any:
         if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
     }
     names = {field.name for field in fields}
-    if not isinstance(data, dict) or not needed <= data.keys() <= names | _NO_LONGER_KEPT:
+    if not isinstance(data, dict) or not needed <= data.keys() <= names:
         raise ValueError(f"{where} does not have the entries {', '.join(sorted(names))}")
-    known = names & data.keys()
-    return kind(**{name: _read(hints[name], data[name], f"{where}.{name}") for name in known})
+    return kind(**{name: _read(hints[name], data[name], f"{where}.{name}") for name in data})
 
 
 def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
@@ -151,46 +179,22 @@ def check(memory: TrackerMemory, model: Model) -> TrackerMemory:
 
 
 def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bool, str]]:
-    history, watch, state = memory.history, memory.watch, memory.state
+    watch, state = memory.watch, memory.state
     counts = (
         *(memory.windows, memory.accepted, memory.accepted_since_global),
         *(memory.searched_points, memory.motion.windows, memory.global_patience - 1),
-        *(memory.unexplained_windows, memory.unexplained_patience),
+        *(memory.unexplained_windows, memory.unexplained_patience, memory.refused_for_residual),
     )
-    yield min(*counts, history.refused_for_residual) >= 0, "a negative count"
-    stamps = (memory.changed_ns, memory.kept_ns, *memory.reservoir_stamps)
-    yield max(map(abs, stamps)) < _STAMP_LIMIT, "such a stamp"
-    for residual in history.residuals:
+    yield min(counts) >= 0, "a negative count"
+    yield abs(memory.changed_ns) < _STAMP_LIMIT, "such a stamp"
+    for residual in memory.residuals:
         sound = len(residual) in (2, 4) and all(map(math.isfinite, residual))
         yield sound and min(residual[:3]) >= 0.0, "such a residual"
-    yield 0.0 <= history.level < math.inf, "such a level of the force"
-    for known in history.forces:
-        of_force = (known.peak_velocity, known.size, known.largest)
-        yield min(of_force) > 0.0 and all(map(math.isfinite, of_force)), "such a known force"
-    windows, points_of_windows = len(memory.reservoir), len(memory.reservoir_points)
-    yield windows == points_of_windows, "a window without its point"
-    yield len(memory.reservoir_stamps) in (0, windows), "a window without its stamp"
-    for fit in memory.baselines:
-        yield fit.parameters.shape == (parameter_count,), "another number of parameters"
-        yield _square(fit.scales, fit.covariance), "such a covariance"
-        yield _square(fit.coefficients, fit.coefficient_covariance), "such a covariance"
-        for vector, matrix in (
-            (fit.scales, fit.discrepancy),
-            (fit.coefficients, fit.coefficient_discrepancy),
-        ):
-            yield matrix is None or _square(vector, matrix), "such a discrepancy"
-        for array in (fit.parameters, fit.scales, fit.coefficients):
-            yield bool(np.all(np.isfinite(array))), "a value that is not finite"
-    points = [fit.operating_point for fit in memory.baselines] + list(memory.reservoir_points)
-    points += [known.operating_point for known in history.forces]
-    for window in memory.reservoir:
-        yield from _window_soundness(window)
-    for warming in memory.temperatures:
-        points.append(warming.operating_point)
-        seen = warming.seen
-        sound = seen.ndim == 2 and seen.shape[0] > 0 and seen.shape[1] == 3
-        yield sound, "such a temperature history"
-        yield can_be_seen(seen), "such a temperature or force scale"
+    yield 0.0 <= memory.level < math.inf, "such a level of the force"
+    points = []
+    for record in memory.points.records:
+        points.append(record.point)
+        yield from _record_soundness(record, parameter_count)
     for scale in memory.scales:
         yield max(abs(scale.start_ns), abs(scale.end_ns)) < _STAMP_LIMIT, "such a stamp"
         numbers = [scale.value, scale.standard_error]
@@ -207,6 +211,30 @@ def _soundness(memory: TrackerMemory, parameter_count: int) -> Iterator[tuple[bo
         sums = (watch.rising, watch.falling, watch.top, watch.rising_samples, watch.falling_samples)
         yield min(sums) >= 0 and all(map(math.isfinite, (*sizes, *sums))), "such a sum"
     yield all(map(math.isfinite, [x for point in points for x in point])), "such a point"
+
+
+def _record_soundness(record: PointRecord, parameter_count: int) -> Iterator[tuple[bool, str]]:
+    yield abs(record.stamp_ns) < _STAMP_LIMIT, "such a stamp"
+    seen, force, fit = record.temperatures, record.force, record.baseline
+    yield seen.ndim == 2 and seen.shape[1] == 3, "such a temperature history"
+    yield can_be_seen(seen), "such a temperature or force scale"
+    if force is not None:
+        sizes = (force.peak_velocity, force.size, force.largest)
+        sound = min(sizes) > 0.0 and all(map(math.isfinite, (*sizes, force.current)))
+        yield sound, "such a known force"
+    if fit is not None:
+        yield fit.parameters.shape == (parameter_count,), "another number of parameters"
+        yield _square(fit.scales, fit.covariance), "such a covariance"
+        yield _square(fit.coefficients, fit.coefficient_covariance), "such a covariance"
+        for vector, matrix in (
+            (fit.scales, fit.discrepancy),
+            (fit.coefficients, fit.coefficient_discrepancy),
+        ):
+            yield matrix is None or _square(vector, matrix), "such a discrepancy"
+        for array in (fit.parameters, fit.scales, fit.coefficients, np.array(fit.operating_point)):
+            yield bool(np.all(np.isfinite(array))), "a value that is not finite"
+    if record.window is not None:
+        yield from _window_soundness(record.window)
 
 
 def _window_soundness(window: Window) -> Iterator[tuple[bool, str]]:
@@ -324,8 +352,8 @@ class TrackerState:
             return f"parameters {parameters.set_id} and a new baseline"
         tracker.resume(parameters, learnt)
         return (
-            f"parameters {parameters.set_id} and {len(learnt.baselines)} baselines, "
-            f"{len(learnt.reservoir)} windows"
+            f"parameters {parameters.set_id} and {len(learnt.points.baselines)} baselines, "
+            f"{len(learnt.points.windows)} windows"
         )
 
     def _put_aside(self, why: str) -> None:

@@ -112,12 +112,12 @@ def test_another_shape_where_the_set_holds_waits_for_the_next_window() -> None:
 
 def test_a_set_that_fits_is_confirmed_by_an_unusual_window_that_teaches_nothing() -> None:
     gatekeeper = experienced(5.0)
-    before = gatekeeper.history.residuals
+    before = gatekeeper.known.residuals
     found = gatekeeper.judge(evidence(0.14 * SPREAD, 0.13 * SPREAD))
     assert found.verdict is Verdict.NO_BETTER
     assert "13.0 times the usual one: the running set, which leaves 14%" in found.sentence
     assert not found.teaches
-    assert gatekeeper.history.residuals == before
+    assert gatekeeper.known.residuals == before
 
 
 # -- limits on change ------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def test_where_the_law_is_known_it_limits_the_force_of_a_new_operating_point() -
 def test_the_limit_can_be_moved_and_is_kept() -> None:
     gatekeeper = used_to(change_limit=20.0)
     assert gatekeeper.judge(evidence(10.0, 5.0), force(10.0)) == ACCEPTED
-    other = Gatekeeper(AcceptanceSettings(), gatekeeper.history)
+    other = Gatekeeper(AcceptanceSettings(), gatekeeper.known)
     assert other.judge(evidence(10.0, 5.0), force(10.0)).verdict is Verdict.BEYOND_LIMITS
 
 

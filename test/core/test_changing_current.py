@@ -104,7 +104,7 @@ def test_a_window_of_changing_current_is_accepted_where_the_law_is_known() -> No
 
 def test_the_dependence_on_the_current_is_learnt_from_one_window_that_switches() -> None:
     tracker, _ = followed([raw(switching())], start_set("sigmoid"))
-    assert tracker.reservoir.operating_points == 2
+    assert len(tracker.points.windows) == 2
     law, given = MODELS["sigmoid"], window(switching(), number=1)
     error = law.window_force(given, tracker.parameters.values) - given.force
     assert known.rms(error) < 1.1 * known.NOISE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 
@@ -21,10 +22,12 @@ from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.fluid_temperature import (
     TemperatureMap,
-    TemperatureMaps,
     fit_temperature_map,
+    temperature_map,
+    with_temperature,
 )
-from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale
+from mr_damper_ros.tracking.force_scale import ForceScale, force_scale
+from mr_damper_ros.tracking.operating_point import KnownPoints
 
 POINT = (0.0314, 1.5)
 
@@ -39,11 +42,17 @@ class Heated:
     celsius: Array
     scales: tuple[ForceScale, ...]
 
-    def maps(self, every: int = 1) -> TemperatureMaps:
-        maps = TemperatureMaps()
-        for celsius, scale in list(zip(self.celsius, self.scales, strict=True))[::every]:
-            maps.add(POINT, celsius, scale)
-        return maps
+    def map(self, every: int = 1) -> TemperatureMap:
+        return learnt(list(zip(self.celsius.tolist(), self.scales, strict=True))[::every])
+
+
+def learnt(pairs: Iterable[tuple[float, ForceScale]]) -> TemperatureMap:
+    points = KnownPoints()
+    for celsius, scale in pairs:
+        points = with_temperature(points, POINT, celsius, scale)
+    found = temperature_map(points.at(POINT))
+    assert found is not None
+    return found
 
 
 @cache
@@ -55,15 +64,15 @@ def heated(seed: int = 0) -> Heated:
         1.5,
         thermal=ThermalModel(capacity=25.0, conductance=0.0),
     )
-    baselines, scales, celsius = Baselines(), [], []
+    points, scales, celsius = KnownPoints(), [], []
     start = LITERATURE
     for _ in range(26):
         block = rig.next_block(2000)
         window = Window.from_samples(block.displacement, block.force, block.current, block.period)
         fit = fit_window(SIGMOID, window, start, method="least_squares")
-        baselines.add(fit)
+        points = points.with_baseline(fit)
         start = fit.parameters
-        scales.append(force_scale(SIGMOID, window, fit, baselines))
+        scales.append(force_scale(SIGMOID, window, fit, points.baselines))
         celsius.append(float(block.temperature.mean()))
     return Heated(np.array(celsius), tuple(scales))
 
@@ -71,9 +80,9 @@ def heated(seed: int = 0) -> Heated:
 def test_the_temperature_is_that_of_the_emulated_damper() -> None:
     """Identified from every second window, asked for the others."""
     run = heated()
-    maps = run.maps(every=2)
+    known_map = run.map(every=2)
     for celsius, scale in list(zip(run.celsius, run.scales, strict=True))[1:-1:2]:
-        found = maps.temperature(POINT, scale)
+        found = known_map.temperature(scale)
         # By which an estimate may miss the truth: one in some ten thousand would by chance.
         # Kelvin by which a curve in ln s may differ from the emulated damper's straight line in F.
         allowed = 4.0 * found.standard_error + 0.1
@@ -159,10 +168,8 @@ def test_what_does_not_identify_a_map_gives_none(data: tuple[Array, Array, Array
 
 
 def test_unknown_temperatures_and_scales_are_left_out() -> None:
-    maps = TemperatureMaps()
+    pairs = []
     for celsius, scale, error in zip(*observed(), strict=True):
-        maps.add(POINT, celsius, ForceScale(scale, error))
-        maps.add(POINT, math.nan, ForceScale(scale, error))
-        maps.add(POINT, celsius, ForceScale())
-    (found,) = maps.identified
-    assert found.windows == 60
+        pairs += [(celsius, ForceScale(scale, error)), (math.nan, ForceScale(scale, error))]
+        pairs.append((celsius, ForceScale()))
+    assert learnt(pairs).windows == 60

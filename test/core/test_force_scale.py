@@ -12,7 +12,8 @@ from known import SIGMOID
 
 from mr_damper_ros.estimation.window_fit import WindowFit, fit_window
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.tracking.force_scale import Baselines, ForceScale, force_scale
+from mr_damper_ros.tracking.force_scale import ForceScale, force_scale
+from mr_damper_ros.tracking.operating_point import KnownPoints
 
 WEAKER = known.weaker(0.9)
 
@@ -24,14 +25,14 @@ def fit_of(run: known.Run) -> WindowFit:
     return fit_window(SIGMOID, run.window, known.PLAUSIBLE, method="least_squares")
 
 
-def scale_of(baselines: Baselines, run: known.Run) -> ForceScale:
-    return force_scale(SIGMOID, run.window, fit_of(run), baselines)
+def scale_of(known_points: KnownPoints, run: known.Run) -> ForceScale:
+    return force_scale(SIGMOID, run.window, fit_of(run), known_points.baselines)
 
 
 def scale_between(before: known.Run, after: known.Run) -> tuple[float, float]:
-    baselines = Baselines()
-    baselines.add(fit_of(before))
-    scale = scale_of(baselines, after)
+    known_points = KnownPoints()
+    known_points = known_points.with_baseline(fit_of(before))
+    scale = scale_of(known_points, after)
     return scale.value, scale.standard_error
 
 
@@ -58,7 +59,7 @@ def test_the_standard_error_is_the_scatter() -> None:
 
 
 def test_without_a_baseline_there_is_no_scale() -> None:
-    scale = scale_of(Baselines(), known.run())
+    scale = scale_of(KnownPoints(), known.run())
     assert math.isnan(scale.value)
     assert math.isnan(scale.standard_error)
 
@@ -67,16 +68,16 @@ def test_without_a_baseline_there_is_no_scale() -> None:
     "elsewhere", [{"current": 1.2}, {"amplitude": 7.5e-3}, {"frequency": 2.0}], ids=str
 )
 def test_another_operating_point_has_another_baseline(elsewhere: dict[str, float]) -> None:
-    baselines = Baselines()
-    baselines.add(fit_of(known.run()))
-    assert math.isnan(scale_of(baselines, known.run(**elsewhere)).value)
+    known_points = KnownPoints()
+    known_points = known_points.with_baseline(fit_of(known.run()))
+    assert math.isnan(scale_of(known_points, known.run(**elsewhere)).value)
 
 
 def test_the_first_fit_stays_the_baseline() -> None:
-    baselines = Baselines()
+    known_points = KnownPoints()
     for parameters in (known.PLAUSIBLE, WEAKER):
-        baselines.add(fit_of(known.run(parameters, seed=None)))
-    scale = scale_of(baselines, known.run(WEAKER, seed=None))
+        known_points = known_points.with_baseline(fit_of(known.run(parameters, seed=None)))
+    scale = scale_of(known_points, known.run(WEAKER, seed=None))
     assert scale.value == pytest.approx(0.9, rel=NOISELESS)
 
 
@@ -92,13 +93,13 @@ def test_an_operating_point_at_the_edge_of_a_cell_has_one_baseline(what: str) ->
     speed, current = 1.1**-33.5, 0.5
     if what == "current":
         speed, current = 1.1**-33.0, 0.525
-    baselines = Baselines()
+    known_points = KnownPoints()
     for factor, parameters in ((1.0 - EDGE, known.PLAUSIBLE), (1.0 + EDGE, WEAKER)):
         amplitude = speed / (2.0 * math.pi) * (factor if what == "peak velocity" else 1.0)
         i = current * (factor if what == "current" else 1.0)
         run = known.run(parameters, amplitude=amplitude, current=i, seed=None)
-        scale = scale_of(baselines, run)
-        baselines.add(fit_of(run))
+        scale = scale_of(known_points, run)
+        known_points = known_points.with_baseline(fit_of(run))
     assert scale.value == pytest.approx(0.9, rel=ACROSS_THE_EDGE)
 
 
@@ -109,10 +110,10 @@ def test_a_baseline_beyond_all_measure_tells_no_scale() -> None:
     fit = fit_window(SIGMOID, window, known.PLAUSIBLE, method="least_squares")
     absurd = fit.parameters.copy()
     absurd[SIGMOID.strength_indices] *= 1e100
-    baselines = Baselines()
-    baselines.add(dataclasses.replace(fit, parameters=absurd))
+    known_points = KnownPoints()
+    known_points = known_points.with_baseline(dataclasses.replace(fit, parameters=absurd))
     assert window.motion.sine is None
-    assert math.isnan(force_scale(SIGMOID, window, fit, baselines).value)
+    assert math.isnan(force_scale(SIGMOID, window, fit, known_points.baselines).value)
 
 
 def test_a_force_unlike_that_of_the_baseline_tells_no_scale() -> None:
@@ -120,6 +121,6 @@ def test_a_force_unlike_that_of_the_baseline_tells_no_scale() -> None:
     fit = fit_of(run)
     reversed_force = dataclasses.replace(fit, parameters=fit.parameters.copy())
     reversed_force.parameters[SIGMOID.strength_indices] *= -1e3
-    baselines = Baselines()
-    baselines.add(reversed_force)
-    assert math.isnan(scale_of(baselines, run).value)
+    known_points = KnownPoints()
+    known_points = known_points.with_baseline(reversed_force)
+    assert math.isnan(scale_of(known_points, run).value)

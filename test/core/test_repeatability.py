@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from benchmarks import honest_errors
 from mr_damper_ros.estimation.covariance import NoiseModel, error_covariances
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.force_scale import ForceScale, ScaleScatter
+from mr_damper_ros.tracking.force_scale import ForceScale, SeenScale, widened
 
 N, CYCLE = 2000, 800.0
 
@@ -73,14 +73,12 @@ def test_the_integrated_time_is_that_of_the_noise(memory: float) -> None:
 
 @pytest.mark.parametrize("widening", [0.5, 1.0, 3.0])
 def test_an_irregular_scale_is_as_uncertain_as_it_scatters(widening: float) -> None:
-    scatter = ScaleScatter()
-    rng = np.random.default_rng(1)
-    found = [
-        scatter.widened(
-            ForceScale(1.0 + widening * 0.01 * rng.standard_normal(), 0.01, 0.1), k * 10, k * 10 + 9
-        )
-        for k in range(60)
-    ]
+    seen: tuple[SeenScale, ...] = ()
+    rng, found = np.random.default_rng(1), []
+    for k in range(60):
+        scale = ForceScale(1.0 + widening * 0.01 * rng.standard_normal(), 0.01, 0.1)
+        scale, seen = widened(scale, seen, k * 10, k * 10 + 9)
+        found.append(scale)
     assert all(scale.standard_error == 0.1 for scale in found[:5])  # not known yet: the misfit
     # The same of fewer runs.
     low, high = (bound * 0.01 * max(widening, 1.0) for bound in (0.6, 1.6))

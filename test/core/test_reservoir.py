@@ -1,4 +1,4 @@
-"""The reservoir keeps the newest window of each operating point, and not too many."""
+"""The newest window of each operating point is kept, and not too many."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ import pytest
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.tracking.operating_point import Kept, Reservoir, thinned_to_keep
+from mr_damper_ros.tracking.operating_point import Kept, KnownPoints, thinned_to_keep
 
 
-def keep(window: Window, reservoir: Reservoir) -> None:
-    reservoir.add(Kept(window, window.operating_point))
+def keep(points: KnownPoints, window: Window, number: int) -> KnownPoints:
+    return points.with_window(Kept(window, window.operating_point), number)
 
 
-def test_the_reservoir_keeps_the_newest_window_of_each_operating_point() -> None:
-    reservoir = Reservoir()
+def test_the_newest_window_of_each_operating_point_is_kept() -> None:
+    points, number = KnownPoints(), 0
     for seed in (1, 2):
         for current in (0.5, 1.0):
-            keep(known.run(current=current, seed=seed, samples=500).window, reservoir)
-    assert reservoir.operating_points == 2
+            window = known.run(current=current, seed=seed, samples=500).window
+            points = keep(points, window, number)
+            number += 1
+    assert len(points.windows) == 2
     newest = known.run(current=0.5, seed=2, samples=500).force
-    np.testing.assert_array_equal(reservoir.windows[0].force, newest)
+    np.testing.assert_array_equal(points.windows[0].force, newest)
 
 
 def test_a_long_window_is_thinned() -> None:
@@ -41,12 +43,12 @@ def test_of_a_law_without_memory_only_the_samples_are_kept() -> None:
     np.testing.assert_array_equal(bare.force, kept.force)
 
 
-def test_the_reservoir_forgets_the_oldest_operating_point_when_it_is_full() -> None:
-    reservoir = Reservoir()
+def test_the_oldest_window_goes_when_too_many_are_kept() -> None:
+    points = KnownPoints()
     window = known.run(samples=200).window
     for number in range(103):
         current = 0.1 * number
         shifted = Window(window.motion, window.force, np.full(200, current))
-        keep(shifted, reservoir)
-    currents = [float(w.current[0]) for w in reservoir.windows]
+        points = keep(points, shifted, number)
+    currents = [float(w.current[0]) for w in points.windows]
     assert currents == pytest.approx([0.1 * number for number in range(3, 103)])

@@ -308,7 +308,7 @@ def test_a_reset_goes_back_to_the_initial_set_and_forgets() -> None:
     tracked.reset()
     assert tracked.parameters.set_id == "start"
     assert tracked.accepted_windows == 0
-    assert tracked.reservoir.operating_points == 0
+    assert tracked.points.windows == ()
     assert math.isnan(known.fed(tracked, known.window(6))[0].scale.value)
 
 

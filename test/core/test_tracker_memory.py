@@ -19,6 +19,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.tracking.jobs import TRACKERS
+from mr_damper_ros.tracking.operating_point import Kept, KnownPoints
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
@@ -65,7 +66,7 @@ def test_a_tracker_goes_on_where_it_was(kind: str) -> None:
     feed(tracked, 0, 7)  # the last window is refused
     again = resumed(tracked, tracker=kind)
     assert again.accepted_windows == tracked.accepted_windows > 2
-    assert again.reservoir.operating_points == 2
+    assert len(again.points.windows) == 2
     without_end, with_restart = feed(tracked, 7, 12), feed(again, 7, 12)
     assert {report.accepted for report in without_end} == {True}
     for one, other in zip(without_end, with_restart, strict=True):
@@ -159,11 +160,11 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
 def test_a_force_known_at_no_speed_is_refused(speed: float) -> None:
     tracked = tracker()
     feed(tracked, 0, 3)
-    history = tracked.memory.history
-    (first, *others) = history.forces
-    spoilt = dataclasses.replace(first, peak_velocity=speed)
+    first = tracked.points.records[0]
+    assert first.force is not None
+    spoilt = dataclasses.replace(first.force, peak_velocity=speed)
     memory = dataclasses.replace(
-        tracked.memory, history=dataclasses.replace(history, forces=(spoilt, *others))
+        tracked.memory, points=tracked.points.noted(first.point, force=spoilt)
     )
     with pytest.raises(StateError, match="such a known force cannot be"):
         check(memory, SIGMOID)
@@ -179,8 +180,8 @@ def test_windows_of_any_motion_keep_what_is_behind_their_samples() -> None:
     displacement = 3e-3 * np.sin(6.0 * time) + 2e-3 * np.sin(17.0 * time)
     window = Window.from_samples(displacement, np.sin(6.0 * time), 1.0, 1e-3).thinned(500)
     assert window.whole is not None
-    memory = TrackerMemory(reservoir=(window,), reservoir_points=(window.operating_point,))
-    (again,) = from_text(to_text(memory), SIGMOID).reservoir
+    memory = TrackerMemory(KnownPoints().with_window(Kept(window, window.operating_point)))
+    (again,) = from_text(to_text(memory), SIGMOID).points.windows
     assert np.array_equal(
         again.history.at_samples(again.history.motion.velocity),
         window.history.at_samples(window.history.motion.velocity),
@@ -191,6 +192,6 @@ def test_a_place_beyond_the_window_is_refused() -> None:
     time = np.arange(400) * 1e-3
     window = Window.from_samples(time**2, time, 1.0, 1e-3).part(slice(None, None, 2))
     wrong = dataclasses.replace(window, places=np.asarray(window.places) + 2.0)
-    memory = TrackerMemory(reservoir=(wrong,), reservoir_points=(window.operating_point,))
+    memory = TrackerMemory(KnownPoints().with_window(Kept(wrong, window.operating_point)))
     with pytest.raises(StateError, match="such a place"):
         from_text(to_text(memory), SIGMOID)

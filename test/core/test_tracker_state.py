@@ -168,9 +168,7 @@ def test_a_state_of_the_version_before_is_gone_on_with(tmp_path: Path) -> None:
     state = TrackerState(tracker, StateDirectory(tmp_path), "identifier")
     assert state.resume() == "parameters window-3 and 3 baselines, 3 windows"
     assert state.fault == state.set_aside == ""
-    assert [window.whole is not None for window in tracker.reservoir.windows] == [False] * 2 + [
-        True
-    ]
+    assert [window.whole is not None for window in tracker.points.windows] == [False] * 2 + [True]
     run = known.run(current=0.5, samples=240, seed=9, period=5e-3)
     report = tracker.follow(known.raw_window(run, number=9))
     assert report is not None

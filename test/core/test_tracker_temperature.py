@@ -13,7 +13,6 @@ from known import SIGMOID
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.tracking.fluid_temperature import TemperatureHistory
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
@@ -97,14 +96,13 @@ def test_a_sudden_change_forgets_the_map() -> None:
     """A damper that has lost a fifth of its force while one looked on is not a warm one."""
     tracked = experienced()
     early = leaked(tracked, 0.5)
-    assert tracked.memory.temperatures == ()
+    assert not any(record.temperatures.size for record in tracked.points.records)
     assert math.isnan(early.fluid.celsius)
 
 
 @pytest.mark.parametrize(
     "seen",
     [
-        np.empty((0, 3)),
         np.ones((4, 2)),
         np.ones(3),
         np.array([[20.0, 1.0, math.nan]]),
@@ -116,7 +114,8 @@ def test_a_sudden_change_forgets_the_map() -> None:
     ids=str,
 )
 def test_a_history_that_cannot_be_is_refused(seen: np.ndarray) -> None:
-    history = TemperatureHistory((0.03, 1.5), seen)
-    memory = dataclasses.replace(experienced().memory, temperatures=(history,))
+    tracked = experienced()
+    points = tracked.points.noted((0.03, 1.5), temperatures=seen)
+    memory = dataclasses.replace(tracked.memory, points=points)
     with pytest.raises(StateError, match="cannot be"):
         from_text(to_text(memory), SIGMOID)
