@@ -38,8 +38,7 @@ from mr_damper_ros.rig.blocks import Meter
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, BlockError, RigBlock, SampleBlock, check_live
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
-from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import PredictorSettings
+from mr_damper_ros.tracking.predictor import Prediction, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.validity import DoubtKind

@@ -28,12 +28,12 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.processes.files import json_ready
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.fluid_temperature import (
+from mr_damper_ros.tracking.force_scale import (
     TemperatureMap,
+    force_scale,
     temperature_map,
     with_temperature,
 )
-from mr_damper_ros.tracking.force_scale import force_scale
 from mr_damper_ros.tracking.operating_point import KnownPoints
 
 

@@ -22,8 +22,7 @@ from mr_damper_ros.settings.option_table import CheckedSettings, group, option
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings
-from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
 
 

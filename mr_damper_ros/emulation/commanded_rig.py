@@ -10,7 +10,7 @@ from mr_damper_ros.emulation.emulator import MeasuredRig, SupplyKnob
 from mr_damper_ros.emulation.plant_rig import PlantMotion, PlantRig
 from mr_damper_ros.signals.blocks import RigBlock, SampleBlock
 from mr_damper_ros.tracking.engine import Engine
-from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import Prediction
 from mr_damper_ros.tracking.reports import Report
 
 

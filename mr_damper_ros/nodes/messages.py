@@ -30,7 +30,7 @@ from mr_damper_ros.signals.blocks import (
     check_live,
     fits_a_stamp,
 )
-from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import Prediction
 from mr_damper_ros.tracking.reports import Report
 
 _SECOND = 1_000_000_000

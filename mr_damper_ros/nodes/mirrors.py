@@ -14,7 +14,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.messages import header, set_stamp
 from mr_damper_ros.rig.blocks import Decimator
 from mr_damper_ros.signals.blocks import NANOSECONDS, RigBlock, SampleBlock
-from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import Prediction
 
 SIGNALS_TOPIC = "damper/signals"
 

@@ -20,8 +20,7 @@ from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
-from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
 _LATE = 0.8
 """Share of ``max_age`` from which on the forces of older samples would soon be invalid."""

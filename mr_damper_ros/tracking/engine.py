@@ -21,8 +21,7 @@ from mr_damper_ros.signals.recording import CurrentReading, StreamItem
 from mr_damper_ros.signals.uniform_grid import GridSettings
 from mr_damper_ros.tracking.identifier import Identifier, PipelineSettings, Publication
 from mr_damper_ros.tracking.jobs import Job, Kind
-from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.state_directory import StateDirectory
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.tracker_state import TrackerState

@@ -29,20 +29,18 @@ from mr_damper_ros.processes.worker import Control
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.acceptance import (
+    CHUNKS,
+    Evidence,
     Judgement,
+    Lead,
+    evidence_of,
     failed,
     fault_of_data,
+    held_back_samples,
+    rival_wins,
     too_little_motion,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch, change_point, fit_scale
-from mr_damper_ros.tracking.evidence import (
-    CHUNKS,
-    Evidence,
-    Lead,
-    evidence_of,
-    held_back_samples,
-    rival_wins,
-)
 from mr_damper_ros.tracking.force_scale import (
     ForceScale,
     baseline_at,

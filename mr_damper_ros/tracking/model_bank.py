@@ -29,13 +29,11 @@ from mr_damper_ros.models.parameter_set import (
 )
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
+from mr_damper_ros.tracking.operating_point import SAME_CURRENT, SAME_SPEED
 
-SAME_CURRENT = 0.05
-"""Currents [A] within this of each other are one operating point."""
-
-_SAME_SPEED, _SAME_TIME = 1.1, 1.5
-"""A set replaces one whose range of peak velocities begins and ends within this factor of its own,
-if the half-cycles in which they came are within this factor, too."""
+_SAME_TIME = 1.5
+"""A set replaces one whose range of peak velocities begins and ends at its own, if the half-cycles
+in which they came are within this factor."""
 
 _MOST = 8
 """Sets that are kept; a search tries each of them."""
@@ -96,7 +94,7 @@ class KnownSet:
         currents = zip(mine.current_range, its.current_range, strict=True)
         return (
             not max(times) > _SAME_TIME * min(times)
-            and all(max(pair) <= _SAME_SPEED * min(pair) for pair in speeds)
+            and all(max(pair) <= SAME_SPEED * min(pair) for pair in speeds)
             and all(a == b or abs(a - b) <= SAME_CURRENT for a, b in currents)
         )
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.acceptance import Judgement, Verdict
-from mr_damper_ros.tracking.fluid_temperature import FluidTemperature
-from mr_damper_ros.tracking.force_scale import ForceScale
+from mr_damper_ros.tracking.force_scale import FluidTemperature, ForceScale
 from mr_damper_ros.tracking.jobs import Job, Outcome
 
 

@@ -1,20 +1,215 @@
 """Holds the predicted force against the one that was measured in the same samples.
 
-Two errors are followed, both as parts of the recent peak of the measured force: that of every
-sample, which tells at once that the force is wrong now, and the root mean square over a half-
-cycle, which tells that the parameters are: then nothing is valid until they are right again.
+Over the latest cycles :class:`ForceStatistics` knows the peak of the measured force, its noise and
+its power; :class:`ResidualMonitor` says when the predicted one is wrong. Two errors are followed,
+both as parts of that peak: that of every sample, which tells at once that the force is wrong now,
+and the root mean square over a half-cycle, which tells that the parameters are: then nothing is
+valid until they are right again.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import compress, product
 
 import numpy as np
 
-from mr_damper_ros.signals.arrays import Array, Mask
-from mr_damper_ros.tracking.force_statistics import ForceStatistics
+from mr_damper_ros.signals.arrays import Array, Mask, span_of, white_noise
+from mr_damper_ros.tracking.operating_point import SAME_CURRENT
+from mr_damper_ros.tracking.screening import DRIVING
 from mr_damper_ros.tracking.validity import NO_DOUBT, Doubt, DoubtKind
+
+_HALF_CYCLES = 8
+_SHORTEST_MEMORY = 2.0
+_LONGEST_MEMORY = 120.0
+"""The memory is so many half-cycles, and within these times [s]."""
+
+_PEAK_MEMORY = 10.0
+"""Seconds, or a cycle if that is longer, where the motion is not steady: eight half-cycles of it
+may all be small ones, or go back to when it was another motion."""
+
+_WILD = 20
+"""One sample in so many may be wild to either side: the span is that of the rest ..."""
+
+_FEWEST = 4
+"""... but of no more than so many samples it is that of all."""
+
+_STRETCHES = 32
+_LONGEST_STRETCH = 0.25
+"""The memory moves on by this part of it, or by so many seconds if that is less."""
+
+_PRELOAD = 0.5
+"""The middle of the force counts up to this part of half its span, as a gas pressure makes it. More
+of it is a load cell that was not set to zero: the force of the damper must not vanish beside it."""
+
+_FOR_POWER = 4
+"""The power is that of so many half-cycles: what a spring takes it has given back by then."""
+
+_SHORTEST_STUCK = 0.4
+"""Seconds: no fast motion is followed so well that its half-cycle is a measure."""
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Span and noise [N] of the measured force; sums of velocity and forces, and products.
+
+    ``currents``: lowest and highest [A]; ``settled``: the stretch before had the same.
+    """
+
+    count: int
+    top: float
+    bottom: float
+    noise: float
+    sums: Array
+    currents: tuple[float, float]
+    settled: bool
+
+    def had(self, current: float) -> bool:
+        """Whether its force was that at this current [A] all along."""
+        return self.settled and all(abs(end - current) <= SAME_CURRENT for end in self.currents)
+
+
+class ForceStatistics:
+    """Remembers some cycles of a stream of samples ``period`` [s] apart.
+
+    ``peak`` and ``centre`` [N]: the largest size of the measured force and the middle of its span,
+    but for wild samples; NaN before anything is known of it. Where the motion is not steady, those
+    of ten seconds or a cycle. The force at another current counts for ten seconds at most, and no
+    longer than until the present one has stayed for a cycle.
+    ``noise`` [N]: standard deviation of its white part. ``stuck``: it has not changed at all for a
+    half-cycle. ``measured_drives`` and ``predicted_drives``: that force puts power into the motion.
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._parts: list[tuple[Array, Array, Array]] = []
+        self._currents: list[tuple[float, float]] = []
+        self._count = 0
+        self._stretch = max(round(_SHORTEST_MEMORY / _STRETCHES / period), 1)
+        self._past: deque[_Stretch] = deque()
+        self._remembered = 0
+        self._unchanged = 0
+        self.peak = math.nan
+        self.centre = math.nan
+        self.noise = 0.0
+        self.stuck = False
+        self.measured_drives = False
+        self.predicted_drives = False
+
+    def add(
+        self,
+        forces: tuple[Array, Array],
+        velocity: Array,
+        current: Array | float,
+        half_cycle: float,
+        *,
+        steady: bool,
+    ) -> None:
+        """Add samples of the predicted and the measured force [N] and the velocity [m/s], (n,).
+
+        ``current`` [A] is a number or has shape (n,); ``half_cycle`` [s] is that of the motion, NaN
+        before it is known; ``steady``: whether it is a sine that goes on.
+        """
+        self._parts.append((*forces, velocity))
+        self._currents.append(
+            (current, current) if isinstance(current, float) else span_of(current)
+        )
+        self._count += velocity.size
+        if self._count >= self._stretch:
+            self._finish(half_cycle, steady)
+
+    def forget_predicted(self) -> None:
+        """The predicted forces so far were those of other parameters."""
+        self.predicted_drives = False
+        self._parts = [(np.zeros(f.size), f, v) for _, f, v in self._parts]
+        for stretch in self._past:
+            stretch.sums[2] = stretch.sums[:, 3] = 0.0
+
+    def _finish(self, half_cycle: float, steady: bool) -> None:
+        predicted, measured, velocity = (
+            np.concatenate(rows) for rows in zip(*self._parts, strict=True)
+        )
+        count, self._count = self._count, 0
+        lows, highs = zip(*self._currents, strict=True)
+        currents = min(lows), max(highs)
+        self._parts.clear()
+        self._currents.clear()
+        if not np.isfinite(predicted).all():
+            predicted = np.zeros(count)
+        rows = np.stack((velocity, measured, predicted))
+        wild = max(count // _WILD, 1) if count > _FEWEST else 0
+        bottom, top = np.partition(measured, (wild, count - 1 - wild))[[wild, -1 - wild]].tolist()
+        rows[1] = measured.clip(bottom, top)
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.column_stack((rows.sum(axis=1), rows @ rows.T))
+        before = self._past[-1] if self._past else None
+        unchanged = np.ptp(measured) == 0.0 and (
+            before is None or top == before.top == before.bottom
+        )
+        self._unchanged = self._unchanged + count if unchanged else 0
+        settled = before is None or all(
+            abs(one - other) <= SAME_CURRENT for one, other in product(currents, before.currents)
+        )
+        noise = white_noise(measured)
+        self._past.append(_Stretch(count, top, bottom, noise, sums, currents, settled))
+        self._remembered += count
+        # Without a half-cycle nothing is known of how long to remember: the shortest time.
+        known = 0.0 if math.isnan(half_cycle) else half_cycle
+        memory = min(max(_HALF_CYCLES * known, _SHORTEST_MEMORY), _LONGEST_MEMORY)
+        self._stretch = max(round(min(memory / _STRETCHES, _LONGEST_STRETCH) / self._period), 1)
+        unsteady = min(max(2.0 * known, _PEAK_MEMORY), _LONGEST_MEMORY)
+        kept = max(memory, unsteady)
+        while (self._remembered - self._past[0].count) * self._period >= kept:
+            self._remembered -= self._past.popleft().count
+        recent = self._latest(memory)
+        self._judge_span(recent if steady else self._latest(unsteady), 2.0 * known)
+        self.noise = sorted(stretch.noise for stretch in recent)[len(recent) // 2]
+        self._judge_power(known)
+
+    def _latest(self, time: float) -> list[_Stretch]:
+        """The stretches of the latest so many seconds, newest first."""
+        latest: list[_Stretch] = []
+        count = 0
+        for stretch in reversed(self._past):
+            latest.append(stretch)
+            count += stretch.count
+            if count * self._period >= time:
+                break
+        return latest
+
+    def _judge_span(self, stretches: Sequence[_Stretch], cycle: float) -> None:
+        """That of stretches, newest first, of a motion of this ``cycle`` [s]."""
+        current = stretches[0].currents[1]
+        here = [stretch.had(current) for stretch in stretches]
+        counts = np.array([stretch.count for stretch in stretches])
+        stayed = int(counts[: (*here, False).index(False)].sum()) * self._period
+        counted: Sequence[_Stretch] = stretches
+        if not all(here):
+            others = 0.0 if stayed >= max(cycle, _SHORTEST_MEMORY) else _PEAK_MEMORY
+            ages = (counts.cumsum() - counts) * self._period
+            counted = list(compress(stretches, here | (ages < others)))
+        top, bottom = max(s.top for s in counted), min(s.bottom for s in counted)
+        half, self.centre = 0.5 * (top - bottom), 0.5 * (top + bottom)
+        self.peak = half + min(abs(self.centre), _PRELOAD * half)
+
+    def _judge_power(self, half_cycle: float) -> None:
+        self.stuck = self._unchanged * self._period > max(half_cycle, _SHORTEST_STUCK)
+        self.measured_drives = self.predicted_drives = False
+        latest = self._latest(_FOR_POWER * half_cycle)
+        count = sum(stretch.count for stretch in latest)
+        if half_cycle == 0.0 or count * self._period < 0.5 * _FOR_POWER * half_cycle:
+            return
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.sum([stretch.sums for stretch in latest], axis=0)
+            products = sums[:, 1:] - np.outer(sums[:, 0], sums[:, 0]) / count
+            sizes = np.sqrt(np.maximum(np.diag(products), 0.0))
+            if sizes[0] > 0.0:
+                self.measured_drives = bool(products[0, 1] < -DRIVING * sizes[0] * sizes[1])
+                self.predicted_drives = bool(products[0, 2] < -DRIVING * sizes[0] * sizes[2])
+
 
 _SEEN = 0.98
 """Part of the allowed error that a sample may have: the peak is known no better ..."""
@@ -26,11 +221,9 @@ _SAMPLE, _RARE = 0.68, 2.0
 """... but with much noise this part and so many more: noise alone is seldom a wrong force, and then
 for a sample."""
 
-_LASTING = 1.0
-"""Part of the allowed error that the root mean square over a half-cycle may reach."""
-
 _MOST_REMEMBERED = 1.5
-"""A burst counts no more than so many times that limit: it must not be remembered for ever."""
+"""A burst counts no more than so many times the limit of the lasting error, the root mean square
+over a half-cycle: it must not be remembered for ever."""
 
 _BACK = 0.9
 """Part of either limit that the error must fall below again."""
@@ -39,9 +232,9 @@ _CALM, _CALM_PART, _AS_LONG = 0.02, 0.1, 0.125
 """A force is valid again once it has been right for so many seconds, or this part of a half-cycle,
 or the last part of the time for which it was wrong, whichever is least."""
 
-_JUMP, _LONGEST_WILD = 1.0, 0.02
-"""Samples of the measured force are wild whose error has jumped by so many peaks from one to the
-next, until it is small again; after so many seconds the force is taken to be such."""
+_LONGEST_WILD = 0.02
+"""Samples of the measured force are wild whose error has jumped by more than the peak from one to
+the next, until it is small again; after so many seconds the force is taken to be such."""
 
 _ENOUGH = 4.0
 """Seconds for which a force was right, if a cycle is longer: those of two windows."""
@@ -105,7 +298,7 @@ class ResidualMonitor:
             self._square = (known / self._recent.peak) ** 2
             self._wrong, self._wait = False, 0.0
         elif self._wrong:
-            self._square = (_LASTING * self._limit) ** 2
+            self._square = (self._limit) ** 2
         self._recent.forget_predicted()
 
     def forget_moment(self) -> None:
@@ -175,7 +368,7 @@ class ResidualMonitor:
             (sizes > np.maximum(*self._limits(part * self._limit * largest, noise))).tolist()
             for part in (1.0, _BACK)
         )
-        jumps = (np.abs(np.diff(errors, prepend=before)) > _JUMP * peak).tolist()
+        jumps = (np.abs(np.diff(errors, prepend=before)) > peak).tolist()
         wrong, wild = np.zeros((2, sizes.size), dtype=bool)
         for k, (begin, stay) in enumerate(zip(begins, stays, strict=True)):
             if begin and (jumps[k] or 0 < self._wild_for < self._longest_wild):
@@ -197,13 +390,13 @@ class ResidualMonitor:
         self._compared += count * self._period
         if count == 0:
             return
-        most = _MOST_REMEMBERED * _LASTING * self._limit * peak
+        most = _MOST_REMEMBERED * self._limit * peak
         if float(sizes.max()) > most:
             sizes = sizes.clip(0.0, most)
         square = (float(sizes @ sizes) / count - self._noise(peak) ** 2) / peak**2
         part = min(count * self._period / self._time, 1.0)
         self._square += part * (square - self._square)
-        lasting = _LASTING * self._limit * (_BACK if self._wrong else 1.0)
+        lasting = self._limit * (_BACK if self._wrong else 1.0)
         self._wrong = self._square > lasting**2
 
     @staticmethod
@@ -223,7 +416,7 @@ class ResidualMonitor:
             return Doubt(
                 DoubtKind.WRONG,
                 f"the predicted force was off by {math.sqrt(self._square):.0%} of the peak over "
-                f"the last half-cycle: valid again below {_BACK * _LASTING * self._limit:.0%}",
+                f"the last half-cycle: valid again below {_BACK * self._limit:.0%}",
             )
         return Doubt(
             DoubtKind.WRONG,

@@ -11,7 +11,7 @@ from mr_damper_ros.estimation.window_fit import WindowFit
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.evidence import Evidence
+from mr_damper_ros.tracking.acceptance import Evidence
 from mr_damper_ros.tracking.operating_point import (
     SAME_CURRENT,
     SAME_SPEED,

@@ -56,7 +56,7 @@ _LONGEST_REST = 0.25
 _ROUGHER = 1.5
 """A velocity whose mean frequency is this many times that of the force was none."""
 
-_DRIVING = 0.1
+DRIVING = 0.1
 """Correlation of force and velocity below minus this: the sign of one of them is wrong."""
 
 
@@ -185,7 +185,7 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
     """
     centred = force - force.mean()
     power = float(centred @ velocity)
-    if power < -_DRIVING * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
+    if power < -DRIVING * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
         if _mean_frequency(velocity) > _ROUGHER * _mean_frequency(force):
             return (
                 "displacement and force seem to have changed places: what is given as the "

@@ -30,12 +30,13 @@ from mr_damper_ros.tracking.acceptance import (
     fault_of_data,
 )
 from mr_damper_ros.tracking.cusum import ChangeWatch
-from mr_damper_ros.tracking.fluid_temperature import (
+from mr_damper_ros.tracking.force_scale import (
     FluidTemperature,
+    SeenScale,
     temperature_map,
+    widened,
     with_temperature,
 )
-from mr_damper_ros.tracking.force_scale import SeenScale, widened
 from mr_damper_ros.tracking.jobs import TRACKERS, FitOptions, Job, Kind, Outcome, run
 from mr_damper_ros.tracking.operating_point import KnownPoints
 from mr_damper_ros.tracking.recursive_tracker import FilterState

@@ -25,7 +25,7 @@ from mr_damper_ros.models.force_model import Model
 from mr_damper_ros.models.parameter_set import ParameterError, ParameterSet
 from mr_damper_ros.processes.deferred import BackgroundWriter
 from mr_damper_ros.processes.files import FolderLock
-from mr_damper_ros.tracking.fluid_temperature import can_be_seen
+from mr_damper_ros.tracking.force_scale import can_be_seen
 from mr_damper_ros.tracking.operating_point import PointRecord, nearest_same
 from mr_damper_ros.tracking.state_directory import StateDirectory, StateError
 from mr_damper_ros.tracking.tracker import TrackerMemory, WindowTracker

@@ -15,8 +15,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.bumpless_transfer import FADES, ForceInUse
-from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 
 LAWS = ("sigmoid", "hyperbolic_tangent", "bouc_wen", "modified_bouc_wen")
 

@@ -13,7 +13,7 @@ from mr_damper_ros.emulation.emulator import scaled
 from mr_damper_ros.estimation.covariance import NoiseModel
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.evidence import Lead, evidence_of, held_back_samples
+from mr_damper_ros.tracking.acceptance import Lead, evidence_of, held_back_samples
 
 N = 1000
 

@@ -20,13 +20,14 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.fluid_temperature import (
+from mr_damper_ros.tracking.force_scale import (
+    ForceScale,
     TemperatureMap,
     fit_temperature_map,
+    force_scale,
     temperature_map,
     with_temperature,
 )
-from mr_damper_ros.tracking.force_scale import ForceScale, force_scale
 from mr_damper_ros.tracking.operating_point import KnownPoints
 
 POINT = (0.0314, 1.5)

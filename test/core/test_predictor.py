@@ -15,8 +15,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.sigmoid.law import force_from_coefficients, operating_point_coefficients
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind
 
 PERIOD = 1e-3

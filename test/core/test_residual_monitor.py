@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.force_statistics import ForceStatistics
-from mr_damper_ros.tracking.residual_monitor import ResidualMonitor
+from mr_damper_ros.tracking.residual_monitor import ForceStatistics, ResidualMonitor
 
 PERIOD = 1e-3
 PEAK = 1000.0

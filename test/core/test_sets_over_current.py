@@ -19,8 +19,7 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking import model_bank
 from mr_damper_ros.tracking.model_bank import KnownSet, force_ratio
-from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind
 
 LOW, HIGH = 0.4, 1.2

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.prediction import Prediction
-from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
+from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.window_assembler import RawWindow, WindowAssembler
 
 SIZE = 10
