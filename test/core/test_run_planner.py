@@ -15,7 +15,7 @@ from campaign_of_three import perform
 import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import ForceCampaign, run_campaign
 from mr_damper_ros.campaign.folder import CampaignStep
-from mr_damper_ros.estimation.experiment_design import Cycles, PlanState, RunPlanner
+from mr_damper_ros.estimation.experiment_design import Cycles, PlanState, RunPlanner, model_error
 from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun, first_run
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.signals.recording import Recording
@@ -123,6 +123,33 @@ def planner() -> RunPlanner:
 
 def windows(*runs: PlannedRun) -> list[Window]:
     return [window for run in runs for window in run.windows(perform(run))]
+
+
+MISFIT = 0.05
+
+
+def with_third_harmonic(window: Window, part: float) -> Window:
+    """The window with a force beside, of a part of the largest, that no set of the law has."""
+    largest = np.max(np.abs(LAW.window_force(window, known.PLAUSIBLE)))
+    third = np.sin(3.0 * np.arctan2(window.motion.displacement, window.motion.velocity / 10.0))
+    return replace(window, force=window.force + part * largest * third)
+
+
+def test_noise_alone_is_no_model_error() -> None:
+    first = first_run(GOAL, LIMITS)
+    errors = [model_error(LAW, window, known.PLAUSIBLE) for window in windows(first)]
+    assert errors == [0.0] * len(first.currents)
+
+
+def test_the_error_of_the_force_includes_what_the_law_does_not_follow(
+    planner: RunPlanner,
+) -> None:
+    wrong = [with_third_harmonic(window, MISFIT) for window in windows(first_run(GOAL, LIMITS))]
+    now = planner.errors(wrong, known.PLAUSIBLE)
+    # In the short cycle at 0 A the noise adds to the largest of the means.
+    assert now.model_error == pytest.approx(1.35 * MISFIT, rel=0.4)
+    assert now.worst >= now.model_error
+    assert "that the law does not follow" in now.sentence
 
 
 @pytest.mark.parametrize(
