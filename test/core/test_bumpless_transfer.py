@@ -82,13 +82,6 @@ def test_a_set_that_somebody_gives_counts_at_once() -> None:
     np.testing.assert_array_equal(found, forces(predicted(set_of("sigmoid", 1.4)))[rest])
 
 
-def test_no_force_goes_on_that_no_such_damper_gives() -> None:
-    rest = slice(CHANGED * BLOCK, None)
-    after = dataclasses.replace(set_of("sigmoid"), largest_force=1500.0)
-    found = forces(predicted(set_of("sigmoid", 50.0), after))[rest]
-    np.testing.assert_array_equal(found, forces(predicted(set_of("sigmoid")))[rest])
-
-
 @pytest.mark.parametrize(("before", "after"), [(1.6, 1.0), (1.3, 1.15)])
 def test_what_is_left_of_a_wrong_force_is_not_valid(before: float, after: float) -> None:
     """Nor where that of the set in use is off, too, and each of both is within what is allowed."""

@@ -96,18 +96,6 @@ def test_a_bag_of_another_run_is_told_and_left(
     assert f"run 1: {RUNS[0].sentence}" in said
 
 
-def test_recordings_that_nobody_has_planned_count_as_runs_of_their_own(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan_quickly(monkeypatch, ForceGoal(0.06, (0.02, 0.2), (0.0, 1.5)))
-    monkeypatch.setattr(plan_run, "write_campaign_report", lambda *_: "")
-    said = told(capsys, tmp_path / "campaign", BAG, *ASKED)
-    assert "taken as a run of its own: 5 mm at 1 Hz" in said
-    (run, _), *_ = read_campaign_runs(tmp_path / "campaign")
-    assert (run.amplitude, run.frequency) == pytest.approx((0.005, 1.0), rel=1e-3)
-    assert run.currents == (1.5,)
-
-
 def test_the_amplitude_of_another_motion_is_told_right() -> None:
     wanted = PlannedRun(0.01, 0.31, (0.0,), 4.0)
     with pytest.raises(RunNotFoundError, match=r"its motion reaches 5 mm within 7 s at 1\.5 A"):

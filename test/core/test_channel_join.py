@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from mr_damper_ros.signals.clocks import ArrivalClock
 from mr_damper_ros.signals.stamped_channel import (
     ChannelJoin,
-    EvenStamps,
     JoinedRun,
     StampedChannel,
     interpolated,
@@ -101,19 +100,6 @@ def test_the_lost_are_counted_and_none_is_invented() -> None:
     forces = np.concatenate([run.leading for run in runs])
     assert np.isin(forces, leader.taken).all()
     assert np.unique(forces).size == forces.size
-
-
-@pytest.mark.parametrize("unclear", range(10))
-def test_a_loss_that_does_not_show_for_long_puts_no_sample_in_the_wrong_place(unclear: int) -> None:
-    """Stamps after it are as late as those before may be, until one is not late at all."""
-    late = [0.0] * 400 + [-0.45] * unclear + [0.0] * 20
-    numbers = [*range(400), *range(401, 401 + unclear + 20)]
-    found = []
-    even: EvenStamps[int] = EvenStamps()
-    for number, periods in zip(numbers, late, strict=True):
-        found += even.add(START + round(1e9 * (number + periods) / RATE), number)
-    assert {sample.value - sample.index for sample in found} == {found[0].value - found[0].index}
-    assert found[-1].value == numbers[-4]
 
 
 def test_what_was_sampled_at_its_stamp_is_brought_to_even_times() -> None:

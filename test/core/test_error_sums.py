@@ -46,10 +46,3 @@ def test_the_running_error_is_the_nrmse_of_what_lies_within_the_memory() -> None
     assert running.nrmse == pytest.approx(expected, rel=ROUNDING)
     running.reset()
     assert math.isnan(running.nrmse)
-
-
-def test_without_variation_there_is_no_running_error() -> None:
-    running = RunningError(memory=1.0)
-    assert math.isnan(running.nrmse)
-    running.add(np.ones(10), np.full(10, 300.1), 1e-3)
-    assert math.isnan(running.nrmse)

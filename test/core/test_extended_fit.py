@@ -15,14 +15,14 @@ from random_motion import BandLimitedRandom
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.estimation.global_fit import GlobalFit, identify_global
-from mr_damper_ros.estimation.window_fit import WINDOW_METHODS, fit_window
+from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import Misfit, WindowProblem
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.following import EXTENDED_NAMES
-from mr_damper_ros.models.sigmoid.law import SCALE_INDICES, operating_point_coefficients
+from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 
 LAW = MODELS["sigmoid_lag"]
 TRUTH = np.append(known.PLAUSIBLE, [3e-8, 1500.0, -40.0, 0.0])
@@ -78,20 +78,6 @@ def test_a_part_sees_the_lag_of_the_whole(frequency):
     error = EXTENDED.window_force(thinned, TRUTH) - thinned.force
     # Times that: what it may cost where samples are left out too.
     assert known.rms(error) < 5.0 * FINE * np.std(whole.force)
-
-
-@MOTIONS
-def test_the_scales_of_a_window_are_found_where_the_extension_is_known(frequency):
-    here = window(frequency)
-    start = TRUTH.copy()
-    start[SCALE_INDICES] *= 1.3
-    for method in WINDOW_METHODS:
-        fit = fit_window(EXTENDED, here, start, method=method)
-        truth = WindowProblem(EXTENDED, here, TRUTH)
-        assert fit.rmse**2 * here.sample_count <= known.sum_of_squares(truth)
-        errors = (fit.scales - truth.start) / np.sqrt(np.diag(fit.covariance))
-        assert np.max(np.abs(errors)) < STANDARD_ERRORS, method
-        np.testing.assert_array_equal(fit.parameters[16:], TRUTH[16:])
 
 
 @MOTIONS

@@ -114,19 +114,6 @@ def test_a_late_channel_shows_what_was() -> None:
     np.testing.assert_array_equal(late, values(HEALTHY, "force")[part(BEGIN - 0.1, END - 0.1)])
 
 
-def test_a_leak_takes_its_part_of_the_force() -> None:
-    weak = values(sent(f"force_loss:0.3@{BEGIN}-{END}"), "force")[part(BEGIN, END)]
-    np.testing.assert_allclose(weak, 0.3 * values(HEALTHY, "force")[part(BEGIN, END)], rtol=1e-12)
-
-
-def test_a_coil_without_current_is_that_of_a_supply_that_is_off() -> None:
-    rig = EmulatedRig(ConstantDamper(PLAUSIBLE), SineMotion(0.005, 2.0), 0.0, settings=SETTINGS)
-    off = rig.next_block(800).force[part(BEGIN, END)]
-    broken = sent(f"coil_factor:0@{BEGIN}-{END}")
-    # The coil's own lag, here none, is reckoned to rounding.
-    np.testing.assert_allclose(values(broken, "force")[part(BEGIN, END)], off, rtol=1e-6)
-
-
 def test_a_machine_at_rest_stays_where_it_is() -> None:
     at_rest = values(sent(f"tempo:0@{BEGIN}"), "displacement")[part(BEGIN + 0.1, DURATION)]
     assert np.ptp(at_rest) < 1e-15  # rounding

@@ -51,11 +51,6 @@ def test_both_loops_force_residual_and_histogram_are_drawn() -> None:
     assert sum(bar.get_width() for bar in drawn["histogram"].patches) == 400
 
 
-def test_no_line_is_drawn_over_a_gap() -> None:
-    line = panels(comparison_figure(comparison(gap=5.0)))["force"].lines[1]
-    assert np.count_nonzero(np.isnan(line.get_ydata())) == 1
-
-
 def test_runs_of_the_same_name_go_to_files_of_their_own(tmp_path: Path) -> None:
     runs = [comparison("a/run"), comparison("b/run.mcap"), comparison("../..")]
     written = save_figures(runs, tmp_path, ["png"])

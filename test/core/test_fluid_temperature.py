@@ -4,27 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cache
 
 import known
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from known import SIGMOID
 
-from mr_damper_ros.emulation.emulator import EmulatedRig, TemperatureDependentDamper, ThermalModel
-from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.estimation.window_fit import fit_window
-from mr_damper_ros.kinematics.window import Window
-from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.force_scale import (
     ForceScale,
     TemperatureMap,
     fit_temperature_map,
-    force_scale,
     temperature_map,
     with_temperature,
 )
@@ -36,17 +27,6 @@ POINT = (0.0314, 1.5)
 # -- the emulated damper -----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Heated:
-    """Windows of the emulated damper while it heats: temperatures (n,) and force scales."""
-
-    celsius: Array
-    scales: tuple[ForceScale, ...]
-
-    def map(self, every: int = 1) -> TemperatureMap:
-        return learnt(list(zip(self.celsius.tolist(), self.scales, strict=True))[::every])
-
-
 def learnt(pairs: Iterable[tuple[float, ForceScale]]) -> TemperatureMap:
     points = KnownPoints()
     for celsius, scale in pairs:
@@ -54,40 +34,6 @@ def learnt(pairs: Iterable[tuple[float, ForceScale]]) -> TemperatureMap:
     found = temperature_map(points.at(POINT))
     assert found is not None
     return found
-
-
-@cache
-def heated(seed: int = 0) -> Heated:
-    """Fifty-two seconds at 5 mm, 1 Hz, 1.5 A, with little to heat: from 28 to 71 °C."""
-    rig = EmulatedRig(
-        TemperatureDependentDamper(THESIS_28_CELSIUS, THESIS_71_CELSIUS),
-        SineMotion(5e-3, 1.0),
-        1.5,
-        thermal=ThermalModel(capacity=25.0, conductance=0.0),
-    )
-    points, scales, celsius = KnownPoints(), [], []
-    start = LITERATURE
-    for _ in range(26):
-        block = rig.next_block(2000)
-        window = Window.from_samples(block.displacement, block.force, block.current, block.period)
-        fit = fit_window(SIGMOID, window, start, method="least_squares")
-        points = points.with_baseline(fit)
-        start = fit.parameters
-        scales.append(force_scale(SIGMOID, window, fit, points.baselines))
-        celsius.append(float(block.temperature.mean()))
-    return Heated(np.array(celsius), tuple(scales))
-
-
-def test_the_temperature_is_that_of_the_emulated_damper() -> None:
-    """Identified from every second window, asked for the others."""
-    run = heated()
-    known_map = run.map(every=2)
-    for celsius, scale in list(zip(run.celsius, run.scales, strict=True))[1:-1:2]:
-        found = known_map.temperature(scale)
-        # By which an estimate may miss the truth: one in some ten thousand would by chance.
-        # Kelvin by which a curve in ln s may differ from the emulated damper's straight line in F.
-        allowed = 4.0 * found.standard_error + 0.1
-        assert abs(found.celsius - celsius) < allowed
 
 
 # -- known maps --------------------------------------------------------------------------------

@@ -40,13 +40,6 @@ def test_arrays_give_what_scalars_give() -> None:
     np.testing.assert_allclose(result, [by_hand(*point) for point in POINTS], rtol=1e-14)
 
 
-def test_a_stage_that_is_kept_serves_many_inputs() -> None:
-    law = staged(FORMULAS, STAGES, ["result"], arrays=False)(0.3, 0.7)(1.5)
-    assert [law(y) for y in (0.4, 0.5)] == pytest.approx(
-        [by_hand(0.3, 0.7, 1.5, y) for y in (0.4, 0.5)], rel=1e-14
-    )
-
-
 def test_a_formula_may_be_given() -> None:
     law = staged(FORMULAS, [("bent", "a", "b", "x", "y")], ["result"], arrays=False)
     assert law(0.5, 2.0, 1.0, -1.0, 3.0) == 0.0

@@ -183,16 +183,6 @@ def test_the_law_that_the_runs_support_can_be_asked_for(monkeypatch: pytest.Monk
     assert str(found).startswith("NRMSE on segments that were left out")
 
 
-def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
-    import dataclasses
-
-    odd = dataclasses.replace(RUN, name="the odd one", force=0.6 * RUN.force)
-    found = mr.identify([*[RUN] * 9, odd], method="least_squares")
-    assert found.nrmse < 0.3
-    assert not found.success
-    assert "EXPLAINS TOO LITTLE OF THE FORCE of the odd one:" in found.message
-
-
 # -- parameter files, and the other laws ---------------------------------------------------------
 
 

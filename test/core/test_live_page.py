@@ -19,7 +19,6 @@ from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer
 
 SECONDS = 12
-COLOUR_OF = "getComputedStyle(document.body).backgroundColor"
 
 
 class GoingOn:
@@ -193,17 +192,6 @@ def test_keys_choose_the_span_and_lead_to_the_sections(page: Browser) -> None:
     page.until("document.querySelector('nav [aria-current]').hash === '#force'")
     page.press("?")
     assert "pause" in page.text("dialog[open]")
-
-
-def test_it_is_light_or_dark_as_the_system_or_as_chosen(page: Browser) -> None:
-    light = page.evaluate(COLOUR_OF)
-    page.prefer("dark")
-    page.until(f"{COLOUR_OF} !== {light!r}")
-    page.press("t")
-    page.until(f"{COLOUR_OF} === {light!r}")
-    page.press("t")
-    page.press("t")
-    assert page.text("#theme") == "Theme: system"
 
 
 def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:

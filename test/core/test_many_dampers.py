@@ -86,11 +86,6 @@ def test_a_lot_is_identified_and_what_is_bad_or_odd_is_named(found: mr.ManyDampe
     assert json.loads(json.dumps(found.documents[0], allow_nan=False))
 
 
-def test_a_set_lies_beside_each_result(found: mr.ManyDampers, results: Path) -> None:
-    sets = {ParameterSet.load(path).set_id for path in (results / "sets").iterdir()}
-    assert sets == set(STRENGTHS)
-
-
 def test_nothing_is_done_again(found: mr.ManyDampers, lot: Path, results: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (results / "dampers").iterdir()}
     again = mr.identify_many(lot, folder=results, **options(lot))

@@ -72,10 +72,3 @@ def test_a_given_set_does_not_age_though_windows_confirm_it() -> None:
     sets.confirm("given", 5, (0.0, 0.0))
     assert sets.present is not None
     assert sets.present.confirmed_ns is None
-
-
-def test_a_given_set_is_not_forgotten_over_many_others() -> None:
-    added = [(identified(f"window-{n}", (0.0, 2.0 + n)), n + 1) for n in range(20)]
-    sets = sets_of((GIVEN, None), *added)
-    sets.add(start_set("sigmoid"), None, 0.25)
-    assert in_use(sets) == "given"

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mr_damper_ros as mr
-from mr_damper_ros.api.measured_runs import measured_runs, remarks_on
 from mr_damper_ros.io.columns import RecordError
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.moving_average import (
@@ -119,12 +118,6 @@ def test_what_cannot_be_undone_is_refused(
         mr.read_record(
             path, "displacement:mm,force:N", current=1.0, period=1e-3, moving_average=count
         )
-
-
-def test_what_was_averaged_is_said_of_a_run() -> None:
-    displacement, force = averaged(motion(3), COUNT), averaged(motion(4), COUNT)
-    runs = measured_runs([], (displacement, force, 1.0, 1e-3), accept_doubtful=True)
-    assert any("moving average" in text and "50 samples" in text for text in remarks_on(runs))
 
 
 @pytest.mark.skipif("MR_DAMPER_DATA" not in os.environ, reason="MR_DAMPER_DATA is not set")

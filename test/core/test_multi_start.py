@@ -70,15 +70,6 @@ def stopping(after: int) -> Callable[[GlobalProgress], bool]:
 # -- several seeds -----------------------------------------------------------------------------
 
 
-def test_the_cost_counts_in_units_of_the_noise() -> None:
-    found = searched(1).best
-    expected = [
-        known.rms(SIGMOID.window_force(window, found.parameter_set.values) - window.force) / noise
-        for window, noise in zip(windows(), found.noise, strict=True)
-    ]
-    assert found.cost == pytest.approx(np.mean(np.square(expected)))
-
-
 def shifted(fit: GlobalFit, by: float, cost: float) -> GlobalFit:
     """The same fit with f0 so many standard errors away."""
     values: Array = fit.parameter_set.values.copy()

@@ -64,14 +64,6 @@ def test_a_table_is_built_from_values_by_full_name() -> None:
     assert (built.count, built.inner.gain, built.mode) == (7, 1.5, "slow")
 
 
-def test_the_options_of_a_flat_group_keep_their_names() -> None:
-    table = {item.name: item for item in options(Derived)}
-    assert list(table) == ["speed", "inner.gain", "name"]
-    assert [item.read_only for item in table.values()] == [True, True, False]
-    built = build(Derived, {"speed": 3.0, "inner.gain": 4.0})
-    assert (built.checked.speed, built.checked.inner.gain) == (3.0, 4.0)
-
-
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [
@@ -116,12 +108,6 @@ def test_a_bad_value_is_refused_in_a_sentence(name: str, value: Any, part: str) 
 )
 def test_a_good_value_is_accepted(name: str, value: Any) -> None:
     assert OPTIONS[name].objection(value) == ""
-
-
-def test_an_integer_counts_as_a_number_but_not_the_other_way_round() -> None:
-    assert type(OPTIONS["inner.gain"].normalised(4)) is float
-    assert OPTIONS["count"].normalised(4.0) == 4.0
-    assert OPTIONS["count"].objection(OPTIONS["count"].normalised(4.0))
 
 
 def test_the_description_names_every_option_and_its_limits() -> None:

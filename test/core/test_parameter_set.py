@@ -91,11 +91,8 @@ def test_sixteen_plain_numbers_are_enough() -> None:
 
 FAULTS = {
     "not yaml": ("parameters: [1, 2\nfoo: {", r"not valid YAML at line \d"),
-    "control characters": ("\x00\x01", "not valid YAML"),
     "code": ("!!python/object/apply:os.getcwd []", "not valid YAML at line 1"),
     "empty": ("", "no mapping 'parameters': give the values"),
-    "a list": ("- 1\n- 2\n", "no mapping 'parameters'"),
-    "no parameters": ("id: x\n", "no mapping 'parameters'"),
     "parameters as list": (by_hand(parameters=[1, 2]), "'parameters' must map the names"),
     "stray entry": (by_hand(comment="x"), "unknown entries comment: remove them"),
     "unknown model": (by_hand(model="magic"), "model 'magic' is unknown: the models are bingham, "),
@@ -107,10 +104,7 @@ FAULTS = {
     ),
     "missing parameter": (without_parameter("k6"), "parameter k6 is missing: give its value"),
     "no value": (with_parameter("k6", {"unit": "1"}), "parameter k6 is None: give a number"),
-    "null": (with_parameter("k6", None), "parameter k6 is None: give a number"),
-    "text": (with_parameter("k6", "much"), "parameter k6 is 'much': give a number"),
     "truth": (with_parameter("k6", True), "parameter k6 is True: give a number"),
-    "list": (with_parameter("k6", [1.0]), r"parameter k6 is \[1.0\]: give a number"),
     "nan": (with_parameter("k6", math.nan), "parameter k6 is nan: give a finite number"),
     "infinite": (with_parameter("k6", -math.inf), "parameter k6 is -inf: give a finite number"),
     "stray in parameter": (
@@ -127,24 +121,19 @@ FAULTS = {
     ),
     "stamp with a point": (by_hand(stamp_ns=1.5), "stamp_ns must be a whole number of nanoseconds"),
     "stamp as truth": (by_hand(stamp_ns=True), "stamp_ns must be a whole number of nanoseconds"),
-    "nrmse as text": (by_hand(nrmse="good"), "nrmse is 'good': give a number"),
     "range of three": (
         by_hand(current_range=[0.0, 1.0, 2.0]),
         "current_range must be a list of two numbers, lower bound first",
     ),
-    "range as number": (by_hand(peak_velocity_range=1.0), "must be a list of two numbers"),
-    "range of text": (by_hand(current_range=["low", 1.0]), "current_range is 'low': give a number"),
     "reversed range": (
         by_hand(peak_velocity_range=[0.3, 0.1]),
         r"peak_velocity_range is \[0.3, 0.1\]: give the lower bound first",
     ),
     "range of nan": (by_hand(current_range=[math.nan, 1.0]), "give the lower bound first"),
-    "force as text": (by_hand(largest_force="big"), "largest_force is 'big': give a number"),
     "negative force": (
         by_hand(largest_force=-1.0),
         "largest_force is -1.0: give a size in newtons",
     ),
-    "endless force": (by_hand(largest_force=math.inf), "largest_force is inf: give a size"),
 }
 
 

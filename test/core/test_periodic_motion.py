@@ -62,15 +62,6 @@ def test_a_swept_sine_goes_from_the_lowest_frequency_to_the_highest_and_back() -
     assert velocity[[0, -1]] == pytest.approx(2.0 * math.pi * 0.6 * 0.008, rel=0.02)
 
 
-def test_random_motion_has_its_band_and_as_much_velocity_all_over_it() -> None:
-    _, velocity, _ = RANDOM.at(np.arange(2000) * 1e-3)
-    lines = np.abs(np.fft.rfft(velocity))
-    inside = lines[2:7]
-    assert inside == pytest.approx(inside[0])
-    outside = np.delete(lines, np.arange(2, 7))
-    assert outside.max() < 1e-6 * inside[0]
-
-
 @pytest.mark.parametrize(
     ("given_values", "sentence"),
     [

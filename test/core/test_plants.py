@@ -6,21 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from mr_damper_ros.control.linear_plant import IsoRoad, MovingPlant, QuarterCar
 from mr_damper_ros.control.semi_active import (
     SuspensionSettings,
     controller_of,
-    regulator_gain,
 )
 from mr_damper_ros.emulation.commanded_rig import commanded
 from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig, invented_damper
-from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import Moment
 from studies.control.buildings import reversals
-from studies.control.ground_motion import GRAVITY, NEAR_FAULT, REHEARSAL, SUBDUCTION
 from studies.control.shear_building import BUILDINGS, STOREYS, StateEstimator
 
 CAR = QuarterCar()
@@ -83,39 +79,6 @@ def test_an_estimator_finds_the_states() -> None:
         found = estimator.follow(force, read)
     # The outputs are held for a sample, in which the building moves on.
     assert np.linalg.norm(found - plant.state) < 0.05 * np.linalg.norm(plant.state)
-
-
-def test_the_regulator_costs_least() -> None:
-    building = BUILDINGS["III"]
-    plant, outputs = building.plant, np.eye(6)[2:3]
-    weights, effort = np.array([1e13]), 1.0
-    gain = regulator_gain(plant, outputs, np.zeros(1), weights, effort)
-
-    def cost(k: Array) -> float:
-        closed = plant.dynamics - np.outer(plant.by_force, k)
-
-        def grow(_: float, x: Array) -> Array:
-            state = x[:6]
-            paid = float(weights @ (outputs @ state) ** 2) + effort * float(k @ state) ** 2
-            return np.append(closed @ state, paid)
-
-        start = np.array([1e-3, 2e-3, 3e-3, 0.0, 0.0, 0.0, 0.0])
-        return float(solve_ivp(grow, (0.0, 4.0), start, rtol=1e-6).y[6, -1])
-
-    best = cost(gain)
-    assert best < cost(0.8 * gain)
-    assert best < cost(1.2 * gain)
-
-
-@pytest.mark.parametrize("shaking", [NEAR_FAULT, SUBDUCTION, REHEARSAL], ids=lambda s: s.name)
-def test_an_invented_earthquake_is_its_seed(shaking: object) -> None:
-    first, again = shaking.motion(), shaking.motion()  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(first.acceleration, again.acceleration)
-    peak = float(np.max(np.abs(first.acceleration)))
-    assert peak == pytest.approx(shaking.peak * GRAVITY)  # type: ignore[attr-defined]
-    # It begins and ends at rest.
-    assert np.max(np.abs(first.acceleration[:10])) < 0.01 * peak
-    assert np.max(np.abs(first.acceleration[-10:])) < 0.2 * peak
 
 
 @pytest.mark.parametrize(

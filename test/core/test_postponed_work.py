@@ -39,14 +39,6 @@ def test_it_waits_until_its_time_has_come(clock: SteppedClock) -> None:
     assert done == ["rest"]
 
 
-def test_it_is_done_at_once_where_it_is_asked_for(clock: SteppedClock) -> None:
-    done: list[str] = []
-    rest = PostponedWork()
-    rest.postpone(lambda: done.append("rest"))
-    rest.finish()
-    assert done == ["rest"]
-
-
 def test_it_is_done_once(clock: SteppedClock) -> None:
     done: list[str] = []
     rest = PostponedWork()
@@ -56,9 +48,3 @@ def test_it_is_done_once(clock: SteppedClock) -> None:
     clock.now += 1.0
     assert math.isinf(rest.finish_in_time())
     assert done == ["rest"]
-
-
-def test_there_may_be_none(clock: SteppedClock) -> None:
-    rest = PostponedWork()
-    rest.finish()
-    assert math.isinf(rest.finish_in_time())

@@ -37,12 +37,6 @@ def test_what_tasks_tell_is_heard_with_their_index(processes: ProcessPool) -> No
     assert sorted(heard) == [(0, 11), (1, 12), (2, 13), (3, 14)]
 
 
-def test_every_result_is_handed_over_once(processes: ProcessPool) -> None:
-    handed: dict[int, float] = {}
-    results = processes.map(pool_tasks.sum_of_seed, [1, 2, 3, 4, 5], None, handed.__setitem__)
-    assert [handed[index] for index in range(5)] == results
-
-
 def test_an_error_of_a_task_is_raised(processes: ProcessPool) -> None:
     with pytest.raises(ValueError, match="two is not allowed"):
         processes.map(pool_tasks.failing, [1, 2, 3])

@@ -87,16 +87,6 @@ def test_where_one_current_was_seen_nothing_bounds_the_laws_over_current() -> No
         assert likelihood.of(name).interval == (-math.inf, math.inf), name
 
 
-def test_values_rise_and_the_best_has_no_fall() -> None:
-    misfit = pooled(windows())
-    profile = ProfileLikelihood(SIGMOID, misfit, known.PLAUSIBLE, ALL, RANGES).of("f0")
-    assert np.all(np.diff(profile.values) > 0.0)
-    assert profile.ratio.min() == 0.0
-    assert profile.best == profile.values[np.argmin(profile.ratio)]
-    low, high = profile.interval
-    assert profile.values[0] <= low < profile.best < high <= profile.values[-1]
-
-
 def test_a_name_that_the_law_does_not_have_is_refused() -> None:
     likelihood = ProfileLikelihood(SIGMOID, pooled(windows((1.0,))), known.PLAUSIBLE, ALL, RANGES)
     with pytest.raises(ValueError, match="no parameter 'b9' to profile: use one of f0"):

@@ -64,33 +64,6 @@ def test_waiting_for_what_never_comes_ends_with_the_log(waiting: Program) -> Non
         waiting.wait(SHORT)
 
 
-def test_waiting_for_one_that_has_ended_does_not_last() -> None:
-    program = Program([sys.executable, "-c", TALKS])
-    with pytest.raises(ProgramError, match="ended before it logged 'more'"):
-        program.wait_for_log("more")
-    program.close()
-
-
-def test_memory_time_and_children_are_its_own(waiting: Program) -> None:
-    assert waiting.resident_bytes > 1_000_000
-    assert waiting.cpu_seconds >= 0.0
-    assert waiting.children == []
-    code = (
-        f"import subprocess, sys; child = subprocess.Popen([sys.executable, '-c', {WAITS!r}]); "
-        "print(child.pid, flush=True); print('started', file=sys.stderr, flush=True); "
-        "sys.stdin.read(); child.wait()"
-    )
-    parent = Program([sys.executable, "-c", code])
-    parent.wait_for_log("started")
-    assert parent.children == [int(parent.output)]
-    parent.close()
-
-
-def test_a_program_that_is_not_there_is_an_error() -> None:
-    with pytest.raises(FileNotFoundError):
-        Program(["/nowhere/program"])
-
-
 def test_arguments_of_a_node() -> None:
     arguments = node_arguments({"loop": True, "a__b": 0.5, "path": "x y"}, {"__ns": "/left"})
     assert arguments == [

@@ -79,14 +79,6 @@ def test_a_list_names_paths_dampers_and_currents(tmp_path: Path) -> None:
     ]
 
 
-def test_a_line_of_a_list_that_makes_no_sense_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "runs.csv"
-    file.write_text("path,damper,current\none,A,much\ntwo,,1\nthree,C,1\n")
-    found, left_out = read_list(file)
-    assert [recording.damper for recording in found] == ["C"]
-    assert [entry.path.name for entry in left_out] == ["one", "two"]
-
-
 @pytest.mark.parametrize("text", ["", "path\n1\n", "damper\nA\n", "\x00", "path,damper\n"])
 def test_a_file_that_is_no_list_is_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "runs.csv"

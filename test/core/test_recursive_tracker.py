@@ -182,3 +182,17 @@ def test_every_law_is_followed(model: str) -> None:
     assert [report.method for report in reports[1:]] == [METHOD] * 2
     # Of the force scale: a quarter of the change.
     assert reports[-1].scale.value == pytest.approx(0.98, abs=0.005)
+
+
+def test_outliers_hardly_move_a_robust_filter() -> None:
+    run = known.run(samples=SAMPLES, seed=3)
+    hit = np.random.default_rng(0).random(SAMPLES) < 0.03
+    spoilt = dataclasses.replace(run, force=run.force + 400.0 * hit)
+    before = fitted(known.run(seed=1).window)
+    clean = filtered(before, run.window, rate=1e-2)
+    plain, robust = (
+        known.rms(filtered(before, spoilt.window, rate=1e-2, robust=r).scales / clean.scales - 1.0)
+        for r in (False, True)
+    )
+    # Of the error of the plain filter: outliers keep the weight of errors of usual size.
+    assert robust < 0.25 * plain

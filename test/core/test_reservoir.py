@@ -27,11 +27,6 @@ def test_the_newest_window_of_each_operating_point_is_kept() -> None:
     np.testing.assert_array_equal(points.windows[0].force, newest)
 
 
-def test_a_long_window_is_thinned() -> None:
-    window = known.run(samples=7001).window
-    assert 500 <= thinned_to_keep(window, with_past=True).window.sample_count < 1000
-
-
 def test_of_a_law_without_memory_only_the_samples_are_kept() -> None:
     motion = BandLimitedRandom(3e-3, 0.5, 3.0).at(np.arange(2000) * known.PERIOD)
     window = Window.from_samples(motion.displacement, motion.velocity, 1.0, known.PERIOD)

@@ -90,10 +90,3 @@ def test_the_force_at_another_current_counts_for_ten_seconds(since: float, peak:
     current = np.where(time < 20.0, 1.5, 0.0)
     force = np.where(time < 20.0, LARGE, SMALL) * np.sin(2.0 * np.pi * time)
     assert followed(force, current, 10.0).peak == pytest.approx(peak, rel=0.02)
-
-
-def test_the_force_at_another_current_counts_no_more_once_the_present_one_has_stayed() -> None:
-    time = PERIOD * np.arange(6500)
-    current = np.where(time < 4.0, 1.5, 0.0)
-    force = np.where(time < 4.0, LARGE, SMALL) * np.sin(2.0 * np.pi * time)
-    assert followed(force, current, 0.5).peak == pytest.approx(SMALL, rel=0.02)

@@ -17,17 +17,6 @@ def filled(rows: int, capacity: int = 8, *, thins: bool = False) -> RollingTable
     return table
 
 
-def test_rows_are_numbered_from_the_beginning() -> None:
-    np.testing.assert_array_equal(filled(3).after(-1), [[0, 0], [1, 10], [2, 20]])
-
-
-def test_a_reader_gets_what_came_after_the_row_it_has() -> None:
-    table = filled(5)
-    np.testing.assert_array_equal(table.after(3), [[4, 40]])
-    assert table.after(4).shape == (0, 2)
-    assert table.next_index == 5
-
-
 def test_a_full_table_loses_its_oldest_rows() -> None:
     assert filled(9).after(-1)[:, 0].tolist() == [2, 3, 4, 5, 6, 7, 8]
 

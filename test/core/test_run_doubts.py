@@ -39,9 +39,3 @@ def test_two_runs_that_contradict_each_other_are_named(first: float, second: flo
     weak, strong = (known.run(current=i, frequency=2.0, samples=SAMPLES).force for i in (0.0, 1.5))
     (remark,) = remarks(recording("a", first, weak), recording("b", second, strong))
     assert remark.startswith("a and b: the force reaches")
-
-
-def test_what_heat_takes_is_no_contradiction() -> None:
-    cooling = np.linspace(1.0, 0.74, SAMPLES)
-    force = known.run(current=1.0, frequency=2.0, samples=SAMPLES).force * cooling
-    assert remarks(recording("warm", 1.0, force)) == []

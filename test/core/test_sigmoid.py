@@ -21,11 +21,9 @@ from mr_damper_ros.models.published import (
 )
 from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
-    DEPENDENCES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
     Coefficients,
-    coefficient_parameter_jacobian,
     force_and_damping_jacobian,
     operating_point_coefficients,
     secant_damping,
@@ -230,15 +228,6 @@ def test_derivatives_of_the_damping_by_the_seven_coefficients(
 
     analytic = force_and_damping_jacobian(Coefficients(*values), v, a).damping
     assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
-
-
-def test_each_coefficient_depends_on_what_is_said_and_on_nothing_else() -> None:
-    jacobian = coefficient_parameter_jacobian(known.PLAUSIBLE, np.array([0.05, 0.2]), 0.9)
-    depends = {
-        coefficient: {PARAMETER_NAMES[place] for place in np.flatnonzero(np.any(rows, axis=0))}
-        for coefficient, rows in zip(COEFFICIENT_NAMES, np.moveaxis(jacobian, 1, 0), strict=True)
-    }
-    assert depends == {name: set(parameters) for name, parameters in DEPENDENCES.items()}
 
 
 # -- what the thesis publishes ---------------------------------------------------------------

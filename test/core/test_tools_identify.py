@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import known
@@ -185,3 +186,31 @@ def test_a_second_interrupt_ends_at_once() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         raised_twice()
+
+
+PROGRESS = GlobalProgress("laws", 3, 9, 0.5, 10.0)
+
+
+def shown_progress(monkeypatch: pytest.MonkeyPatch, *told: GlobalProgress) -> list[str]:
+    """What the line shows of each progress, a second after the one before."""
+    clock = iter(float(second) for second in range(len(told)))
+    # Its own alone: others read the clock meanwhile.
+    stand_in = SimpleNamespace(monotonic=lambda: next(clock))
+    monkeypatch.setattr("mr_damper_ros.tools.console.time", stand_in)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    written: list[str] = []
+    monkeypatch.setattr("sys.stderr.write", written.append, raising=False)
+    line = ProgressLine()
+    assert all(line(progress) for progress in told)
+    return written
+
+
+def test_the_time_left_never_counts_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    estimates = (10.0, 12.0, 5.0, 300.0)
+    shown = shown_progress(
+        monkeypatch, *(dataclasses.replace(PROGRESS, time_left=left) for left in estimates)
+    )
+    ends = [text.partition("0.70711, ")[2].removesuffix("\033[K") for text in shown]
+    assert ends == ["at most 10 s left", "at most 9 s left", "at most 5 s left"] + [
+        "longer than expected"
+    ]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet, start_set
+from mr_damper_ros.models.parameter_set import ParameterSet, start_set
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.predictor import ForcePredictor, PredictorSettings
 from mr_damper_ros.tracking.reports import Report
@@ -28,9 +28,6 @@ NOISE_ERROR = 0.1
 
 UNSEEN_QUARTER = {"series_springs": 2.0}
 """Times the noise: what three quarters of a cycle leave open of two springs, in the fourth."""
-
-CHANGE = 5.4
-"""Time of a sudden change [s], in the middle of a hop."""
 
 SECONDS = 10
 NOISE = 5.0
@@ -154,29 +151,6 @@ def test_the_predictor_takes_what_the_tracker_finds(model: str) -> None:
     late = slice(3000, None)
     # NRMSE of a prediction from such a set, whose velocity has to be found as well.
     assert known.rms(predicted[late] - force[late]) < 0.06 * np.std(force)
-
-
-def changing(model: str, factor: float) -> list[Report]:
-    """Reports of a stream whose damper changes its strength at a time."""
-    displacement, clean = damper(model)
-    time = np.arange(clean.size) * known.PERIOD
-    force = np.where(time >= CHANGE, factor, 1.0) * clean
-    force += np.random.default_rng(0).normal(0.0, NOISE, force.size)
-    # A start that is not quite right, so that the first window is accepted.
-    start = known.EXAMPLES[model].copy()
-    start[MODELS[model].strength_indices] *= 0.9
-    tracked = tracker(model, ParameterSet(start, model=model))
-    return known.followed(tracked, displacement, force, 1.0)
-
-
-@pytest.mark.parametrize("model", ["bingham", "bouc_wen", "sigmoid_lag"])
-def test_a_sudden_loss_of_strength_is_fitted_early(model: str) -> None:
-    (report,) = [r for r in changing(model, 0.8) if r.method == EARLY_SOURCE]
-    assert report.accepted
-    assert report.scale.value == pytest.approx(0.8, abs=2.0 * SCALE_TOLERANCE)
-    # Seconds after the change, in which the next regular window ends.
-    assert (report.stamp_ns - known.T0) * 1e-9 < CHANGE + 0.61
-    assert [r for r in changing(model, 1.0) if r.method == EARLY_SOURCE] == []
 
 
 def test_a_set_beyond_all_numbers_is_replaced_by_the_first_good_window() -> None:

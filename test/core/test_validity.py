@@ -16,7 +16,7 @@ from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
+from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock, joined
 from mr_damper_ros.tracking.acceptance import Verdict
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind, RefusedWindows
@@ -378,3 +378,16 @@ def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come()
 
 
 # -- blocks that came late -------------------------------------------------------------------
+
+
+def test_a_load_cell_that_is_not_connected_makes_nothing_valid() -> None:
+    assert DoubtKind.NONE not in kinds(predicted(force=np.zeros(6000)), 0)
+
+
+def test_blocks_that_follow_each_other_are_joined() -> None:
+    blocks = known.blocks(RUN.displacement[:100], RUN.force[:100], (10,))
+    first, second = joined([*blocks[:4], *blocks[6:]])
+    assert (first.sequence, second.sequence) == (0, 60)
+    assert (first.start_ns, second.start_ns) == (blocks[0].start_ns, blocks[6].start_ns)
+    np.testing.assert_array_equal(first.displacement, RUN.displacement[:40])
+    np.testing.assert_array_equal(second.force, RUN.force[60:100])
