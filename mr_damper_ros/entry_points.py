@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from importlib import import_module
@@ -48,28 +49,22 @@ _MISSING = {
 
 def tool(name: str) -> int:
     """Run the tool of this name, a module of the room tools; returns its exit code."""
-
-    def leave(number: int, frame: FrameType | None) -> None:
-        os.write(2, f"\n{name}: stopped by Ctrl-C\n".encode())
-        os._exit(_INTERRUPTED)
-
-    hears = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN  # as in the background of a shell
-    if hears:
-        signal.signal(signal.SIGINT, leave)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-    main = import_module(f"mr_damper_ros.tools.{name}").main
-    if hears:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    # It may not heed Ctrl-C, as in the background of a shell.
+    heeded = _SIGNALS[: signal.getsignal(signal.SIGINT) is not signal.SIG_IGN]
+    _end_at_once(heeded, _INTERRUPTED, f"\n{name}: stopped by Ctrl-C\n")
+    main: Callable[[], int] = import_module(f"mr_damper_ros.tools.{name}").main
+    for number in heeded:
+        signal.signal(number, signal.default_int_handler)
     try:
-        code: int = main()
+        return main()
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return code
 
 
 def _run(name: str) -> int:
     """Run a node, or one in each of several namespaces, which share workers."""
-    _hear_signals()
+    # Nothing has been started that would have to be ended; modules half loaded are best left so.
+    _end_at_once(_SIGNALS, 0)
     if name not in _WORK:
         return _run_node(name)
     from mr_damper_ros.processes.programs import worker_count
@@ -101,22 +96,20 @@ def _run_node(name: str, *arguments: object) -> int:
     return code
 
 
-def _hear_signals() -> None:
-    for number in _SIGNALS:
-        signal.signal(number, _leave)
+def _end_at_once(numbers: tuple[signal.Signals, ...], code: int, word: str = "") -> None:
+    """Have these signals end the process with a code, and hear those that were held back."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        os.write(2, word.encode())
+        os._exit(code)
+
+    for number in numbers:
+        signal.signal(number, end)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    # Nothing has been started that would have to be ended; modules half loaded are best left so.
-    os._exit(0)
-
-
-bridge, campaign, controller, identifier, live, model, replay, supply, suspension = (
-    partial(_run, name)
-    for name in (
-        *("bridge", "campaign", "controller", "identifier", "live", "model", "replay", "supply"),
-        "suspension",
-    )
-)
-"""Each runs the node of its name, and returns its exit code."""
+def __getattr__(name: str) -> Callable[[], int]:
+    """What runs the node of this name, and returns its exit code."""
+    if name.startswith("_") or find_spec(f"mr_damper_ros.nodes.{name}_node") is None:
+        raise AttributeError(f"there is no node {name}")
+    return partial(_run, name)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -125,10 +126,13 @@ class IdentifierNode(Node):
             "temperature",
             lambda message: self._identifier.add_temperature(message.temperature),
         )
-        self.create_service(SaveParameters, "~/save_parameters", self._save)
-        self.create_service(LoadParameters, "~/load_parameters", self._load)
-        self.create_service(Trigger, "~/reset", self._reset)
-        self.create_service(Trigger, "~/acknowledge", self._acknowledge)
+        for kind, name, act in (
+            (SaveParameters, "save_parameters", self._save),
+            (LoadParameters, "load_parameters", self._load),
+            (Trigger, "reset", self._reset),
+            (Trigger, "acknowledge", self._acknowledge),
+        ):
+            self.create_service(kind, f"~/{name}", partial(_answer, act))
         self._goals = SearchGoals(
             self, self._identifier, options.tracking.evolution, self._frame_id
         )
@@ -232,46 +236,27 @@ class IdentifierNode(Node):
         )
         self._numbers_publisher.publish(parameter_numbers_message(parameters, self._frame_id))
 
-    def _save(self, request: Any, response: Any) -> Any:
-        try:
-            path = self._identifier.state.save(request.name)
-        except StateError as error:
-            response.message = str(error)
-            return response
-        response.success = True
-        response.message = f"saved {self._identifier.tracker.parameters.set_id} as {path}"
-        return response
+    def _save(self, request: Any) -> str:
+        path = self._identifier.state.save(request.name)
+        return f"saved {self._identifier.tracker.parameters.set_id} as {path}"
 
-    def _load(self, request: Any, response: Any) -> Any:
-        try:
-            parameters = self._identifier.state.load(request.name)
-        except (StateError, ParameterError) as error:
-            response.message = str(error)
-            return response
-        return self._switch(response, lambda: self._identifier.replace(parameters))
+    def _load(self, request: Any) -> str:
+        parameters = self._identifier.state.load(request.name)
+        return self._switch(lambda: self._identifier.replace(parameters))
 
-    def _reset(self, request: Any, response: Any) -> Any:
-        return self._switch(response, self._identifier.reset)
+    def _reset(self, _: Any) -> str:
+        return self._switch(self._identifier.reset)
 
-    def _acknowledge(self, _: Any, response: Any) -> Any:
-        try:
-            taken = self._identifier.state.acknowledge()
-        except StateError as error:
-            response.message = str(error)
-            return response
-        response.success = True
-        response.message = taken or "there was nothing to acknowledge"
-        return response
+    def _acknowledge(self, _: Any) -> str:
+        return self._identifier.state.acknowledge() or "there was nothing to acknowledge"
 
-    def _switch(self, response: Any, to_another_set: Callable[[], str]) -> Any:
+    def _switch(self, to_another_set: Callable[[], str]) -> str:
         """Publish what still comes from the set in use, then put another one in use."""
         self._publish(self._identifier.flush())
         fault = to_another_set()
         parameters = self._identifier.tracker.parameters
         self._publish_parameters(parameters)
-        response.success = True
-        response.message = f"running with {parameters.set_id}" + (f"; {fault}" if fault else "")
-        return response
+        return f"running with {parameters.set_id}" + (f"; {fault}" if fault else "")
 
     # --- state ----------------------------------------------------------------------------------
 
@@ -363,6 +348,16 @@ class IdentifierNode(Node):
         if state.path is None:
             return Finding(OK, "nothing is kept on disk: state_dir is not set")
         return Finding(OK, f"kept in {state.path}")
+
+
+def _answer(act: Callable[[Any], str], request: Any, response: Any) -> Any:
+    """The answer of a service: what was done, or why not."""
+    try:
+        response.message = act(request)
+        response.success = True
+    except (StateError, ParameterError) as error:
+        response.message = str(error)
+    return response
 
 
 def _identifier(options: IdentifierParameters, own_name: str, worker: Worker) -> Identifier:

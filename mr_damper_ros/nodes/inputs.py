@@ -29,9 +29,19 @@ _SILENCE = 2.0
 
 
 class Stream:
-    """What has come in on a topic: how much, how fast, and what could not be used."""
+    """What has come in on a topic: how much, how fast, and what could not be used.
 
-    def __init__(self, node: Node, topic: str, profile: QoSProfile) -> None:
+    ``advice`` says what to do where nobody publishes it.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        profile: QoSProfile,
+        advice: str = "is the bridge running in this namespace?",
+    ) -> None:
+        self._advice = advice
         self._node = node
         self._topic = topic
         self._profile = profile
@@ -77,7 +87,7 @@ class Stream:
         if not self.silent:
             return ""
         if self._node.count_publishers(self._topic) == 0:
-            return f"nobody publishes {self._topic}: is the bridge running in this namespace?"
+            return f"nobody publishes {self._topic}: {self._advice}"
         if self._refuses_all():
             return (
                 f"{self._topic} is published best effort, which a reliable subscriber cannot take: "

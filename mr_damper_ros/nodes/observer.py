@@ -12,10 +12,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from mr_damper_msgs.msg import (
     CurrentCommand,
-    DamperParameters,
-    FitReport,
     MtsSamples,
-    PredictedForce,
     SupplyCurrent,
 )
 from rclpy.executors import SingleThreadedExecutor
@@ -26,6 +23,7 @@ from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
+from mr_damper_ros.nodes.quality import STREAM_DEPTH
 from mr_damper_ros.processes.programs import PATIENCE, RosDomain
 from mr_damper_ros.rig.sources.daq_source import SATURATED
 from mr_damper_ros.rig_check.record import HeardBlock, RigRecord
@@ -73,7 +71,7 @@ class Observer:
         self,
         message_type: type,
         topic: str,
-        quality: QoSProfile | int = 1000,
+        quality: QoSProfile | int = STREAM_DEPTH,
         hear: Callable[[Any], None] | None = None,
         *,
         raw: bool = False,
@@ -114,18 +112,6 @@ class Observer:
         self.until(
             lambda: self.node.count_subscribers(topic) >= count, f"{count} subscribers of {topic}"
         )
-
-
-def listen_to_results(
-    observer: Observer, tell: Callable[[FitReport], None]
-) -> tuple[list[MtsSamples], list[PredictedForce], list[DamperParameters]]:
-    """Keep samples, predicted forces and sets as they come; ``tell`` is given the reports."""
-    observer.listen(FitReport, "damper/fit_report", quality.stream(), tell)
-    return (
-        observer.listen(MtsSamples, "mts/samples", quality.stream()),
-        observer.listen(PredictedForce, "damper/predicted_force", quality.stream()),
-        observer.listen(DamperParameters, "damper/parameters", quality.latched()),
-    )
 
 
 def record_rig(node: Node, record: RigRecord) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 from rclpy.node import Node
 
 from mr_damper_ros.nodes import quality
+from mr_damper_ros.nodes.inputs import Stream
 from mr_damper_ros.nodes.messages import to_nanoseconds
 from mr_damper_ros.rig.blocks import BlockMaker, Measured
 from mr_damper_ros.rig.sources.source import Source, SourceState, StreamSettings
@@ -27,9 +28,6 @@ from mr_damper_ros.signals.stamped_channel import ChannelJoin, StampedChannel
 
 _POLL = 0.005
 """Seconds between two looks at what has come."""
-
-_SILENCE = 2.0
-"""Seconds without a message after which a topic counts as silent."""
 
 _NOTICED_RATE = 5e-6
 """Difference of the rates of two clocks that is told."""
@@ -199,18 +197,15 @@ class _Input:
         self._node = node
         self._scale = scale
         self._read = _reader(field, name)
-        self._unreadable = ""
-        self._last = time.monotonic()
         self.arrived: deque[tuple[int, int, float]] = deque()
+        # A busy computer may be behind by more than a queue of fixed length.
+        profile = quality.lossless()
         self._subscription = quality.subscription(
-            node,
-            _message_type(kind, name),
-            topic,
-            self._take,
-            # A busy computer may be behind by more than a queue of fixed length.
-            quality.lossless(),
+            node, _message_type(kind, name), topic, self._take, profile
         )
         self.topic = self._subscription.topic_name
+        self._stream = Stream(node, self.topic, profile, f"it is to hold the {name}")
+        self.fault = self._stream.take_fault
 
     def close(self) -> None:
         """Hear nothing more."""
@@ -221,31 +216,17 @@ class _Input:
         while self.arrived:
             take(*self.arrived.popleft())
 
-    def fault(self) -> str:
-        """What is wrong with the topic, in a sentence; empty for nothing."""
-        unreadable, self._unreadable = self._unreadable, ""
-        if unreadable:
-            return unreadable
-        if time.monotonic() - self._last < _SILENCE:
-            return ""
-        if self._node.count_publishers(self.topic) == 0:
-            return f"nobody publishes {self.topic}, which is to hold the {self.name}"
-        return (
-            f"nothing arrives on {self.topic}: does its publisher stand still, or is it best "
-            "effort (then set qos_overrides)?"
-        )
-
     def _take(self, message: Any) -> None:
-        self._last = time.monotonic()
         stamp_ns = to_nanoseconds(message.header.stamp)
         try:
             value = self._scale * self._read(message)
         except (AttributeError, IndexError, ValueError, TypeError):
-            self._unreadable = f"{self.topic} holds no {self.field} for the {self.name}"
+            self._stream.reject(f"they hold no {self.field} for the {self.name}")
             return
         if not fits_a_stamp(stamp_ns) or stamp_ns == 0:
-            self._unreadable = f"the messages on {self.topic} have no stamp: they cannot be used"
+            self._stream.reject("they have no stamp")
             return
+        self._stream.accept(1)
         self.arrived.append((stamp_ns, self._node.get_clock().now().nanoseconds, value))
 
 

@@ -11,9 +11,12 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
+from typing import TypeVar
 
 from mr_damper_ros.api.comparison import FORMATS, Comparison, save_figures
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
+
+Self = TypeVar("Self", bound="StatusLine")
 
 _ROS = ("rclpy", "ament_index_python")
 
@@ -134,21 +137,47 @@ _LATE = 0.5
 """Part of the time estimated below which the time left that was told is no longer true."""
 
 
-class ProgressLine:
-    """A context in which Ctrl-C asks the search to stop; a second one ends the program.
+class StatusLine:
+    """A context with one line on the terminal, written again and again; none without a terminal."""
 
-    Called with the progress of a search, it rewrites one line on the terminal (nothing where
-    standard error is no terminal) and returns whether to go on.
+    _shown = False
+
+    def __enter__(self: Self) -> Self:
+        self._begin()
+        return self
+
+    def _begin(self) -> None:
+        """Do what the context needs."""
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._shown:
+            sys.stderr.write("\n")
+
+    def show(self, text: str) -> None:
+        """Write it anew."""
+        if sys.stderr.isatty():
+            self._shown = True
+            sys.stderr.write(f"\r{text}\033[K")
+            sys.stderr.flush()
+
+
+class ProgressLine(StatusLine):
+    """The progress of a search: called with it, it returns whether to go on.
+
+    Within the context Ctrl-C asks the search to stop; a second one ends the program.
     """
 
     def __init__(self) -> None:
         self.stopped = False
-        self._shown = False
         self._end = math.inf
 
-    def __enter__(self) -> ProgressLine:
+    def _begin(self) -> None:
         self._previous = signal.signal(signal.SIGINT, self._interrupt)
-        return self
 
     def __exit__(
         self,
@@ -157,8 +186,7 @@ class ProgressLine:
         trace: TracebackType | None,
     ) -> None:
         signal.signal(signal.SIGINT, self._previous)
-        if self._shown:
-            sys.stderr.write("\n")
+        super().__exit__(kind, error, trace)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         if self.stopped:
@@ -169,10 +197,7 @@ class ProgressLine:
 
     def __call__(self, progress: GlobalProgress) -> bool:
         """Show how far the search is; False once Ctrl-C was pressed."""
-        if sys.stderr.isatty():
-            self._shown = True
-            sys.stderr.write(f"\r{self._told(progress)}\033[K")
-            sys.stderr.flush()
+        self.show(self._told(progress))
         return not self.stopped
 
     def _told(self, progress: GlobalProgress) -> str:

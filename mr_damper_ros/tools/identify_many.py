@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,7 +17,7 @@ from mr_damper_ros.lots.report import (
     write_population_report,
 )
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.tools.console import FAILED, INTERRUPTED, program
+from mr_damper_ros.tools.console import FAILED, INTERRUPTED, StatusLine, program
 from mr_damper_ros.tools.identify import add_search_options
 
 LEFT_OUT = 3
@@ -106,8 +105,7 @@ def _identify_many(options: argparse.Namespace) -> int:
         raise ValueError("there is nothing to identify: give folders, bags, patterns, or --list")
     if options.parquet:
         require_parquet()
-    progress = _Progress()
-    try:
+    with _Progress() as progress:
         found = identify_many(
             *options.sources,
             folder=options.output,
@@ -127,8 +125,6 @@ def _identify_many(options: argparse.Namespace) -> int:
             scheduler=options.scheduler,
             report=progress,
         )
-    finally:
-        progress.end()
     rows = found.table
     write_csv(rows, options.output / "dampers.csv")
     if options.parquet:
@@ -153,29 +149,19 @@ def _tell(found: ManyDampers, page: Path) -> None:
     print(f"report: {page}")
 
 
-class _Progress:
-    """One line on the terminal: how many dampers are done, and how long the rest may take."""
+class _Progress(StatusLine):
+    """How many dampers are done, and how long the rest may take."""
 
     def __init__(self) -> None:
         self._began = time.monotonic()
-        self._first: int | None = None
-        self._shown = False
+        self._before: int | None = None
 
     def __call__(self, done: int, count: int, document: Mapping[str, Any]) -> None:
-        if not sys.stderr.isatty():
-            return
-        if self._first is None:
-            self._first = done - 1
+        if self._before is None:
+            self._before = done - 1
         passed = time.monotonic() - self._began
-        left = passed / (done - self._first) * (count - done)
-        sys.stderr.write(f"\r{done} of {count} dampers, about {left:.0f} s left\033[K")
-        sys.stderr.flush()
-        self._shown = True
-
-    def end(self) -> None:
-        """Leave the line."""
-        if self._shown:
-            sys.stderr.write("\n")
+        left = passed / (done - self._before) * (count - done)
+        self.show(f"{done} of {count} dampers, about {left:.0f} s left")
 
 
 main = program(_parser, _identify_many)
