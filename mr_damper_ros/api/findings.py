@@ -225,7 +225,7 @@ def _advice(observable: np.ndarray, runs: Sequence[ExtraRun], rig: RigRange) -> 
         return [run.sentence for run in runs]
     return [
         f"no run up to {rig.peak_velocity:.3g} m/s and {rig.current:.3g} A would determine more: "
-        "give --top-velocity or --top-current if the rig may do more"
+        "give --top-velocity or --top-current if the rig allows more"
     ]
 
 
@@ -251,7 +251,11 @@ def profiles(fit: GlobalFit, found: Sequence[Profile]) -> Findings:
     lines = [
         f"profile of {p.name}: least at {p.best:.6g}, 95 % interval "
         f"{p.interval[0]:.6g} to {p.interval[1]:.6g}"
-        + ("" if p.contains(values[p.name]) else f", WITHOUT THE VALUE FOUND, {values[p.name]:.6g}")
+        + (
+            ""
+            if p.contains(values[p.name])
+            else f", WHICH EXCLUDES THE IDENTIFIED VALUE, {values[p.name]:.6g}"
+        )
         for p in found
     ]
     document = {

@@ -67,8 +67,8 @@ MOST_LEFT = 0.3
 
 
 _GIVEN_THE_REST = (
-    "parameters (those with an error hold only together with the others, which one run cannot "
-    "tell and which are those of the start):"
+    "parameters (their standard errors hold for the given values of the others, which one run "
+    "does not determine):"
 )
 
 
@@ -288,8 +288,8 @@ def _line(run: FittedRun) -> str:
     if level is None:
         return line
     return (
-        f"{line}; at its level {level.nrmse:.2%}: force scale {level.scale:.4f} ± "
-        f"{level.scale_error:.4f}, zero {level.zero:.1f} ± {level.zero_error:.1f} N"
+        f"{line}; with gain and offset {level.nrmse:.2%}: force gain {level.scale:.4f} ± "
+        f"{level.scale_error:.4f}, offset {level.zero:.1f} ± {level.zero_error:.1f} N"
     )
 
 

@@ -32,7 +32,7 @@ RunSource = str | os.PathLike[str] | Recording | Iterable["RunSource"]
 RunArrays = tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None, float | None]
 """Displacement [m], force [N] and current [A] of a run, and the time between samples [s]."""
 
-_WAY_OUT = "accept_doubtful, --accept-doubtful: take it all the same"
+_WAY_OUT = "accept_doubtful, --accept-doubtful: use it anyway"
 
 _LIMITS = Screening(minimum_amplitude=1e-6, current_tolerance=2.0 * LARGEST_CURRENT)
 
@@ -80,7 +80,7 @@ def measured_run(
             way_out = "" if lifeless else f" ({_WAY_OUT})"
             raise ValueError(f"{name}: {fault}{way_out}")
         if fault:
-            remarks.append(f"{name}: {fault} (taken all the same)")
+            remarks.append(f"{name}: {fault} (used anyway)")
 
     for recording in recordings:
         fault = fault_of_samples(
@@ -156,8 +156,8 @@ def _flat(sources: Iterable[RunSource]) -> list[str | Recording]:
 def _recordings(path: Path) -> list[Recording]:
     if path.suffix.lower() in RECORD_ENDINGS and path.is_file():
         raise ValueError(
-            f"{path} is no bag: its columns and units must be told, to read_record in Python or "
-            "to import_record, which makes a bag of it"
+            f"{path} is not a bag: describe its columns and units to read_record in Python, or "
+            "convert it with import_record"
         )
     from mr_damper_ros.io.bag_reader import read_bag  # here: only bags need it
 

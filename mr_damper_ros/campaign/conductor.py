@@ -104,7 +104,7 @@ class CampaignConductor:
         self._paused = self._reporting = False
         self._driver, self._rested_ns, self._made = None, None, None
         if course.runs:
-            self._notices.append(f"going on after run {len(course.runs)}, which was kept")
+            self._notices.append(f"continuing after run {len(course.runs)}, which is stored")
 
     def pause(self) -> None:
         """Let the machine rest; a run that is under way is made anew later."""
@@ -257,7 +257,7 @@ class CampaignConductor:
             # A campaign that was stopped meanwhile keeps the run, too.
             number = len(course.runs) + 1
             if failed:
-                course.fail(f"run {number} could not be kept: {failed}")
+                course.fail(f"run {number} could not be stored: {failed}")
             elif isinstance(outcome, Done):
                 refusal = str(outcome.result)
                 said = f"is refused: {refusal}" if refusal else f"is kept: {made[0].sentence}"
@@ -276,6 +276,6 @@ class CampaignConductor:
         try:
             course.conclude(step)
         except OSError as error:
-            course.fail(f"what was found could not be kept: {error.strerror or error}")
+            course.fail(f"the result could not be stored: {error.strerror or error}")
             return
         self._notices.append(f"the force is known to {step.plan.now.sentence}")

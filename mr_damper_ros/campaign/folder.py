@@ -153,7 +153,7 @@ def _read_run(path: Path) -> tuple[PlannedRun, Recording]:
     recordings = read_bag(path)
     run = planned_run_of(recordings[0])
     if len(recordings) != 1 or run is None:
-        raise ValueError(f"{path} is no run of a campaign: move it away")
+        raise ValueError(f"{path} is not a run of a campaign: move it elsewhere")
     return run, recordings[0]
 
 
@@ -206,7 +206,7 @@ def _step(document: dict[str, Any], goal: ForceGoal) -> CampaignStep:
     errors = np.array([math.nan if e is None else e for e in found["errors"]], dtype=float)
     points = goal.points
     if errors.shape != (len(points),):
-        raise ValueError("its errors are those of another goal")
+        raise ValueError("its errors belong to another goal")
     plan = Plan(
         PlanState(found["state"]),
         PointErrors(points, errors, _read(found["worst"]), _read(found.get("bound"))),

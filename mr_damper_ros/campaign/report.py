@@ -169,7 +169,7 @@ def _plan(campaign: _Campaign) -> list[Block]:
     if not campaign.refused:
         return [table]
     names = ", ".join(campaign.refused)
-    return [table, Text(f"Refused, kept as bags and made again: {names}.")]
+    return [table, Text(f"Refused, stored as bags and repeated: {names}.")]
 
 
 def _frequency(run: PlannedRun) -> str:
@@ -326,8 +326,8 @@ def _set(campaign: _Campaign) -> list[Block]:
         )
     table = Table(
         "set",
-        "The most probable values, with standard errors where the runs determined a parameter by "
-        "itself. A parameter that they did not may still be off: the force hardly depends on it.",
+        "Maximum-a-posteriori values, with standard errors of the parameters that the runs "
+        "determine. The force hardly depends on the others, which may be wrong.",
         ("parameter", "unit", "value", "determined"),
         rows,
     )
@@ -358,8 +358,8 @@ def _unknown(campaign: _Campaign) -> list[Block]:
         blocks.append(Text(f"The next run would be {plan.run.sentence}."))
     blocks.append(
         Text(
-            "Not looked at: other motions and other temperatures than those of the runs, and "
-            "whatever lies outside the range of the goal."
+            "Not covered: motions and temperatures other than those of the runs, and operating "
+            "points outside the range of the goal."
         )
     )
     return blocks

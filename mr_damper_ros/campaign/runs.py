@@ -146,7 +146,7 @@ class RunDriver:
     def _begin_anew(self, why: str) -> None:
         self._blocks = []
         if self.stage is DriveStage.RECORDING:
-            self.stage, self.state = DriveStage.SETTLING, f"{why}: the run begins anew"
+            self.stage, self.state = DriveStage.SETTLING, f"{why}: the run starts again"
 
     def _follow(self, block: SampleBlock) -> None:
         if self.stage in (DriveStage.DONE, DriveStage.BROKEN):
@@ -185,7 +185,7 @@ class RunDriver:
             self._blocks, self._passed = [], 0.0
             self.stage, self.state = DriveStage.RECORDING, "the run is made"
         elif (block.end_ns - self._since_ns) / NANOSECONDS > self._patience:
-            self._break(f"the machine does not do what is wanted: {unsettled}")
+            self._break(f"the machine does not follow the command: {unsettled}")
         else:
             self.state = unsettled
 

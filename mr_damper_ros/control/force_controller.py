@@ -228,7 +228,7 @@ class Command:
 
 
 REMEDY = (
-    "by a run by hand (the bridge's or the supply's parameter current) or by a campaign, or set "
+    "by a manual run (parameter current of the bridge or the supply) or by a campaign, or set "
     "probe_step"
 )
 """How more comes to be known of a damper."""
@@ -348,8 +348,8 @@ class ForceController:
         self._commanded = self.settings.limited(self._wanted, self._commanded, duration)
         doubt = doubt or Doubt(
             DoubtKind.SETTLING,
-            "the force is valid again: control goes on if it is so for another "
-            f"{self._fallback.left:.2f} s",
+            f"the force is valid again: control returns after another {self._fallback.left:.2f} "
+            "s of valid force",
         )
         return Command(
             self._commanded,
@@ -390,7 +390,7 @@ class ForceController:
             return Doubt(
                 DoubtKind.OUTDATED,
                 f"the desired force is {age:.2f} s older than the samples, and demand_timeout is "
-                f"{self.settings.demand_timeout:g} s: does its publisher stand still, or have "
+                f"{self.settings.demand_timeout:g} s: has its publisher stopped, or does it use "
                 "another clock?",
             )
         return NO_DOUBT

@@ -235,6 +235,6 @@ def _own(place: str) -> Controller:
     except AttributeError as error:
         raise ValueError(f"function is {place}, but {module} has no {name}") from error
     if not callable(found):
-        raise ValueError(f"function is {place}, which is no function")
+        raise ValueError(f"function is {place}, which is not a function")
     controller: Controller = found
     return controller

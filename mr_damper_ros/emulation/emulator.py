@@ -328,7 +328,7 @@ class EmulatedRig(MeasuredRig):
     def next_block(self, count: int) -> RigBlock:
         """The next ``count`` samples; raises EmulatorError where that is less than one."""
         if count < 1:
-            raise EmulatorError(f"{count} samples were asked for: ask for at least one")
+            raise EmulatorError(f"{count} samples were requested: request at least one")
         parts = [self._ready]
         while self._made < self._taken + count:
             left = CHUNK - self._made % CHUNK

@@ -650,7 +650,10 @@ class RunPlanner:
                 run=best,
                 expected=expected,
                 runs_left=None,
-                reason=f"{_LOOK_AHEAD} more runs would leave an error of {reached:.2%}: "
+                reason=(
+                    f"{_LOOK_AHEAD} more runs would leave an error of {reached:.2%}: allow "
+                    "longer runs or a larger error"
+                )
                 + (
                     "choose another law"
                     if now.model_error > self.goal.error

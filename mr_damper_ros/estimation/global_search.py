@@ -497,8 +497,8 @@ class GlobalSearch:
                 self.best = self._polish.search(whole, contained, self.free)
         if method == "differential_evolution" and self.pooled.mean_square(self.best) > by_laws:
             self.shortcoming = (
-                "differential evolution ended in a poorer minimum than the laws of the method "
-                "global give: allow more generations, or use that method"
+                "differential evolution ended in a poorer minimum than method global: allow "
+                "more generations, or use method global"
             )
 
     def _by_simpler_law(self, method: str, later: int) -> dict[str, Array]:

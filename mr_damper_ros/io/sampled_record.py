@@ -32,8 +32,8 @@ _REST = 0.02
 """Part of its range that a quantity may change by where it rests."""
 
 INTEGRATED = (
-    "the displacement is the integral of the velocity, without its mean and drift: "
-    "where the rod stands is not known"
+    "the displacement is the integral of the velocity without its mean and drift: its absolute "
+    "position is unknown"
 )
 
 
@@ -211,13 +211,13 @@ class SampledRecord:
         deviation = float(np.max(np.abs(time - even))) / period
         if deviation > GAP:
             raise RecordError(
-                f"the times in {name} are not evenly spaced (off by {deviation:.1f} periods of "
-                f"{period:.6g} s): resample the record, or choose an even part of it"
+                f"the sampling of {name} is not uniform (off by {deviation:.1f} periods of "
+                f"{period:.6g} s): resample the record, or choose a uniform part of it"
             )
         if deviation > _JITTER_TO_MENTION:
             return period, (
-                f"the times waver by {deviation:.1%} of a period; "
-                f"samples are taken as evenly spaced, {period:.6g} s apart"
+                f"the times deviate by {deviation:.1%} of a period; uniform sampling with a "
+                f"period of {period:.6g} s is assumed"
             )
         return period, ""
 

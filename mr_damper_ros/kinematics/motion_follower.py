@@ -108,11 +108,9 @@ class MotionFollower:
         if self._steady:
             return ""
         if self._centre.reversals < _REVERSALS_FOR_CENTRE:
-            return (
-                "the centre of the motion is not known before the motion has reversed three times"
-            )
+            return "the centre of the motion is unknown until the motion has reversed three times"
         if self._peak.half_cycles < _HALF_CYCLES_FOR_PEAK:
-            return "the peak velocity is not known before the motion has made four half-cycles"
+            return "the peak velocity is unknown until the motion has made four half-cycles"
         return ""
 
     def follow(self, displacement: Array) -> Motion:

@@ -152,7 +152,7 @@ def _in_words(error: Exception) -> str:
 
 _EVOLUTION = EvolutionSettings()
 
-_LOST = "the process that identified it died again and again: is there enough memory?"
+_LOST = "the process that identified it died repeatedly: is there enough memory?"
 
 Told = Callable[[int, int, Mapping[str, Any]], None]
 """Hears how many dampers are done, of how many, and the document of the last one."""
@@ -373,8 +373,8 @@ def _check_options(folder: Path, options: GroupOptions) -> None:
         raise ValueError(f"{path} is damaged: choose another folder") from error
     if differs:
         raise ValueError(
-            f"{folder} holds what was found with another {' and '.join(differs)}: choose another "
-            "folder, or the same options as before"
+            f"{folder} holds results with another {' and '.join(differs)}: choose another "
+            "folder, or use the same options as before"
         )
 
 

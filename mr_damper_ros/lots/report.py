@@ -73,13 +73,13 @@ def write_population_report(found: ManyDampers, folder: Path) -> Path:
             Chapter("outliers", "Dampers that stand out", _outliers(population)),
             Chapter("fits", "How well the law fits", _fits(population)),
             Chapter("parameters", "The parameters that were determined", _parameters(population)),
-            Chapter("missing", "What could not be used", _missing(found)),
+            Chapter("missing", "Unusable files and dampers", _missing(found)),
         ]
         headlines = [
             _force_headline(population),
             _outlier_headline(population),
             _fit_headline(population),
-            "what the recordings leave open is not shown: it says nothing about a damper",
+            "undetermined parameters are not shown, because they say nothing about a damper",
             _missing_headline(found),
         ]
         count = len(found.documents)
@@ -159,7 +159,7 @@ def _force_headline(population: Population) -> str:
 
 def _outliers(population: Population) -> list[Block]:
     if len(population.dampers) < LEAST_DAMPERS:
-        return [Text(f"Of fewer than {LEAST_DAMPERS} dampers none can be said to stand out.")]
+        return [Text(f"In lots of fewer than {LEAST_DAMPERS} dampers, no outliers are flagged.")]
     rule = Text(
         f"A damper stands out that is more than {population.limit:.1f} standard deviations of the "
         "lot from its median, and more than three of its own standard errors. In a lot without "
@@ -172,7 +172,7 @@ def _outliers(population: Population) -> list[Block]:
     if not rows:
         return [rule, Text("None does.")]
     columns = ("damper", "in", "its value", "median of the lot", "standard deviations off")
-    return [rule, Table("outliers", "Each by what it stands out in most.", columns, rows)]
+    return [rule, Table("outliers", "Each with its largest deviation.", columns, rows)]
 
 
 def _outlier_headline(population: Population) -> str:
@@ -194,7 +194,7 @@ def _fits(population: Population) -> list[Block]:
     order = np.argsort(-nrmse)[:10]
     rows = [(population.dampers[k].name, float(nrmse[k])) for k in order]
     return [
-        Picture("nrmse", "What the sets leave of the force's standard deviation.", figure),
+        Picture("nrmse", "NRMSE of the sets.", figure),
         Table("worst-fits", "The ten poorest fits.", ("damper", "NRMSE [%]"), rows),
     ]
 

@@ -256,9 +256,9 @@ class ParameterSet:
         if not (math.isfinite(low) and high - low <= _ONE_CURRENT):
             return ""
         return (
-            f"set {self.set_id} was identified at {0.5 * (low + high):.3g} A alone: its force at "
-            "any other current, and so the current for a wanted force, comes from the set that the "
-            "search began with; identify it from runs at several currents"
+            f"set {self.set_id} was identified at {0.5 * (low + high):.3g} A only: its force at "
+            "other currents, and so the current for a desired force, is not determined; "
+            "identify it from runs at several currents"
         )
 
     @property
@@ -338,7 +338,7 @@ class ParameterSet:
             return cls.from_yaml(Path(path).read_text(encoding="utf-8"))
         except UnicodeDecodeError as error:
             raise ParameterError(
-                f"{os.fspath(path)} is no parameter file: it is not text"
+                f"{os.fspath(path)} is not a parameter file: it is not text"
             ) from error
         except ParameterError as error:
             raise ParameterError(f"{os.fspath(path)}: {error}") from error

@@ -111,12 +111,12 @@ def _doubt(parameters: ParameterSet, speeds: _Places, currents: _Places, frequen
     if not _everywhere(sizes, speeds, currents):
         largest = float(np.max(np.where(np.isfinite(peaks), peaks, math.inf)))
         return (
-            f"within their range the parameters give a force of {largest:.3g} N, beyond the "
-            f"{limit:.3g} N that are possible: identify the damper again"
+            f"within their range the parameters give a force of {largest:.3g} N, more than the "
+            f"possible {limit:.3g} N: identify the damper again"
         )
     return (
-        "within their range the parameters give a force that drives the motion instead of damping "
-        "it: are the signs of force and displacement right where they were identified?"
+        "within their range the parameters give a force that is not dissipative: were the signs "
+        "of force and displacement right during the identification?"
     )
 
 

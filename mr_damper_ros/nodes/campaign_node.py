@@ -272,7 +272,7 @@ class CampaignNode(Node):
         """Why a goal cannot be meant now, or is beyond the machine, in words; empty if it can."""
         options = self._options
         if self._conductor.running:
-            return "a campaign is under way; stop it first, or wait for its end"
+            return "a campaign is running; stop it first, or wait for its end"
         try:
             limits = options.machine.limits(manual=options.conduct.manual)
             first_run(self._wanted(request).goal(), limits)

@@ -70,7 +70,7 @@ class CommandTopic(ABC):
         publishers = quality.publishing_nodes(self._node, self.topic)
         if len(publishers) > 1:
             names = " and ".join(publishers)
-            wrong.append(f"{self.what} is commanded by {names}: end all but one")
+            wrong.append(f"{self.what} is commanded by {names}: stop all but one")
         if refused:
             wrong.append(f"{refused} commands were refused since the last report: {self._refusal}")
         if wrong:

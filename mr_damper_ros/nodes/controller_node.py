@@ -183,7 +183,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         unknown, self._unknown = self._unknown, 0
         safe = f"the safe current, {self._options.control.fallback.safe_current:g} A, is commanded"
         if self._last is None or self._inputs.silent:
-            return Finding(STALE, f"no samples come: {safe}")
+            return Finding(STALE, f"no samples arrive: {safe}")
         last = self._last
         values: dict[str, object] = {
             "current [A]": f"{last.current:.4f}",
@@ -203,15 +203,15 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
         if unknown:
             return Finding(
                 WARN,
-                f"{unknown / commands:.0%} of the desired forces of the last second need more than "
-                f"the {self._controller.highest_known:.2f} A up to which the damper is known: "
-                f"identify it at more, {REMEDY}",
+                f"{unknown / commands:.0%} of the desired forces of the last second need more "
+                f"than the identified {self._controller.highest_known:.2f} A: identify the "
+                f"damper at higher currents, {REMEDY}",
                 values,
             )
         return Finding(
             OK,
             f"{last.current:.3f} A for {last.wanted:.0f} N; {share:.0%} of the desired forces of "
-            "the last second could be had, the others drive the motion or are too large",
+            "the last second were attainable, the others are not dissipative or too large",
             values,
         )
 
@@ -223,7 +223,7 @@ class ControllerNode(BlockNode[ControllerParameters, Command]):
             return Finding(OK, f"no desired force {what} yet")
         return Finding(
             OK,
-            f"what could be had was missed by {nrmse:.1%} of the measured force",
+            f"the attainable forces were missed by {nrmse:.1%} of the measured force",
             {"NRMSE": f"{nrmse:.4f}"},
         )
 

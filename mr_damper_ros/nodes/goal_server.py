@@ -140,7 +140,7 @@ class SearchGoals:
     def _refusal(self, _: IdentifyGlobal.Goal) -> str:
         if len(self._goals) < _MOST_GOALS:
             return ""
-        return f"{_MOST_GOALS} wait already; cancel some, or send it later"
+        return f"{_MOST_GOALS} goals are waiting; cancel some, or try again later"
 
     def _begin(self, goal: ServerGoalHandle) -> None:
         try:
@@ -165,7 +165,7 @@ class SearchGoals:
     def _result(self, event: SearchEnded) -> IdentifyGlobal.Result:
         if event.outcome is None or event.report is None:
             return IdentifyGlobal.Result(
-                message="cancelled, or overtaken by a reset or another set", nrmse=math.nan
+                message="cancelled, or superseded by a reset or another set", nrmse=math.nan
             )
         fit, report = event.outcome.found, event.report
         if fit is None:

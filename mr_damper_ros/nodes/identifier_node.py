@@ -307,14 +307,14 @@ class IdentifierNode(Node):
         if dropped:
             return Finding(
                 WARN,
-                f"{dropped} windows were dropped: they come faster than they are fitted; "
-                "raise hop or waiting_windows",
+                f"{dropped} windows were dropped: they arrive faster than they are fitted; "
+                "increase hop or waiting_windows",
                 values,
             )
         if not worker.ready:
             return Finding(OK, "the process is starting", values)
         if worker.waits:
-            return Finding(OK, "waits for a process that others have", values)
+            return Finding(OK, "waiting for a free worker process", values)
         return Finding(OK, identifier.running or "idle", values)
 
     def _find_parameters(self) -> Finding:

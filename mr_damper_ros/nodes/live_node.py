@@ -227,7 +227,7 @@ class LiveNode(Node):
         self.get_logger().info(f"the page is at {self._page.address}")
         if not is_local(options.host):
             self.get_logger().warning(
-                "everybody who reaches this computer can see the page"
+                "everybody who can reach this computer can see the page"
                 + (" and give commands" if commands else "")
             )
 
@@ -255,7 +255,7 @@ class LiveNode(Node):
         if not client.service_is_ready():
             self._record.add_event(f"{name}: nobody offers {client.srv_name}")
             return
-        self.get_logger().info(f"{name} was asked for on the page")
+        self.get_logger().info(f"{name} was requested on the page")
         client.call_async(client.srv_type.Request()).add_done_callback(
             lambda future: self._tell(name, future)
         )

@@ -131,7 +131,7 @@ class ModelNode(BlockNode[ModelParameters, Prediction]):
         nrmse = self._error.nrmse
         values = {"NRMSE": f"{nrmse:.4f}"}
         if self._last is None or self._inputs.silent:
-            return Finding(STALE, "nothing to predict: no samples come", values)
+            return Finding(STALE, "nothing to predict: no samples arrive", values)
         doubt = self._last.newest_doubt
         values["doubt"] = doubt.kind.name
         if doubt:

@@ -98,7 +98,7 @@ class Observer:
         deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() > deadline:
-                raise TimeoutError(f"in vain waited {patience:g} s for {what}")
+                raise TimeoutError(f"waited {patience:g} s in vain for {what}")
             self.spin_once(tick)
 
     def wait_for_publishers(self, topic: str, count: int = 1) -> None:

@@ -230,6 +230,6 @@ class PacedSender:
             time.sleep(_POLL)
         if not self.stopped:
             self._node.get_logger().warning(
-                f"fewer than {nodes} nodes subscribed within {timeout:g} s: going on with those "
-                "that are there"
+                f"fewer than {nodes} nodes subscribed within {timeout:g} s: continuing without "
+                "the others"
             )

@@ -102,7 +102,7 @@ class ParameterInput:
         """Why a message is not to be used that claims to come from a node; empty where it is."""
         names = set(quality.publishing_nodes(self._node, topic))
         if len(names) > 1 and self._trusted in names:
-            names = {claimed[:_SHOWN] or "a node that does not say its name"}
+            names = {claimed[:_SHOWN] or "a node that does not state its name"}
         if not self._trusted or names == {self._trusted}:
             return ""
         found = " or ".join(sorted(names)) or "a node that is gone"
@@ -125,7 +125,7 @@ class ParameterInput:
                 f"parameters {message.id[:_SHOWN]} are not used: {error}"
             )
             return
-        self._from = message.node or "a node that does not say its name"
+        self._from = message.node or "a node that does not state its name"
         before = self._predictor.parameters
         # Published parameters that come from no samples have the stamp 0.
         self._use(parameters, parameters.stamp_ns or None)
@@ -157,7 +157,7 @@ class ParameterInput:
         several = f"{PARAMETERS_TOPIC} is published by {' and '.join(publishers)}"
         if len(publishers) > 1 and not self._trusted:
             return Finding(
-                ERROR, f"{several}: end all but one, or name the one to use in trusted_source"
+                ERROR, f"{several}: stop all but one, or name the one to use in trusted_source"
             )
         if self._refused:
             return Finding(WARN, f"the newest parameters are not used: {self._refused}")

@@ -254,7 +254,9 @@ class ReplayNode(Node):  # type: ignore[misc]
         own = self.get_fully_qualified_name()
         for topic in (each.topic_name for each in self._sender.publishers.values()):
             for name in sorted({*quality.publishing_nodes(self, topic)} - {own}):
-                self._others.append(f"{topic} is published by {name} too: choose others to play")
+                self._others.append(
+                    f"{topic} is also published by {name}: choose other topics to play"
+                )
         for sentence in self._others:
             self.get_logger().warning(sentence)
 

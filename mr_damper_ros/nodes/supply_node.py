@@ -36,7 +36,7 @@ from mr_damper_ros.settings.option_table import ParameterTable, group, option
 _EMULATED = "emulated"
 """The address, and the profile, of the emulated instrument in this process."""
 
-_NOT_OFF = "the output may still be on: the node goes on trying to switch it off"
+_NOT_OFF = "the output may still be on: the node keeps trying to switch it off"
 
 
 @dataclass(frozen=True)
@@ -188,8 +188,8 @@ class SupplyNode(ManagedNode):
         self.get_logger().info(f"connected to {self._identity} at {values.address}")
         if math.isnan(self._supply.watchdog):
             self.get_logger().warning(
-                "this supply has no watchdog that its profile knows: where this process or the "
-                "link dies, the current stays on"
+                "the profile of this supply has no watchdog: if this process or the link dies, "
+                "the current stays on"
             )
         return TransitionCallbackReturn.SUCCESS
 
@@ -246,7 +246,7 @@ class SupplyNode(ManagedNode):
         drive, self._drive = self._drive, None
         if drive is not None and not drive.stop():
             drive.end()
-            self._tell(f"{drive.failure}; the output may still be on: the node tries no more")
+            self._tell(f"{drive.failure}; the output may still be on: the node has stopped trying")
         supply, self._supply = self._supply, None
         if supply is None:
             return
@@ -298,9 +298,11 @@ class SupplyNode(ManagedNode):
         if state.last_complaint:
             return Finding(WARN, f"the supply complains: {state.last_complaint}", values)
         if math.isnan(supply.watchdog):
-            sentence = "on; no watchdog: where this process or the link dies, the current stays on"
+            sentence = "on; no watchdog: if this process or the link dies, the current stays on"
             return Finding(WARN, sentence, values)
-        return Finding(OK, f"on; off by itself after {supply.watchdog:g} s of silence", values)
+        return Finding(
+            OK, f"on; its watchdog switches off after {supply.watchdog:g} s of silence", values
+        )
 
     def _find_current(self) -> Finding:
         if self._drive is None or self._commands is None:
@@ -311,8 +313,8 @@ class SupplyNode(ManagedNode):
         if state.deviates:
             return Finding(
                 ERROR,
-                f"the supply gives {state.measured:.3f} A where {state.given:.3f} A are set: is "
-                "the coil connected, has its protection tripped, does it need more voltage?",
+                f"the supply gives {state.measured:.3f} A instead of {state.given:.3f} A: is the "
+                "coil connected, has its protection tripped, does it need more voltage?",
                 values,
             )
         return Finding(found.level, f"{state.measured:.3f} A; {found.message}", values)

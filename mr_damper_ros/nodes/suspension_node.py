@@ -84,7 +84,9 @@ class SuspensionNode(Node):
             self._give_up(f"the controller failed: {type(error).__name__}: {error}")
             return
         if not math.isfinite(force):
-            self._give_up(f"the controller wants {force} N: does it need what is not measured?")
+            self._give_up(
+                f"the controller returned {force} N: does it need a signal that is not measured?"
+            )
             return
         limit = self._options.largest_force
         self._last = min(max(force, -limit), limit)
@@ -113,10 +115,10 @@ class SuspensionNode(Node):
         failed, self._failed = self._failed, 0
         values = {"desired force [N]": f"{self._last:.4g}", "wanted": wanted, "failed": failed}
         if failed:
-            return Finding(WARN, f"{self._problem}; no force was wanted then", values)
+            return Finding(WARN, f"{self._problem}; no force was requested then", values)
         if not wanted:
             topic = self.resolve_topic_name(SUSPENSION_TOPIC)
-            return Finding(STALE, f"no motion comes on {topic}", values)
+            return Finding(STALE, f"no motion arrives on {topic}", values)
         return Finding(OK, f"{self._last:.0f} N is wanted", values)
 
 

@@ -162,7 +162,7 @@ class Origin(Enum):
 
     HAND = "set by hand"
     COMMAND = "commanded"
-    TIMED_OUT = "zero, for the commands have stopped"
+    TIMED_OUT = "zero, because the commands have stopped"
 
 
 class CurrentCommander(Commander[float]):

@@ -48,13 +48,16 @@ def channel_findings(
     if cut:
         yield RigFinding(
             Trouble.CLIPPED,
-            f"the {name} is cut off at {cut}: choose a larger range, or a smaller motion",
+            f"the {name} is clipped at {cut}: choose a larger range or a smaller motion",
             name,
         )
     if step:
         yield RigFinding(
             Trouble.COARSE,
-            f"the {name} comes in steps of {step:.3g} {unit}: choose a smaller range or more bits",
+            (
+                f"the {name} is quantised in steps of {step:.3g} {unit}: choose a smaller range or "
+                "more bits"
+            ),
             name,
         )
     noise = white_noise(values)
@@ -63,15 +66,14 @@ def channel_findings(
         yield RigFinding(
             Trouble.NOISE,
             f"the {name} has {noise:.3g} {unit} of noise ({noise / spread:.1%} of its standard "
-            "deviation): look at shields, earth and filter",
+            "deviation): check shielding, earth and filters",
             name,
         )
     wild = _wild_values(values, noise)
     if wild:
         yield RigFinding(
             Trouble.SPIKES,
-            f"{wild} single values of the {name} are far off their neighbours: a loose plug, or a "
-            "disturbance?",
+            f"{wild} samples of the {name} are outliers: is there a loose plug or a disturbance?",
             name,
         )
         return
@@ -81,7 +83,7 @@ def channel_findings(
         if amplitude > 0.0:
             yield RigFinding(
                 Trouble.HUM,
-                f"the {name} has {amplitude:.3g} {unit} of hum at {mains:g} Hz: look at shields "
+                f"the {name} has {amplitude:.3g} {unit} of hum at {mains:g} Hz: check shielding "
                 "and earth",
                 name,
             )
@@ -161,9 +163,9 @@ def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
         if np.count_nonzero(held_up) > 1:
             yield RigFinding(
                 Trouble.BURSTS,
-                f"{np.count_nonzero(held_up)} times nothing came for up to "
-                f"{pauses[held_up].max():.2g} s, then much "
-                "at once: look at the network and the load of the sender",
+                f"the stream paused {np.count_nonzero(held_up)} times for up to "
+                f"{pauses[held_up].max():.2g} s and then caught up: check the network and the "
+                "load of the sender",
             )
 
 
@@ -190,7 +192,7 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
         lost = max(lost - repeated * round(np.median([b.force.size for b in record.blocks])), 0)
         yield RigFinding(
             Trouble.REPEATED,
-            f"{repeated} blocks came twice or after later ones: does only one node publish them?",
+            f"{repeated} blocks arrived twice or out of order: does only one node publish them?",
         )
     left_out = 0
     for name in ("displacement", "force"):
@@ -199,8 +201,8 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
         if count:
             yield RigFinding(
                 Trouble.CLIPPED,
-                f"the {name} was at the end of its range: {count} samples were left out by their "
-                "source; choose a larger range, or a smaller motion",
+                f"the {name} was clipped: its source left out {count} samples; choose a larger "
+                "range or a smaller motion",
                 name,
             )
     if left_out and (lost - left_out) * record.period < _TOLD_LATE:
@@ -209,8 +211,8 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
         whole = lost + record.sample_count
         yield RigFinding(
             Trouble.LOST,
-            f"{lost} samples of {whole} ({lost / whole:.2%}) never came: look at the network, send "
-            "larger blocks, and see that the queues are deep enough",
+            f"{lost} samples of {whole} ({lost / whole:.2%}) were lost: check the network, send "
+            "larger blocks, and use deeper queues",
         )
     if restarts:
         yield RigFinding(
@@ -249,7 +251,7 @@ def current_findings(record: RigRecord) -> Iterator[RigFinding]:
     if not record.measured:
         yield RigFinding(
             Trouble.NO_CURRENT,
-            "no current comes on supply/current: start the supply, or a driver of your own",
+            "no current arrives on supply/current: start the supply or your driver",
             "current",
         )
         return
@@ -257,7 +259,7 @@ def current_findings(record: RigRecord) -> Iterator[RigFinding]:
     values = np.array([value for _, value in record.measured])
     if not np.isfinite(values).all():
         yield RigFinding(
-            Trouble.NOT_FINITE, "the current holds values that are no numbers", "current"
+            Trouble.NOT_FINITE, "the current contains values that are not finite", "current"
         )
         return
     if record.blocks:
@@ -292,8 +294,8 @@ def _command_findings(
     if off.size and float(np.median(np.abs(off))) > _CURRENT_OFF:
         yield RigFinding(
             Trouble.CURRENT,
-            f"the measured current is {float(np.median(off)):+.3g} A off the commanded one: look "
-            "at the limits of the supply, its voltage and the wires to the coil",
+            f"the measured current deviates by {float(np.median(off)):+.3g} A from the command: "
+            "check the limits of the supply, its voltage and the wires to the coil",
             "current",
         )
 
@@ -327,7 +329,7 @@ class RigCheck:
 
     def __str__(self) -> str:
         lines = [f"- {finding.sentence}" for finding in self.findings]
-        return "\n".join([*(lines or ["Nothing is wrong with the signals."]), "", self.advice])
+        return "\n".join([*(lines or ["No fault found in the signals."]), "", self.advice])
 
 
 def check_rig(record: RigRecord) -> RigCheck:
@@ -341,7 +343,7 @@ def check_rig(record: RigRecord) -> RigCheck:
     if not record.blocks:
         silent = RigFinding(
             Trouble.SILENT,
-            "no samples come on mts/samples: start the bridge, or your driver, and let it publish "
+            "no samples arrive on mts/samples: start the bridge or your driver, and publish "
             "reliably",
         )
         return RigCheck((*found, silent, *current_findings(record)), None, "")
@@ -354,7 +356,7 @@ def check_rig(record: RigRecord) -> RigCheck:
             if count:
                 found.append(
                     RigFinding(
-                        Trouble.NOT_FINITE, f"{count} values of the {name} are no numbers", name
+                        Trouble.NOT_FINITE, f"{count} values of the {name} are not finite", name
                     )
                 )
     elif displacement.size >= _ENOUGH:
@@ -396,8 +398,8 @@ def _channels(
         found.append(
             RigFinding(
                 Trouble.INVERTED,
-                "the force drives the motion: reverse the sign of force or displacement; extension "
-                "and tension are positive",
+                "the force is not dissipative: reverse the sign of force or displacement; "
+                "extension and tension are positive",
             )
         )
         lag = channel_lag(displacement, -force, period)
@@ -438,7 +440,7 @@ def _unit_findings(displacement: Array, force: Array) -> Iterator[RigFinding]:
     if abs(middle) > _OFFSET * half:
         yield RigFinding(
             Trouble.OFFSET,
-            f"the force goes about {middle:.3g} N, not zero: set the zero of the load cell with "
+            f"the force is centred on {middle:.3g} N instead of zero: zero the load cell with "
             "the rod free",
             "force",
         )

@@ -102,7 +102,7 @@ class Trouble(Enum):
 
     SILENT = "nothing comes"
     UNUSABLE = "messages that hold no samples"
-    NOT_FINITE = "values that are no numbers"
+    NOT_FINITE = "values that are not finite"
     STUCK = "a channel that stands still"
     AT_REST = "no motion"
     SWAPPED = "channels exchanged"

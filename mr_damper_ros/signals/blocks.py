@@ -57,7 +57,7 @@ def check_live(block: SampleBlock) -> None:
     duration = block.sample_count * block.period
     if duration > LONGEST_BLOCK:
         raise BlockError(
-            f"the block stands for {duration:g} s: send blocks of at most {LONGEST_BLOCK:g} s"
+            f"the block lasts {duration:g} s: send blocks of at most {LONGEST_BLOCK:g} s"
         )
 
 

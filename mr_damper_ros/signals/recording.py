@@ -147,7 +147,7 @@ class Recording:
         if force > _LARGEST_FORCE:
             return f"the force reaches {force:.3g} N: give the unit of the force that fits"
         if np.ptp(self.force) == 0.0:
-            return f"the force is {force:.3g} N throughout: is it the right column?"
+            return f"the force is constant at {force:.3g} N: is it the right column?"
         current = float(np.max(np.abs(self.current)))
         if current > _LARGEST_CURRENT:
             return f"the current reaches {current:.3g} A: is it in milliamperes?"

@@ -311,7 +311,7 @@ class UniformGrid:
             return Continuity(
                 "changed_period",
                 sentence=f"the sample period changed from {last.period:g} s to {block.period:g} s: "
-                "what was being collected starts again",
+                "windows and motion restart",
             )
         due_ns = self._clock.at(_end(last))
         late_ns = block.start_ns - due_ns
@@ -330,8 +330,8 @@ class UniformGrid:
             # The stamps go on but the count does not: the source was started again.
             return Continuity(
                 "gap",
-                sentence="the sample count was set back or forward (a source that was started "
-                "again?): what was being collected starts again",
+                sentence="the sample count was set back or forward (was the source restarted?): "
+                "windows and motion restart",
             )
         late = late_ns / NANOSECONDS
         if late > 0.0:
@@ -342,13 +342,12 @@ class UniformGrid:
                 if lost
                 else f"the samples pause for {late:.3g} s"
             )
-            return Continuity("gap", lost, f"{detail}: what was being collected starts again")
+            return Continuity("gap", lost, f"{detail}: windows and motion restart")
         if block.end_ns <= due_ns + allowed_ns and -late_ns < LATE_NS and missing < 0:
             return _REPEAT
         return Continuity(
             "jump_back",
-            sentence=f"the stamps jump back by {-late:.3g} s: what was being collected "
-            "starts again",
+            sentence=f"the stamps jump back by {-late:.3g} s: windows and motion restart",
         )
 
     def _place(self, block: SampleBlock, verdict: Continuity) -> Placed:

@@ -14,8 +14,8 @@ _WRONG = 1
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="check_rig",
-        description="Listen to the signals of a rig and say in words what is wrong with them. Let "
-        "the machine move; several frequencies tell the skew of the channels, too.",
+        description="Check the live signals of a rig and report what is wrong. Let the machine "
+        "move; several frequencies also reveal the skew of the channels.",
     )
     parser.add_argument("--namespace", default="/", help="namespace of the damper (default /)")
     parser.add_argument(

@@ -72,7 +72,7 @@ def run_tool(
             "workspace that this package was built in, or env.bash of its folder",
         )
     except MemoryError:
-        return _fail(parser, "there is not enough memory for these data: take a part of them")
+        return _fail(parser, "there is not enough memory for these data: use a part of them")
 
 
 def _joined(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> list[str]:
@@ -107,7 +107,7 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--accept-doubtful",
         action="store_true",
-        help="take runs that would be refused (clipped, driven by the force, wrong units), with a "
+        help="use runs that would be refused (clipped, not dissipative, wrong units), with a "
         "warning",
     )
 

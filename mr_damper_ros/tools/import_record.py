@@ -45,9 +45,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="text, CSV, MAT, XLSX or TDMS file")
-    parser.add_argument(
-        "--columns", required=True, help="what the columns hold, and their units (see below)"
-    )
+    parser.add_argument("--columns", required=True, help="columns and their units (see below)")
     parser.add_argument(
         "--output",
         required=True,
@@ -86,14 +84,13 @@ def _parser() -> argparse.ArgumentParser:
         "--undo-moving-average",
         type=int,
         metavar="N",
-        help="the makers of the record averaged it over the last N samples: undo that, exactly, "
-        "where the record begins at rest",
+        help="undo a moving average over the last N samples; exact if the record begins at rest",
     )
     parser.add_argument(
         "--begins-in-motion",
         action="store_true",
-        help="with --undo-moving-average: the record was cut out of a longer one, so that what the "
-        "average has lost cannot be told from what was before; it is left out",
+        help="with --undo-moving-average: the record begins in motion, so what the average has "
+        "removed is unknown and is left out",
     )
     parser.add_argument(
         "--variable",
@@ -107,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help=f"refuse a file with more samples (default {MAXIMUM_SAMPLES})",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace a bag that exists")
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
     return parser
 
 

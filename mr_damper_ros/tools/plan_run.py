@@ -59,9 +59,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="plan_run",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        description="Say which run of the test machine comes next, so that the force of a damper "
-        "is soon\nknown to a given error over a range of peak velocity and current; without bags, "
-        "the first one.",
+        description="Recommend the next run of the test machine, so that the force of a damper is "
+        "soon known to a\ngiven accuracy over a range of peak velocity and current; without bags, "
+        "the first run.",
         epilog=_EPILOG,
     )
     parser.add_argument(
@@ -69,14 +69,14 @@ def _parser() -> argparse.ArgumentParser:
         nargs="*",
         type=Path,
         metavar="BAG",
-        help="runs made so far; with --keep those made since, or folders with bags",
+        help="runs made so far; with --keep the new ones; or folders with bags",
     )
     parser.add_argument(
         "--signal", type=Path, metavar="FILE", help="write the run as CSV, to be played"
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the plan as JSON")
     parser.add_argument(
-        "--keep", type=Path, metavar="FOLDER", help="folder of the campaign, which goes on"
+        "--keep", type=Path, metavar="FOLDER", help="folder of the campaign, which continues"
     )
     parser.add_argument(
         "--runs",
@@ -110,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
         "--duration", type=float, default=4.0, metavar="S", help="of a run (default %(default)s)"
     )
     machine.add_argument(
-        "--heat", type=float, default=math.inf, metavar="J", help="that a run may bring in"
+        "--heat", type=float, default=math.inf, metavar="J", help="dissipated by a run"
     )
     machine.add_argument(
         "--frequency",
@@ -128,13 +128,12 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         choices=[kind.value for kind in MotionKind],
         default=[MotionKind.SINE.value],
-        help="how it can move (default: sine): a sine, a swept sine, random motion",
+        help="motions of the machine (default: sine): a sine, a swept sine, random motion",
     )
     machine.add_argument(
         "--manual",
         action="store_true",
-        help="a person sets the press and the supply: sines alone, the current stays the same "
-        "within a run",
+        help="an operator sets the press and the supply: sines only, at a constant current",
     )
     parser.add_argument("--model", choices=tuple(MODELS), default=DEFAULT_MODEL)
     return parser
@@ -179,7 +178,7 @@ def _tell(plan: Plan, goal: ForceGoal) -> None:
     if plan.reason:
         print(plan.reason)
     elif plan.runs_left is not None:
-        print(f"about {plan.runs_left} more runs will do")
+        print(f"about {plan.runs_left} more runs are needed")
 
 
 def _go_on_with_campaign(options: argparse.Namespace, missing: Sequence[str]) -> int:
@@ -252,7 +251,7 @@ def _take(course: CampaignCourse, recording: Recording) -> None:
             print(f"{missing}; it is taken as a run of its own: {made.sentence}")
             refusal = fault_of_run(made, recording) or course.take(recording, made)
     if refusal:
-        print(f"run {course.number} is not taken: {refusal}")
+        print(f"run {course.number} is refused: {refusal}")
 
 
 def _taken(course: CampaignCourse, recording: Recording) -> bool:

@@ -19,8 +19,8 @@ from mr_damper_ros.tracking.tracker import OF_THE_SET
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="replay_recording",
-        description="Report what identifier and model would have said of a recording: the verdict "
-        "on each window, the predicted force and when it is valid.",
+        description="Report what identifier and model would have published for a recording: the "
+        "verdict on each window, the predicted force and its validity.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or .mcap file")
     parser.add_argument(

@@ -38,12 +38,12 @@ def _signals(record: LiveRecord) -> list[str]:
     rows = record.rows("signals", -1, -1)
     if rows is None or len(rows.values) == 0:
         if any(concern.name.startswith("model:") for concern, _ in record.concerns):
-            return ["no signals yet: the node model runs, and no samples come"]
+            return ["no signals yet: the node model is running, but no samples arrive"]
         return ["no signals yet: is the node model running, in this namespace?"]
     named = dict(zip(rows.columns, rows.values[-_ERROR_OVER:].T, strict=True))
     now = {name: float(column[-1]) for name, column in named.items()}
     silence = _since(record.silence)
-    valid = "valid" if now["valid"] else "not to be relied on"
+    valid = "valid" if now["valid"] else "invalid"
     return [
         *([f"{'no signals':24} {silence}; the last ones:"] if silence else []),
         f"{'' if silence else 'live':24} displacement {1e3 * now['displacement']:9.3f} mm   "
@@ -135,7 +135,8 @@ _AT_LEAST = 3.0
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="watch", description="Print how the running system stands, in place, until Ctrl-C."
+        prog="watch",
+        description="Show the state of the running system, updated in place, until Ctrl-C.",
     )
     parser.add_argument("--namespace", default="/", help="namespace of the damper (default /)")
     parser.add_argument(

@@ -316,11 +316,11 @@ def _disturbed(excess: float, nrmse_before: float) -> Judgement:
 
     What is usual is a matter of the motions and currents seen, above all where these change.
     """
-    sentence = f"the residual is {excess:.1f} times the usual one: "
+    sentence = f"the residual is {excess:.1f} times the residual baseline: "
     if nrmse_before <= _FITS:
         return Judgement(
             Verdict.NO_BETTER,
-            sentence + f"the running set, which leaves {nrmse_before:.0%}, stays in use",
+            sentence + f"the running set, with an NRMSE of {nrmse_before:.0%}, stays in use",
             usual=False,
         )
     return Judgement(Verdict.DISTURBED, sentence + "a disturbance or a sensor fault")
@@ -456,8 +456,8 @@ class Gatekeeper:
         if not evidence.nrmse_after <= maximum:
             return Judgement(
                 Verdict.POOR_FIT,
-                f"one set for all operating points leaves {evidence.nrmse_after:.0%} of the force "
-                f"unexplained, more than maximum_nrmse ({maximum:.0%})",
+                "one set for all operating points leaves an NRMSE of "
+                f"{evidence.nrmse_after:.0%}, more than maximum_nrmse ({maximum:.0%})",
             )
         worth_while = evidence.nrmse_after < WORTH_WHILE * evidence.nrmse_before
         if not (worth_while and evidence.lead > BEYOND_CHANCE):
@@ -466,15 +466,15 @@ class Gatekeeper:
         if after > before + HARDLY:
             return Judgement(
                 Verdict.NO_BETTER,
-                f"one set for all operating points leaves {after:.0%} of the force of late "
-                f"unexplained, the running set {before:.0%}",
+                f"one set for all operating points leaves a recent NRMSE of {after:.0%}, the "
+                f"running set {before:.0%}",
             )
         if sentence := objection():
             return Judgement(Verdict.POOR_FIT, sentence)
         if tentative and before <= STILL_GOOD:
             return Judgement(
                 Verdict.UNCONFIRMED,
-                "one set for all operating points waits for the next window to confirm it",
+                "the set for all operating points must be confirmed by the next window",
             )
         return ACCEPTED
 
@@ -518,19 +518,19 @@ class Gatekeeper:
         if evidence.nrmse_after > settings.maximum_nrmse:
             return Judgement(
                 Verdict.POOR_FIT,
-                f"the fit leaves {evidence.nrmse_after:.0%} of the force unexplained, more than "
-                f"maximum_nrmse ({settings.maximum_nrmse:.0%})",
+                f"the fit leaves an NRMSE of {evidence.nrmse_after:.0%}, more than maximum_nrmse "
+                f"({settings.maximum_nrmse:.0%})",
             )
         beyond = self._beyond(evidence, force, holds) if force is not None else ""
         if same_motion and evidence.shape_change > _OTHER_SHAPE:
             beyond = (
-                f"{evidence.shape_change:.0%} of the force have another shape in the same motion"
+                f"the shape of the force changed by {evidence.shape_change:.0%} in the same motion"
             )
         if beyond:
             return Judgement(
                 Verdict.BEYOND_LIMITS,
-                f"{beyond}: check the sensors and their clocks; where the damper is another one "
-                "now, call reset",
+                f"{beyond}: check the sensors and their clocks; if the damper was replaced, call "
+                "reset",
             )
         known = bool(experience.residuals)
         if known:
@@ -554,13 +554,12 @@ class Gatekeeper:
         # Where the running set was never identified, a set that was serves better.
         if not (evidence.better if holds else evidence.nrmse_after < evidence.nrmse_before):
             return Judgement(
-                Verdict.NO_BETTER, "the running set predicts the held-back samples as well"
+                Verdict.NO_BETTER, "the running set predicts the validation samples as well"
             )
         if evidence.loses_elsewhere:
             return Judgement(
                 Verdict.NO_BETTER,
-                "the running set predicts the other operating points of late better than the new "
-                "one does this one",
+                "the new set loses more at the other recent operating points than it gains here",
             )
         change = evidence.force_change
         if force is not None and not holds:
@@ -572,7 +571,7 @@ class Gatekeeper:
         if abs(change) > settings.step_limit:
             surprise = f"the force changed by {change:+.0%} at once"
         elif holds and evidence.shape_change > _SURPRISING:
-            surprise = f"{evidence.shape_change:.0%} of the force have another shape at once"
+            surprise = f"the shape of the force changed by {evidence.shape_change:.0%} at once"
         if known and surprise:
             return Judgement(
                 Verdict.UNCONFIRMED, f"{surprise}: waiting for the next window to confirm it"

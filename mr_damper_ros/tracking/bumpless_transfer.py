@@ -178,8 +178,8 @@ class ForceInUse:
             return NO_DOUBT
         return Doubt(
             DoubtKind.WRONG,
-            f"the force continues from that of other parameters: {abs(self._part[0]):.3g} N of the "
-            "difference are left, which fades",
+            f"bumpless transfer from other parameters: {abs(self._part[0]):.3g} N of the "
+            "difference remain",
             wrong,
         )
 

@@ -221,15 +221,18 @@ class KnownPoints:
         if here is not None:
             expected = found.size / here.size
         if not math.isnan(expected) and not 1.0 / limit <= expected <= limit:
-            return f"the force is {expected:.3g} times what it was at first"
+            return f"the force is {expected:.3g} times the first one"
         for known in self._forces:
             ratio = found.peak_velocity / known.peak_velocity
             besides = limit * _besides(found, known)
             low, high = min(1.0, ratio) / besides, max(1.0, ratio) * besides
             if found.size > high * known.size or found.largest > high * known.largest:
-                return f"the force reaches {found.largest:.3g} N, {known.largest:.3g} N at first"
+                return f"the force reaches {found.largest:.3g} N, at first {known.largest:.3g} N"
             if found.size < low * known.size:
-                return f"the force spreads by {found.size:.3g} N, {known.size:.3g} N at first"
+                return (
+                    f"the standard deviation of the force is {found.size:.3g} N, at first "
+                    f"{known.size:.3g} N"
+                )
         return ""
 
 

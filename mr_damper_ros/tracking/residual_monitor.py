@@ -415,13 +415,13 @@ class ResidualMonitor:
         if self._wrong:
             return Doubt(
                 DoubtKind.WRONG,
-                f"the predicted force was off by {math.sqrt(self._square):.0%} of the peak over "
+                f"the predicted force deviated by {math.sqrt(self._square):.0%} of the peak over "
                 f"the last half-cycle: valid again below {_BACK * self._limit:.0%}",
             )
         return Doubt(
             DoubtKind.WRONG,
-            f"the predicted force is off by {float(sizes[wrong].max()):.3g} N, and the peak of the "
-            f"measured one is {peak:.3g} N: maximum_error is {self._limit:.0%}",
+            f"the predicted force deviates by {float(sizes[wrong].max()):.3g} N at a peak of the "
+            f"measured force of {peak:.3g} N: maximum_error is {self._limit:.0%}",
             wrong,
         )
 
@@ -429,8 +429,8 @@ class ResidualMonitor:
     def _doubt_of_wild(measured: Array, peak: float, wild: Mask) -> Doubt:
         return Doubt(
             DoubtKind.SENSOR,
-            f"the measured force jumps to {float(measured[-1]):.4g} N, and its peak is {peak:.3g} "
-            "N: a loose contact, or a disturbance on the line of the load cell?",
+            f"the measured force jumps to {float(measured[-1]):.4g} N at a peak of {peak:.3g} N: "
+            "a loose contact, or a disturbance on the line of the load cell?",
             wild,
         )
 
@@ -438,14 +438,14 @@ class ResidualMonitor:
         if self._recent.stuck:
             return Doubt(
                 DoubtKind.SENSOR,
-                "the measured force does not change though the damper moves: is the load cell "
-                "connected? without one set maximum_error to 0",
+                "the measured force is constant although the damper moves: is the load cell "
+                "connected? without a load cell set maximum_error to 0",
             )
         if self._recent.measured_drives:
             return Doubt(
                 DoubtKind.SENSOR,
-                "the measured force drives the motion, which no damper does: has the sign of the "
-                "force or of the displacement changed?",
+                "the measured force is not dissipative: has the sign of the force or of the "
+                "displacement changed?",
             )
         return NO_DOUBT
 
@@ -453,7 +453,7 @@ class ResidualMonitor:
         if self._recent.predicted_drives:
             return Doubt(
                 DoubtKind.DRIVING,
-                "the predicted force drives the motion, which no damper does: are the parameters "
-                "those of this damper, and the signs of force and displacement right?",
+                "the predicted force is not dissipative: do the parameters belong to this "
+                "damper, and are the signs of force and displacement right?",
             )
         return NO_DOUBT

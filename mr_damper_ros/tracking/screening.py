@@ -30,7 +30,10 @@ comes back by 5 % of its span, is no damper's."""
 _STILL = 12.0
 """A displacement that spans fewer standard deviations of its noise does not move at all."""
 
-_STUCK = "the force follows a motion that the displacement does not show: is it stuck?"
+_STUCK = (
+    "the force follows a motion that the displacement does not show: is the displacement sensor "
+    "stuck?"
+)
 
 _MOVING_AT_REST = 0.5
 """A force that spreads at rest by this part of what it does in the whole window is no rest's."""
@@ -103,7 +106,7 @@ def fault_of_samples(displacement: Array, force: Array, current: Array, limits: 
         if _is_clipped(array):
             return f"the {name} is clipped at the end of its range: is the sensor overloaded?"
     if _is_stuck(displacement, force):
-        return "the force stays the same while the motion turns: is the load cell connected?"
+        return "the force is constant although the motion reverses: is the load cell connected?"
     return ""
 
 
@@ -125,8 +128,8 @@ def lack_of_motion(displacement: Array, limits: Screening) -> str:
     if 0.5 * span >= limits.minimum_amplitude:
         return ""
     return (
-        f"motion of {0.5e3 * span:.3g} mm is below {1e3 * limits.minimum_amplitude:.3g} mm, "
-        "the least that counts: move the damper more"
+        f"an amplitude of {500.0 * span:.3g} mm is below the minimum of "
+        f"{1000.0 * limits.minimum_amplitude:.3g} mm: move the damper more"
     )
 
 
@@ -137,11 +140,11 @@ def lack_of_cycle(displacement: Array, velocity: Array) -> str:
     """
     resting = part_at_rest(velocity)
     if rests_too_long(resting):
-        return f"the machine stands still for {resting:.0%} of the window"
+        return f"the machine rests for {resting:.0%} of the window"
     if not holds_cycle(displacement):
         return (
-            "the window holds less than a cycle of the motion: it waits for more, "
-            "up to longest_window"
+            "the window contains less than a cycle of the motion: it is extended, up to "
+            "longest_window"
         )
     return ""
 
@@ -188,12 +191,12 @@ def fault_of_sign(velocity: Array, force: Array) -> str:
     if power < -DRIVING * float(np.linalg.norm(centred) * np.linalg.norm(velocity)):
         if _mean_frequency(velocity) > _ROUGHER * _mean_frequency(force):
             return (
-                "displacement and force seem to have changed places: what is given as the "
-                "displacement is less smooth than what is given as the force"
+                "displacement and force seem to be exchanged: the displacement is rougher than "
+                "the force"
             )
         return (
-            "the force drives the motion, which no damper does: reverse the sign of the force or "
-            "of the displacement (extension and tension are positive)"
+            "the force is not dissipative: reverse the sign of the force or of the displacement "
+            "(extension and tension are positive)"
         )
     return ""
 

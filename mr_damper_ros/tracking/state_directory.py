@@ -248,8 +248,8 @@ def _checked(text: str, path: Path) -> str:
     of_version = (int(header[1]) == _WITH_MEMORY) == (_MEMORY_LINE in body)
     if _digest(body) != header[2] or not of_version:
         raise StateError(
-            f"{path} is damaged: it is not what was written "
-            "(if it was edited on purpose, delete its first line)"
+            f"{path} is damaged: its checksum is wrong (if it was edited on purpose, delete its "
+            "first line)"
         )
     return body
 

@@ -395,8 +395,8 @@ class WindowTracker:
         if self._unexplained and judgement.verdict is Verdict.DISTURBED:
             judgement = Judgement(
                 Verdict.POOR_FIT,
-                "the force does not follow the current as the running set has it: the window goes "
-                "into the next global identification",
+                "the dependence of the force on the current differs from the running set: the "
+                "window is used in the next global identification",
             )
         if judgement.teaches:
             # All but the running set learns from every good window; that from those that help.

@@ -196,8 +196,8 @@ def doubt_of_current_range(
         return NO_DOUBT
     return Doubt(
         DoubtKind.OUT_OF_RANGE,
-        f"the current of {middle(current):.2f} A is outside of the identified "
-        f"{low:.2f} to {high:.2f} A",
+        f"the current of {middle(current):.2f} A is outside the identified range of {low:.2f} to "
+        f"{high:.2f} A",
     )
 
 
@@ -208,8 +208,8 @@ def doubt_of_speed(speed: float, parameters: ParameterSet, margin: float) -> Dou
         return NO_DOUBT
     return Doubt(
         DoubtKind.OUT_OF_RANGE,
-        f"the peak velocity of {speed:.3g} m/s is outside of the identified "
-        f"{low:.3g} to {high:.3g} m/s",
+        f"the peak velocity of {speed:.3g} m/s is outside the identified range of {low:.3g} to "
+        f"{high:.3g} m/s",
     )
 
 
@@ -224,8 +224,8 @@ def doubt_of_size(force: Array, parameters: ParameterSet, margin: float) -> Doub
         return NO_DOUBT
     return Doubt(
         DoubtKind.TOO_LARGE,
-        f"a force of {reached:.4g} N is predicted, and the damper has been measured to give "
-        f"{largest:.4g} N at most: are the parameters those of this damper?",
+        f"the predicted force reaches {reached:.4g} N, but the largest measured force of this "
+        f"damper is {largest:.4g} N: do the parameters belong to it?",
         np.abs(force) > (1.0 + margin) * largest,
     )
 
@@ -250,8 +250,8 @@ def doubt_of_missing(
     ahead = (last - start_ns) / NANOSECONDS
     return Doubt(
         DoubtKind.MISSING,
-        "no supply current yet that holds for these samples: the newest is stamped "
-        f"{ahead:.3g} s after their begin; are both stamped by one clock?",
+        f"no supply current for these samples yet: the newest is stamped {ahead:.3g} s after "
+        "their start; are both stamped by one clock?",
     )
 
 
@@ -262,7 +262,7 @@ def doubt_of_motion(motion: MotionFollower) -> Doubt:
     if not motion.doubt and motion.resting:
         return Doubt(
             DoubtKind.AT_REST,
-            "the damper is at rest: its force then depends on how it came to rest",
+            "the damper is at rest: its force depends on how it came to rest",
         )
     return NO_DOUBT
 
@@ -277,7 +277,7 @@ def doubt_of_past(motion: MotionFollower, *, begun: bool) -> Doubt:
     if begun:
         return Doubt(
             DoubtKind.SETTLING,
-            "the model does not know its past before the motion has reversed",
+            "the state of the model is unknown until the motion has reversed",
         )
     return NO_DOUBT
 
@@ -399,9 +399,9 @@ class Freshness:
 _DISTRUST = {
     Verdict.FAULT_OF_DATA: "the samples cannot be used",
     Verdict.POOR_FIT: "no parameters fit the samples",
-    Verdict.DISTURBED: "the residual is far above the usual one",
-    Verdict.UNCONFIRMED: "the force has changed by too much at once",
-    Verdict.BEYOND_LIMITS: "the force is beyond what this damper can have changed to",
+    Verdict.DISTURBED: "the residual is far above the residual baseline",
+    Verdict.UNCONFIRMED: "the force has changed too much at once",
+    Verdict.BEYOND_LIMITS: "the force differs too much from the first one",
 }
 """Verdicts that speak against the samples or the parameters, in words."""
 

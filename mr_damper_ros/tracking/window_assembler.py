@@ -394,7 +394,7 @@ class WindowAssembler:
             window = self._waiting.pop(0)
             if not self._current.known_from(window.start_ns):
                 self._events.append(
-                    "the supply current is not known from the start of a window: it is left out"
+                    "the supply current is unknown at the start of a window: the window is left out"
                 )
                 self._replacing = self._replacing or not window.look
                 continue
@@ -406,7 +406,5 @@ class WindowAssembler:
         most = _WAIT_FOR_CURRENT * (self._settings.looks + 1)
         if len(self._waiting) > most:
             del self._waiting[:-most]
-            self._events.append(
-                "windows are dropped, because no supply current comes to go with them"
-            )
+            self._events.append("windows are dropped, because no supply current arrives for them")
         return ready

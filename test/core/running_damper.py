@@ -105,7 +105,12 @@ def show_health(record: LiveRecord, nodes: str | tuple[str, ...] = "") -> None:
             "3 samples were lost",
             {"samples/s": "1000.0", "lost": "3", "bridged": "3", "repeated": "0"},
         ),
-        Concern("supply: supply", 0, "on; off by itself after 1 s", {"output": "on"}),
+        Concern(
+            "supply: supply",
+            0,
+            "on; its watchdog switches off after 1 s of silence",
+            {"output": "on"},
+        ),
         Concern(
             "supply: current",
             0,

@@ -47,7 +47,7 @@ def test_the_message_has_the_same_verdicts() -> None:
 def test_a_set_that_is_no_better_is_refused() -> None:
     judgement = Gatekeeper(AcceptanceSettings()).judge(evidence(5.0, 5.0))
     assert judgement.verdict is Verdict.NO_BETTER
-    assert "running set predicts the held-back samples as well" in judgement.sentence
+    assert "running set predicts the validation samples as well" in judgement.sentence
 
 
 def test_a_fit_that_explains_too_little_is_refused() -> None:
@@ -86,7 +86,7 @@ def test_one_set_for_all_is_accepted_where_it_is_better() -> None:
 def test_a_residual_far_above_the_usual_one_is_refused() -> None:
     judgement = experienced(5.0).judge(evidence(100.0, 20.0))
     assert judgement.verdict is Verdict.DISTURBED
-    assert "4.0 times the usual one" in judgement.sentence
+    assert "4.0 times the residual baseline" in judgement.sentence
 
 
 def test_a_sensor_that_stays_noisy_is_believed_in_the_end() -> None:
@@ -106,7 +106,7 @@ def test_another_shape_where_the_set_holds_waits_for_the_next_window() -> None:
     other = Evidence(0.45, 0.01, 5.0, -0.1, shape_change=0.4)
     found = experienced().judge(other, force(), holds=True)
     assert found.verdict is Verdict.UNCONFIRMED
-    assert "of the force have another shape at once: waiting" in found.sentence
+    assert "at once: waiting" in found.sentence
     assert experienced().judge(other, force(), holds=False) == ACCEPTED
 
 
@@ -115,7 +115,9 @@ def test_a_set_that_fits_is_confirmed_by_an_unusual_window_that_teaches_nothing(
     before = gatekeeper.known.residuals
     found = gatekeeper.judge(evidence(0.14 * SPREAD, 0.13 * SPREAD))
     assert found.verdict is Verdict.NO_BETTER
-    assert "13.0 times the usual one: the running set, which leaves 14%" in found.sentence
+    assert (
+        "13.0 times the residual baseline: the running set, with an NRMSE of 14%" in found.sentence
+    )
     assert not found.teaches
     assert gatekeeper.known.residuals == before
 

@@ -75,7 +75,7 @@ def test_a_block_up_to_the_limits_is_taken_in(count: int, period: float) -> None
         (18_750, 1000.0, "the block holds 18750 samples"),
         (10, 1000.0, "the sample period is 1000 s"),
         (10, 9e-6, "the sample period is 9e-06 s"),
-        (11, 1.0, "the block stands for 11 s"),
+        (11, 1.0, "the block lasts 11 s"),
     ],
 )
 def test_a_block_beyond_the_limits_is_refused(count: int, period: float, sentence: str) -> None:

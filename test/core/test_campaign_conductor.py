@@ -272,7 +272,7 @@ def test_a_machine_that_does_not_obey_is_told(planned: list[PlannedRun], tmp_pat
     conductor, _ = begun(tmp_path, settings)
     end = ended(EmulatedMachine(conductor, obeys=False))
     assert end.outcome is CampaignOutcome.FAILED
-    assert "does not do what is wanted" in end.reason
+    assert "does not follow the command" in end.reason
     assert "not 10 mm" in end.reason
 
 
@@ -318,7 +318,7 @@ def test_it_is_stopped_and_goes_on_later(planned: list[PlannedRun], tmp_path: Pa
         1,
     )
     again, worker = begun(tmp_path)
-    assert "going on after run 1" in again.take_notices()[0]
+    assert "continuing after run 1" in again.take_notices()[0]
     assert ended(EmulatedMachine(again)).outcome is CampaignOutcome.MET
     assert worker.done == ["judge_run", "find_step", "report_campaign"]
 

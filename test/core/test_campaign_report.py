@@ -92,7 +92,7 @@ def test_a_bag_of_another_run_is_told_and_left(
     plan_quickly(monkeypatch)
     mr.write_bag(tmp_path / "bag", played(RUNS[2]))
     said = told(capsys, tmp_path / "campaign", tmp_path / "bag", *ASKED)
-    assert "run 1 is not taken" in said
+    assert "run 1 is refused" in said
     assert f"run 1: {RUNS[0].sentence}" in said
 
 

@@ -112,7 +112,7 @@ def test_paths_recordings_and_arrays_give_the_same_set(
         ([], {}, "there are no runs"),
         ([RUN.displacement], {}, "cannot be of type ndarray"),
         ([], {"displacement": [1.0, 2.0]}, "force and current and period missing"),
-        ([ROOT / "doc" / "example.csv"], {}, "no bag: its columns and units must be told"),
+        ([ROOT / "doc" / "example.csv"], {}, "not a bag: describe its columns and units"),
         (["nowhere"], {}, "no bag at nowhere"),
         ([RUN], {"model": "bouc-wen"}, "model 'bouc-wen' is unknown"),
         ([RUN], {"method": "guess"}, "method 'guess' is unknown"),

@@ -119,7 +119,7 @@ def test_a_controller_of_ones_own_is_one_function() -> None:
         ("nowhere_at_all:f", "PYTHONPATH"),
         ("math:no_such", "math has no no_such"),
         ("math", "module:function"),
-        ("math:pi", "no function"),
+        ("math:pi", "not a function"),
     ],
 )
 def test_a_function_that_is_not_there_is_named(place: str, reason: str) -> None:

@@ -150,7 +150,10 @@ def test_a_confirmation_makes_parameters_young_again() -> None:
 @pytest.mark.parametrize("current", [0.39, 1.61])
 def test_a_current_that_was_not_identified_is_doubtful(current: float) -> None:
     reason = last_reason(predictor(current=current), stream())
-    assert f"the current of {current:.2f} A is outside of the identified 0.50 to 1.50 A" in reason
+    assert (
+        f"the current of {current:.2f} A is outside the identified range of 0.50 to 1.50 A"
+        in reason
+    )
 
 
 @pytest.mark.parametrize(("frequency", "edge"), [(1.0, 0.05), (4.0, 0.02)])
@@ -191,7 +194,7 @@ def test_another_model_is_doubtful_until_it_knows_its_past() -> None:
     predicted(made, blocks[:333])
     made.set_parameters(set_of("bouc_wen"))
     rest = predicted(made, blocks[333:])
-    assert "does not know its past" in rest[0].reason
+    assert "state of the model is unknown" in rest[0].reason
     assert rest[-1].valid, rest[-1].reason
 
 

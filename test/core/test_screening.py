@@ -40,7 +40,10 @@ BAD: dict[str, tuple[dict[str, object], str]] = {
     "force in a wrong unit": ({"force": lambda x: 1e5 * x}, "check its unit"),
     "milliamperes": ({"current": lambda x: 1e3 * x}, "is it in milliamperes"),
     "no motion": ({"displacement": lambda x: 0.0 * x + 0.01}, "move the damper"),
-    "hardly any motion": ({"displacement": lambda x: 0.05 * x}, "0.25 mm is below 0.5 mm"),
+    "hardly any motion": (
+        {"displacement": lambda x: 0.05 * x},
+        "0.25 mm is below the minimum of 0.5 mm",
+    ),
     "no force": ({"force": lambda x: 0.0 * x}, "is the load cell connected"),
     "clipped above": (
         {"force": lambda x: np.minimum(x, 0.8 * x.max())},
@@ -102,4 +105,4 @@ def test_exchanged_displacement_and_force_are_not_called_a_wrong_sign(frequency:
     assert fault_of_sign(velocity, run.force) == ""
     assert "reverse the sign" in fault_of_sign(velocity, -run.force)
     exchanged = fault_of_sign(np.gradient(run.force, run.period), run.displacement)
-    assert "displacement and force seem to have changed places" in exchanged
+    assert "displacement and force seem to be exchanged" in exchanged

@@ -172,14 +172,14 @@ def test_it_complains_in_a_queue_that_overflows(instrument: EmulatedInstrument) 
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        ("[1, 2]", "no table"),
+        ("[1, 2]", "not a table"),
         ("tested: no\nset_curent: X", "'set_curent', which is none of"),
         ("set_current: X", "does not say what it was tested on"),
         ("tested: no\nset_current: CURR {amps}", "cannot be filled in"),
         ("tested: no\nset_current: CURR {", "cannot be filled in"),
         ("tested: no\nwatchdog_step: quick", "must be a number"),
         ("tested: no\nwatchdog_step: 0", "must be positive"),
-        ("a: [", "is no YAML"),
+        ("a: [", "is not valid YAML"),
     ],
 )
 def test_a_profile_that_cannot_be_used_is_refused(tmp_path: Path, text: str, part: str) -> None:
@@ -257,7 +257,7 @@ def test_what_is_no_number_is_no_measured_current(answer: str) -> None:
         lambda _: AnsweringLink(answer), profile, voltage=12.0, watchdog=0.5, timeout=TIMEOUT
     )
     supply.open()
-    with pytest.raises(SupplyError, match="is no current"):
+    with pytest.raises(SupplyError, match="is not a current"):
         supply.measured()
 
 
@@ -278,7 +278,7 @@ def test_a_profile_that_does_not_fit_is_told_at_once(
 ) -> None:
     path = tmp_path / "other.yaml"
     path.write_text("tested: no\nsetup: ['SOUR:WHATEVER 1']", encoding="utf-8")
-    with pytest.raises(SupplyError, match=r"objects to the set-up: -113"):
+    with pytest.raises(SupplyError, match=r"reports an error after the set-up: -113"):
         supply_at(server.address, str(path)).open()
 
 

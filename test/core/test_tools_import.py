@@ -175,7 +175,7 @@ def test_rounded_times_are_taken_as_even_and_it_is_said(write: Any) -> None:
     lines = [f"{k / 1024:.4f} {np.sin(k / 10)} {k}" for k in range(2049)]
     read = read_record(write(lines), COLUMNS, current=0.0)
     assert read.period == pytest.approx(1.0 / 1024, rel=ROUNDING_OF_TIMES, abs=0.0)
-    assert "the times waver by" in read.details["note"]
+    assert "the times deviate by" in read.details["note"]
 
 
 @settings(
@@ -362,7 +362,7 @@ def test_an_uneven_pace_is_refused(write: Any) -> None:
     times = np.cumsum(np.linspace(0.008, 0.011, 40))
     lines = [f"{t} {row[9:]}" for t, row in zip(times, rows(), strict=True)]
     sentence = refused(lambda: read_record(write(lines), COLUMNS, current=0.5))
-    assert "are not evenly spaced" in sentence
+    assert "is not uniform" in sentence
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_a_gap_is_told_once() -> None:
     cut(stream(100, last=800) + stream(100, first=900), made)
     assert made.take_events() == [
         "100 samples were lost (by a busy computer or network, or left out by their source?): "
-        "what was being collected starts again"
+        "windows and motion restart"
     ]
     assert made.take_events() == []
     assert made.sequence.lost_samples == 100

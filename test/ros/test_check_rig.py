@@ -25,7 +25,7 @@ def test_a_sound_rig_has_nothing_wrong(start: Any) -> None:
     done = check(6.0)
     found = [line for line in done.stdout.splitlines() if line.startswith("- ")]
     # A busy computer may hold up the samples, which is then told.
-    assert [line for line in found if "nothing came for" not in line] == [], done.stderr
+    assert [line for line in found if "the stream paused" not in line] == [], done.stderr
     assert "Begin with a sine" in done.stdout
 
 
@@ -34,10 +34,10 @@ def test_what_is_wrong_is_said_and_the_exit_code_tells(start: Any) -> None:
     done = check(6.0)
     assert done.returncode == 1, done.stderr
     assert "reverse the sign of force or displacement" in done.stdout
-    assert "the force is cut off at" in done.stdout
+    assert "the force is clipped at" in done.stdout
 
 
 def test_without_a_rig_it_says_what_to_start() -> None:
     done = check(1.0)
     assert done.returncode == 1, done.stderr
-    assert "no samples come on mts/samples: start the bridge" in done.stdout
+    assert "no samples arrive on mts/samples: start the bridge" in done.stdout

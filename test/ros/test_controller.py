@@ -79,7 +79,7 @@ def test_the_commands_are_those_of_the_core(
     listener.until(lambda: demand.get_subscription_count() == 1, "the controller's subscription")
     demand.publish(DesiredForce(header=header(recording.start_ns, "damper"), force=WANTED))
     assert demand.wait_for_all_acked(Duration(seconds=30))
-    listener.wait_for_finding("controller: command", "no samples come")
+    listener.wait_for_finding("controller: command", "no samples arrive")
     commands.clear()
     press.run(recording)
     count = math.ceil(recording.sample_count / BLOCK)

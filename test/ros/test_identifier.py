@@ -164,8 +164,8 @@ def test_every_window_has_its_report_and_the_sets_fit(
 
 def test_it_says_what_is_missing(start: Any, listener: Listener, recording: Recording) -> None:
     start("identifier")
-    listener.wait_for_finding("identifier: input", "nobody publishes mts/samples")
-    listener.wait_for_finding("identifier: current", "nobody publishes supply/current")
+    listener.wait_for_finding("identifier: input", "nothing publishes mts/samples")
+    listener.wait_for_finding("identifier: current", "nothing publishes supply/current")
     listener.wait_for_finding("identifier: parameters", "no window accepted yet")
     listener.wait_for_finding("identifier: state", "state_dir is not set")
     press = Press(listener)

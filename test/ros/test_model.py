@@ -174,7 +174,7 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
         listener.wait_for_finding("model: parameters", f"predicting with {parameters.set_id}")
 
     rig = Rig(start, listener)
-    listener.wait_for_finding("model: input", "nobody publishes mts/samples")
+    listener.wait_for_finding("model: input", "nothing publishes mts/samples")
     listener.wait_for_finding("model: parameters", "no parameters yet")
     nothing = rig.run(recording)
     assert {(f.valid, f.parameter_set) for f in nothing} == {(False, "")}
@@ -198,7 +198,9 @@ def test_what_is_missing_makes_the_force_invalid_with_the_reason(
     again = replace(recording, start_ns=recording.start_ns + 5 * 10**10)
     outside = rig.run(again)
     refused = [f for f in outside if f.doubt == PredictedForce.OUT_OF_RANGE]
-    assert "current of 1.50 A is outside of the identified 0.00 to 0.50 A" in refused[-1].reason
+    assert (
+        "current of 1.50 A is outside the identified range of 0.00 to 0.50 A" in refused[-1].reason
+    )
     # The measured force confirms this one: once it has done so for a cycle, the force is valid.
     assert outside[-1].valid
     use(replace(TRUE_SET, set_id="other speed", peak_velocity_range=(0.1, 0.2)))
@@ -228,11 +230,11 @@ def test_parameters_that_cannot_be_used_are_refused(
         ("values", [1.0], "must hold 16 numbers"),
         ("current_min", 9.0, "lower bound first"),
         ("nrmse", 5.0, "state an nrmse of 5, where it must lie in 0 to 1"),
-        ("values", [-1e9, *TRUE_SET.values[1:]], "beyond the 1e+06 N that are possible"),
+        ("values", [-1e9, *TRUE_SET.values[1:]], "more than the possible 1e+06 N"),
         (
             "values",
             [-TRUE_SET.values[0], *TRUE_SET.values[1:]],
-            "a force that drives the motion instead of damping it",
+            "a force that is not dissipative",
         ),
         ("id", "two\nlines", "printable characters"),
         ("node", "x" * 1000, "the name of the node of the parameters is"),

@@ -211,7 +211,7 @@ def test_topics_that_another_node_publishes_are_named(start: Any, listener: List
     listener.node.create_publisher(SupplyCurrent, CURRENT, 10)
     start("replay", bag=BAG, loop=True, wait_for_subscribers=1, wait_timeout=2.0)
     listener.listen(MtsSamples, SAMPLES)
-    listener.wait_for_finding("replay: replay", "/supply/current is published by /listener too")
+    listener.wait_for_finding("replay: replay", "/supply/current is also published by /listener")
 
 
 def test_a_bag_that_was_changed_is_not_played(start: Any, tmp_path: Path) -> None:

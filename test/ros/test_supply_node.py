@@ -123,7 +123,7 @@ def test_two_that_command_are_an_error(
     Commander(listener)
     with Listener() as other:
         Commander(other)
-        found = listener.wait_for_finding("supply: current", "end all but one")
+        found = listener.wait_for_finding("supply: current", "stop all but one")
     assert found.level == DiagnosticStatus.ERROR
 
 

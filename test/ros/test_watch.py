@@ -21,7 +21,7 @@ def test_watch_prints_how_the_system_stands(start: Any) -> None:
     start("model").wait_for_log("waiting for")
     program = Program([str(installed_programs() / "watch"), "--once"])
     assert program.wait() == 0, program.log
-    assert "no signals yet: the node model runs" in program.output
+    assert "no signals yet: the node model is running" in program.output
     assert re.search(r"^set in use +\S+ \(sigmoid, literature\)", program.output, re.MULTILINE)
     assert re.search(r"^! model: input", program.output, re.MULTILINE)
     program.close()

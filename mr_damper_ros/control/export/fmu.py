@@ -51,9 +51,9 @@ def compile_library(source: Path, library: Path, *options: str) -> str:
 _VARIABLES = (
     ("displacement", "input", "m", "Displacement of the rod, extension positive"),
     ("current", "input", "A", "Current of the supply"),
-    ("desired_force", "input", "N", "Force that is wanted, tension positive"),
+    ("desired_force", "input", "N", "Desired force, tension positive"),
     ("force", "output", "N", "Force of the damper, tension positive"),
-    ("velocity", "output", "m/s", "Velocity as it is observed"),
+    ("velocity", "output", "m/s", "Estimated velocity"),
     ("peak_velocity", "output", "m/s", "Peak velocity of the present cycle"),
     ("coil_current", "output", "A", "Current in the coil"),
     ("desired_current", "output", "A", "Current in the coil for the desired force"),

@@ -94,7 +94,7 @@ const place = (name) => document.querySelector(`[data-chart="${name}"] > div`);
 const line = (label, colour, dash = "solid", width = 1.5, band = false) => ({ label, colour, dash, width, band });
 const MEASURED = line("measured", "measured", "solid", 3.2); // broad and pale: what lies on it is seen
 const PREDICTED = line("predicted", "predicted", "dashed", 1.7);
-const DOUBTED = { ...line("not to be relied on", "doubted", "dotted", 1.7), clipped: true };
+const DOUBTED = { ...line("invalid", "doubted", "dotted", 1.7), clipped: true };
 
 /** A time since the beginning of the record, in words. */
 function clock(since) {
@@ -537,7 +537,7 @@ function setSpan(k) {
 
 const LEGEND = [{ text: "measured", name: "measured", dash: [], width: 3.2 },
   { text: "predicted", name: "predicted", dash: [7, 5], width: 1.7 },
-  { text: "predicted, not to be relied on", name: "doubted", dash: [2, 4], width: 1.8 }];
+  { text: "predicted, invalid", name: "doubted", dash: [2, 4], width: 1.8 }];
 
 function savePng(section) {
   if (section.querySelector("canvas")) savePicture(section, section.id === "force" ? LEGEND : []);

@@ -81,11 +81,11 @@ class CountedRows(RowTimes):
         stated = 1.0 / times.period
         if times.rate_is_wrong:
             return (
-                f"the samples come at {stated * (1.0 + times.rate_error):.4g} Hz and not at the "
-                f"{stated:g} Hz that are stated: they are not used"
+                f"the samples arrive at {stated * (1.0 + times.rate_error):.4g} Hz instead of "
+                f"the stated {stated:g} Hz: they are not used"
             )
         if times.being_checked:
-            return f"looks whether the samples come at {stated:g} Hz, as stated"
+            return f"checking whether the samples arrive at the stated {stated:g} Hz"
         return ""
 
     def values(self) -> Mapping[str, object]:

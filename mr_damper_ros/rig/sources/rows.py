@@ -82,14 +82,14 @@ def parse_row_format(text: str) -> RowFormat:
     entries = [entry.strip() for entry in text.split(",")]
     counting = [place for place, entry in enumerate(entries) if _COUNT.fullmatch(entry)]
     if len(counting) > 1:
-        raise ColumnError("the columns name count twice: name it once")
+        raise ColumnError("the columns contain count twice: use it once")
     bits = 32
     if counting:
         match = _COUNT.fullmatch(entries[counting[0]])
         assert match
         bits = int(match["bits"] or bits)
         if bits not in _BITS:
-            raise ColumnError(f"a count of {bits} bits is none: use 8, 16, 32 or 64")
+            raise ColumnError(f"a count of {bits} bits is not supported: use 8, 16, 32 or 64")
         entries[counting[0]] = SKIPPED
     columns = parse_columns(",".join(entries))
     for column in columns.wanted:

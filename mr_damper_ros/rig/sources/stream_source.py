@@ -189,8 +189,8 @@ class StreamOptions(ParameterTable):
             return "stream.mark and stream.check are of binary records, but stream.layout is empty"
         if address.kind == "serial" and self.layout and not self.mark and self.check == "none":
             return (
-                "binary records over a serial line need stream.mark or stream.check, else a lost "
-                "byte is never noticed"
+                "binary records over a serial line need stream.mark or stream.check to detect "
+                "lost bytes"
             )
         return ""
 
@@ -286,7 +286,7 @@ class StreamSource(DeviceSource[bytes]):
         if of_link:
             return of_link
         if self._silent:
-            return f"nothing arrives from {self.settings.address}: does its sender send?"
+            return f"nothing arrives from {self.settings.address}: is its sender running?"
         if unread > _MANY * (read + unread):
             assert self._decoder is not None
             return (

@@ -92,7 +92,7 @@ class SocketLink:
                 raise LinkLostError(f"{self._name} has closed the connection")
             self._rest += part
             if len(self._rest) > _LONGEST_ANSWER:
-                raise LinkLostError(f"{self._name} sends an answer that does not end")
+                raise LinkLostError(f"{self._name} sends an unterminated answer")
         answer, _, self._rest = self._rest.partition(b"\n")
         return answer.decode("ascii", "replace").strip()
 
@@ -112,7 +112,9 @@ class SocketLink:
         if isinstance(error, LinkLostError):
             return error
         if isinstance(error, TimeoutError):
-            return LinkLostError(f"{self._name} takes nothing within {self._patience.timeout:g} s")
+            return LinkLostError(
+                f"{self._name} accepts nothing within {self._patience.timeout:g} s"
+            )
         return LinkLostError(f"{self._name}: {error.strerror or error}")
 
 

@@ -84,13 +84,15 @@ def read_profile(name: str) -> SupplyProfile:
             "the path of a YAML file"
         ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ProfileError(f"the profile '{name}' is no YAML: {error}".split("\n")[0]) from error
+        raise ProfileError(
+            f"the profile '{name}' is not valid YAML: {error}".split("\n")[0]
+        ) from error
     return _profile(content, name)
 
 
 def _profile(content: Any, name: str) -> SupplyProfile:
     if not isinstance(content, dict):
-        raise ProfileError(f"the profile '{name}' is no table of names and lines")
+        raise ProfileError(f"the profile '{name}' is not a table of names and lines")
     kinds = {field.name: field.type for field in fields(SupplyProfile)}
     values: dict[str, Any] = {}
     for key, value in content.items():
@@ -213,8 +215,8 @@ class ScpiSupply:
             value = math.nan
         if not abs(value) < _NOT_A_NUMBER:
             raise SupplyError(
-                f"the supply answers '{answer[:80]}' to {self._profile.read_current}, which is no "
-                "current: does the profile fit it?"
+                f"the supply answers '{answer[:80]}' to {self._profile.read_current}, which is "
+                "not a current: does the profile fit it?"
             )
         return value
 
@@ -253,7 +255,9 @@ class ScpiSupply:
     def _require_no_errors(self, what: str) -> None:
         errors = self.errors()
         if errors:
-            raise SupplyError(f"the supply objects to {what}: {'; '.join(errors)[:200]}")
+            raise SupplyError(
+                f"the supply reports an error after {what}: {'; '.join(errors)[:200]}"
+            )
 
     def _write(self, line: str) -> None:
         self._linked().write(line.format(voltage=self._voltage, seconds=self._delay))
