@@ -90,10 +90,10 @@ class Stream:
             return f"nobody publishes {self._topic}: {self._advice}"
         if self._refuses_all():
             return (
-                f"{self._topic} is published best effort, which a reliable subscriber cannot take: "
-                f"set qos_overrides.<topic>.subscription.reliability to best_effort"
+                f"{self._topic} is published best effort, which a reliable subscription cannot "
+                "receive: set qos_overrides.<topic>.subscription.reliability to best_effort"
             )
-        return f"nothing arrives on {self._topic}: does its publisher stand still?"
+        return f"nothing arrives on {self._topic}: has its publisher stopped?"
 
     def _refuses_all(self) -> bool:
         """Whether every publisher offers less than is asked for."""

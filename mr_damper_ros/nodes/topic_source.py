@@ -181,8 +181,8 @@ class TopicSource(Source):
         apart = join.follower.clock.rate - join.leader.clock.rate
         if not self.settings.own_clocks and abs(apart) > _NOTICED_RATE:
             return (
-                f"the clocks of the two topics drift by {1e6 * abs(apart):.0f} ppm: set "
-                "topics.own_clocks, else displacement and force come apart"
+                f"the clocks of the two topics drift apart by {1000000.0 * abs(apart):.0f} ppm: "
+                "set topics.own_clocks"
             )
         return ""
 

@@ -161,9 +161,9 @@ def samples_dropped_unseen(w: RawWindow) -> RawWindow:
 
 
 BAD_WINDOWS = {
-    burst: "times the usual one: the running set",
+    burst: "times the residual baseline: the running set",
     spike: "",
-    current_step: "times the usual one: the running set",
+    current_step: "times the residual baseline: the running set",
     clipped: "the force is clipped",
     stopped: "the force follows a motion that the displacement does not show",
     millimetres: "is it in millimetres",
@@ -422,5 +422,5 @@ def test_a_set_that_the_model_would_refuse_is_not_taken() -> None:
     report = tracked.complete(job, dataclasses.replace(outcome, found=fit))
     assert report is not None
     assert report.verdict is Verdict.POOR_FIT
-    assert "that are possible" in report.reason
+    assert "more than the possible" in report.reason
     assert tracked.parameters is good
