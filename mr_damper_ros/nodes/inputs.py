@@ -31,7 +31,7 @@ _SILENCE = 2.0
 class Stream:
     """What has come in on a topic: how much, how fast, and what could not be used.
 
-    ``advice`` says what to do where nobody publishes it.
+    ``advice`` says what to do if nothing publishes it.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Stream:
         if not self.silent:
             return ""
         if self._node.count_publishers(self._topic) == 0:
-            return f"nobody publishes {self._topic}: {self._advice}"
+            return f"nothing publishes {self._topic}: {self._advice}"
         if self._refuses_all():
             return (
                 f"{self._topic} is published best effort, which a reliable subscription cannot "
