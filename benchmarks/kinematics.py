@@ -11,9 +11,9 @@ from scipy.signal import savgol_coeffs
 from benchmarks.figure import Figure
 from mr_damper_ros.api.replay import replay
 from mr_damper_ros.emulation.motions import SampledMotion, SineMotion
-from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
+from mr_damper_ros.kinematics.observer import CausalDifferentiator
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
 from mr_damper_ros.models import MODELS, published
 from mr_damper_ros.models.parameter_set import ParameterSet

@@ -1,18 +1,21 @@
 """Motion of a stream of displacement, block by block, from the past alone.
 
 A steady sine is followed by its fit, any other motion by the observer of
-:mod:`mr_damper_ros.kinematics.causal`, whose bandwidth may follow the motion
-(:mod:`mr_damper_ros.kinematics.adaptive_observer`).
+:mod:`mr_damper_ros.kinematics.observer`, whose bandwidth may follow the motion
+(:mod:`mr_damper_ros.kinematics.observer`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mr_damper_ros.kinematics.adaptive_observer import AdaptiveObserver
-from mr_damper_ros.kinematics.causal import CausalDifferentiator, possible_bandwidths
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.motion_centre import MotionCentre
+from mr_damper_ros.kinematics.observer import (
+    AdaptiveObserver,
+    CausalDifferentiator,
+    possible_bandwidths,
+)
 from mr_damper_ros.kinematics.peak_velocity import PeakVelocity
 from mr_damper_ros.kinematics.sine_follower import SineFollower
 from mr_damper_ros.signals.arrays import Array

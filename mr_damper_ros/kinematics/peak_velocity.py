@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mr_damper_ros.kinematics.adaptive_observer import AdaptiveObserver
+from mr_damper_ros.kinematics.observer import AdaptiveObserver
 from mr_damper_ros.signals.arrays import Array
 
 HALF_CYCLES = 8

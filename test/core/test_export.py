@@ -22,8 +22,8 @@ from mr_damper_ros.control.export.exported_law import (
 )
 from mr_damper_ros.control.export.fmu import compile_library, compiler
 from mr_damper_ros.control.export.source_code import C, M, functions, header
-from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import Motion
+from mr_damper_ros.kinematics.observer import CausalDifferentiator
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, PeakVelocity
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import ParameterSet

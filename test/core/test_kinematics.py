@@ -14,8 +14,8 @@ from random_motion import BandLimitedRandom
 from scipy.signal import savgol_filter, sawtooth
 
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.kinematics.causal import CausalDifferentiator
 from mr_damper_ros.kinematics.motion import fit_sine, window_motion
+from mr_damper_ros.kinematics.observer import CausalDifferentiator
 from mr_damper_ros.signals.arrays import Array
 
 EXACT = 1e-10

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mr_damper_ros.control.inverse_model import in_coil
-from mr_damper_ros.kinematics.causal import (
+from mr_damper_ros.kinematics.observer import (
     closed_loop,
     possible_bandwidths,
     settling_samples,
