@@ -20,6 +20,7 @@ from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
 from mr_damper_ros.tracking.force_scale import with_strength
+from mr_damper_ros.tracking.operating_point import thinned_to_keep
 
 FOLLOWING = [name for name, model in MODELS.items() if isinstance(model, CurrentDependentModel)]
 
@@ -172,3 +173,14 @@ def test_a_law_of_a_users_own_is_identified_over_currents(monkeypatch: pytest.Mo
     assert list(seen) == [True] * 6 + [False]
     missed = np.abs(fit.parameter_set.values - values)[seen]
     assert np.all(missed < STANDARD_ERRORS * fit.parameter_set.standard_errors[seen])
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_a_window_kept_without_its_past_has_a_force_whatever_the_coil(name: str) -> None:
+    model, values = MODELS[name], truth(name)
+    values[-1] = LAG
+    current = 1.0 + 1e-3 * np.sin(np.arange(750))
+    here = moved(name, truth(name), current)
+    kept = thinned_to_keep(here, with_past=model.remembers).window
+    assert np.all(np.isfinite(model.window_force(kept, values)))
+    assert model.settled(kept, values).any()

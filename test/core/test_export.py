@@ -77,7 +77,7 @@ def _of(array: Array) -> Any:
     return array.ctypes.data_as(ctypes.c_void_p)
 
 
-@pytest.fixture(scope="module", params=SETS)
+@pytest.fixture(scope="module", params=["thesis", "sigmoid_lag"])
 def law(request: pytest.FixtureRequest) -> ExportedLaw:
     return ExportedLaw.of(SETS[request.param], ExportSettings())
 

@@ -176,11 +176,10 @@ def test_the_extension_is_found_with_the_sixteen(found):
     assert np.all(np.abs(coefficients - known.positive(truth)) < STANDARD_ERRORS * errors)
 
 
-@pytest.mark.parametrize("method", ["nelder_mead", "differential_evolution"])
-def test_every_method_identifies_the_extended_law(method):
+def test_a_simplex_identifies_the_extended_law():
     windows = runs(TRUTH[16:], (0.6,))[2:]
     start = np.append(known.PLAUSIBLE, NONE)
-    fit = identify_global(EXTENDED, windows, start, QUICK, method=method)
+    fit = identify_global(EXTENDED, windows, start, QUICK, method="nelder_mead")
     assert fit.parameter_set.values.shape == (20,)
     noise = np.median([known.NOISE / np.std(w.force) for w in windows])
     # Median NRMSE over that of the noise, after a search that is cut short.

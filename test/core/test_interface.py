@@ -67,17 +67,6 @@ def test_all_names_are_listed_and_no_other_is_made_up() -> None:
         mr.identfy  # type: ignore[attr-defined]  # noqa: B018
 
 
-def test_a_type_checker_knows_the_names(tmp_path: Path) -> None:
-    mypy = pytest.importorskip("mypy.api")
-    script = tmp_path / "script.py"
-    script.write_text("import mr_damper_ros as mr\nreveal_type(mr.identify('bag').nrmse)\nmr.no\n")
-    said, _, _ = mypy.run(
-        ["--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(tmp_path), str(script)]
-    )
-    assert 'Revealed type is "float"' in said.replace("builtins.", "")
-    assert 'no attribute "no"' in said
-
-
 # -- what is accepted ----------------------------------------------------------------------------
 
 
@@ -197,3 +186,13 @@ def test_a_file_that_is_no_set_is_named(tmp_path: Path, content: bytes, sentence
     with pytest.raises(ValueError, match=sentence) as caught:
         mr.ParameterSet.load(file)
     assert str(file) in str(caught.value)
+
+
+def test_a_run_that_does_not_fit_to_the_others_is_named() -> None:
+    import dataclasses
+
+    odd = dataclasses.replace(RUN, name="the odd one", force=0.6 * RUN.force)
+    found = mr.identify([*[RUN] * 9, odd], method="least_squares")
+    assert found.nrmse < 0.3
+    assert not found.success
+    assert "EXPLAINS TOO LITTLE OF THE FORCE of the odd one:" in found.message

@@ -50,8 +50,7 @@ def misses(
 SETS = [parameters(condition, method) for condition in CONDITIONS for method in PUBLISHED_METHODS]
 
 
-@pytest.mark.parametrize("block", [1475, 25])
-@pytest.mark.parametrize("first", range(0, len(SETS), 17))
+@pytest.mark.parametrize(("first", "block"), [(0, 1475), (17, 25), (34, 1475), (51, 25)], ids=str)
 def test_a_hundred_thousand_forces_of_the_published_sets(first, block):
     rng = np.random.default_rng(first)
     for values in SETS[first : first + 17]:

@@ -131,8 +131,9 @@ def test_finished_searches_are_not_done_again() -> None:
     assert heard == []
 
 
-@pytest.mark.parametrize("after", [1, 10, 45])
-@pytest.mark.parametrize("method", ["global", "differential_evolution"])
+@pytest.mark.parametrize(
+    ("method", "after"), [("global", 1), ("global", 45), ("differential_evolution", 10)]
+)
 def test_a_resumed_search_ends_no_worse(method: str, after: int) -> None:
     record = empty(method)
     stopped = searched(1, stopping(after), record, method)

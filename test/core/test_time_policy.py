@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import known
 import numpy as np
@@ -108,9 +109,15 @@ FAULTS: dict[str, Callable[[list[SampleBlock], list[SampleBlock]], list[SampleBl
 }
 
 
+@cache
+def predicted_after(name: str) -> list[Prediction]:
+    """Predictions of a stream with this fault in its middle."""
+    return predicted(FAULTS[name](BLOCKS[:300], BLOCKS[300:]))
+
+
 @pytest.mark.parametrize("name", FAULTS)
 def test_no_fault_of_the_stamps_is_for_ever(name: str) -> None:
-    predictions = predicted(FAULTS[name](BLOCKS[:300], BLOCKS[300:]))
+    predictions = predicted_after(name)
     assert predictions[299].valid, predictions[299].reason
     assert predictions[-1].valid, predictions[-1].reason
 
@@ -131,7 +138,7 @@ def test_every_fault_of_the_stamps_is_told(name: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(set(FAULTS) - MENDED))
 def test_after_a_break_nothing_is_valid_before_the_motion_is_known_again(name: str) -> None:
-    predictions = predicted(FAULTS[name](BLOCKS[:300], BLOCKS[300:]))
+    predictions = predicted_after(name)
     broken = [k for k, p in enumerate(predictions) if p.continuity]
     assert broken
     assert not any(p.valid for k in broken for p in predictions[k : k + 2])

@@ -122,7 +122,7 @@ WRONG = st.one_of(
 )
 
 
-@known.fixed(120)
+@known.fixed(60)
 @given(path=st.sampled_from(leaves(DOCUMENT)), wrong=WRONG)
 def test_what_cannot_be_is_refused_or_does_no_harm(path: tuple[Any, ...], wrong: Any) -> None:
     document = copy.deepcopy(DOCUMENT)
