@@ -1,8 +1,8 @@
 # %% [markdown]
 # # One recording to a figure
 #
-# A test machine has written time, displacement and force into a text file; the current was constant
-# and stands in the log book. Run this file as it is, or open it as a notebook (Jupytext).
+# A test machine has written time, displacement and force to a text file; the current was constant and
+# is noted in the log book. Run this file as it is, or open it as a notebook (Jupytext).
 
 # %%
 from pathlib import Path
@@ -13,9 +13,11 @@ run = mr.read_record("doc/example.csv", "time:s,displacement:mm,force:N", curren
 print(f"{run.name}: {run.force.size} samples, {run.period * 1e3:g} ms apart")
 
 # %% [markdown]
-# Units are stated where the file is read; from here on all is SI, extension and tension positive.
-# Of a single motion at a single current seven coefficients can be known. The sixteen parameters say
-# how those change with velocity and current: what this run cannot tell is called *not observable*.
+# Units are given when the file is read. From here on all values are in SI units, extension and tension
+# positive.
+# A single motion at a single current determines seven coefficients. The sixteen parameters describe
+# how these depend on velocity and current; those that this run does not determine are marked
+# *not observable*.
 
 # %%
 result = mr.identify(run)
@@ -23,7 +25,7 @@ print(result)
 
 # %% [markdown]
 # The NRMSE is the root mean square of the residual over the standard deviation of the force. The
-# figure shows whether what is left is noise, or a shape that the law cannot follow.
+# figure shows whether the residual is noise or model error.
 
 # %%
 folder = Path("build/examples")

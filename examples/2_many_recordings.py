@@ -1,10 +1,9 @@
 # %% [markdown]
-# # Many recordings to one set, and the run to make next
+# # Many recordings to one set, and the next run
 #
-# Runs at several amplitudes, frequencies and currents determine one set of parameters for all of
-# them. The bags here are re-synthesised from the parameters that a thesis published for each
-# condition (`bags/README.md`); they are no original recordings, and the conditions were published
-# with a set each. So one set for all leaves more than the noise, as on a real damper.
+# Runs at several amplitudes, frequencies and currents determine one parameter set for all of them. The bags here are re-synthesised from the parameters that a thesis published for each
+# condition (`bags/README.md`); they are not original recordings. The thesis gives one set per
+# condition, so a single set for all leaves more than the noise, as on a real damper.
 
 # %%
 import mr_damper_ros as mr
@@ -14,15 +13,15 @@ result = mr.identify(bags)
 print(result)
 
 # %% [markdown]
-# A standard error tells the scatter that noise makes; the discrepancy beside it what another motion
-# may say, since no law follows a damper exactly. `determination` tells which combinations of
-# parameters the runs leave open, and which run to make next.
+# The standard error of a parameter contains all uncertainty; the discrepancy beside it is the part that
+# is model error, because no law describes a damper exactly. `determination` lists the combinations of
+# parameters that the runs do not determine, and the recommended next runs.
 
 # %%
 print(result.determination())
 
 # %% [markdown]
-# How good is the set where it was not fitted? Leave one run out, and judge it there.
+# How accurate is the set for other runs? Leave out one run at a time and validate the set on it.
 
 # %%
 for left_out in bags:

@@ -1,8 +1,8 @@
 # %% [markdown]
-# # A recording as a stream: what the nodes would have said
+# # A recording as a stream: what the nodes would have published
 #
-# `replay` gives a recording to the engine that the identifier and the model run, at their default
-# settings and by the stamps of the data. Over ROS the same bag gives the same numbers. (The bag is
+# `replay` feeds a recording to the engine of identifier and model, at default settings, driven by the
+# stamps of the data. Over ROS the same bag gives identical numbers. (The bag is
 # re-synthesised from published parameters, see `bags/README.md`.)
 
 # %%
@@ -16,16 +16,16 @@ replayed = mr.replay("bags/5.0mm_1Hz_1.5A")
 print(replayed)
 
 # %% [markdown]
-# There is a report on every window: what the set in use and the new one leave of samples that
-# neither has seen, and why the new one was taken or not.
+# Every window has a report: the errors of the set in use and of the new set on validation samples, and
+# why the new set was accepted or rejected.
 
 # %%
 for report in replayed.reports:
     print(f"{replayed.time_of(report):.1f} s: {report.verdict.name}, {report.set_id}")
 
 # %% [markdown]
-# The force is predicted from past samples alone, and every sample is valid or not. Until the first
-# window has been identified nothing is.
+# The force is predicted from past samples only, and each sample is valid or invalid. No force is valid
+# before the first window has been identified.
 
 # %%
 first = replayed.time[np.argmax(replayed.valid)]
@@ -37,7 +37,7 @@ folder.mkdir(parents=True, exist_ok=True)
 replayed.plot().savefig(folder / "replayed_stream.png")
 
 # %% [markdown]
-# What if the load cell came loose at 4 s? A recording is arrays, and can be changed.
+# What if the load cell came loose at 4 s? A recording consists of arrays that can be changed.
 
 # %%
 (run,) = mr.read_bag("bags/5.0mm_1Hz_1.5A")

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # A controller for an identified damper
 #
-# The inverse of the law gives the current for a force. A quarter car on a road then has a damper
-# that follows a skyhook controller through that inverse; in the end the inverse becomes code for
-# another controller. All of it is simulated; the bags are re-synthesised (`bags/README.md`).
+# The inverse of the law gives the current for a desired force. The second part simulates a quarter car
+# whose damper follows a skyhook controller through the inverse; the last part exports the inverse as
+# code. All of this is simulated; the bags are re-synthesised (`bags/README.md`).
 
 # %%
 from pathlib import Path
@@ -26,11 +26,11 @@ moving = Motion(
 )
 found = inverse.currents(moving, [700.0, 900.0, -300.0])
 for current, force, attainable in zip(found.current, found.force, found.attainable, strict=True):
-    print(f"{current:.2f} A gives {force:.0f} N" + ("" if attainable else ", the nearest there is"))
+    print(f"{current:.2f} A gives {force:.0f} N" + ("" if attainable else ", the nearest attainable force"))
 
 # %% [markdown]
-# A quarter car on a poor road (ISO 8608, class C) at 20 m/s. `ForceController` is what the node
-# `controller` runs: it never commands a current where it doubts the force.
+# A quarter car drives on a poor road (ISO 8608, class C) at 20 m/s. The node `controller` runs the same
+# `ForceController`: an invalid force never raises the current.
 
 # %%
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings
@@ -73,7 +73,7 @@ def comfort(controlled: bool) -> float:
 print(f"passive, 0 A: {comfort(False):.2f} m/s2; skyhook: {comfort(True):.2f} m/s2")
 
 # %% [markdown]
-# The law and its inverse for another controller, as C, as M-code or as an FMU:
+# Export the law and its inverse as C, M-code or an FMU:
 #
 # ```bash
 # ros2 run mr_damper_ros export build/examples/whole.yaml --format fmu --output build/examples
