@@ -219,9 +219,7 @@ class SupplyNode(ManagedNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _thread(self, driver: SupplyDriver, failure: str = "") -> SupplyThread:
-        assert self._supply is not None
         return SupplyThread(
-            self._supply,
             driver,
             period=1.0 / self.parameters.values.rate,
             clock_ns=lambda: int(self.get_clock().now().nanoseconds),
@@ -293,7 +291,7 @@ class SupplyNode(ManagedNode):
         if drive is None:
             level = ERROR if self._problem else WARN
             return Finding(level, self._problem or "not active: the output is off", values)
-        state = drive.driver.state
+        state = drive.driver
         values["complaints"] = state.complaints
         if state.last_complaint:
             return Finding(WARN, f"the supply complains: {state.last_complaint}", values)
@@ -307,7 +305,7 @@ class SupplyNode(ManagedNode):
     def _find_current(self) -> Finding:
         if self._drive is None or self._commands is None:
             return Finding(WARN, "no current: the output is off")
-        state = self._drive.driver.state
+        state = self._drive.driver
         found = self._commands.finding()
         values = {**found.values, "set [A]": state.given, "measured [A]": state.measured}
         if state.deviates:

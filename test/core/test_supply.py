@@ -412,7 +412,7 @@ def test_a_driven_supply_gives_what_is_commanded_and_stops_with_the_commands(
         clock.now += 0.1
     assert readings[4] == pytest.approx(1.0, abs=1e-3)
     assert readings[15] == pytest.approx(0.0, abs=1e-3)
-    assert not driver.state.deviates
+    assert not driver.deviates
 
 
 # --- in a thread of its own ---------------------------------------------------------------------
@@ -433,7 +433,6 @@ def in_thread(server: InstrumentServer, said: list[str], current: float = 1.0) -
     driver = SupplyDriver(supply, CurrentCommander(CommandSettings(), current), tolerance=0.05)
     driver.start(time.monotonic())
     return SupplyThread(
-        supply,
         driver,
         period=0.02,
         clock_ns=time.time_ns,

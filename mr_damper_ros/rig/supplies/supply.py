@@ -93,22 +93,21 @@ def read_profile(name: str) -> SupplyProfile:
 def _profile(content: Any, name: str) -> SupplyProfile:
     if not isinstance(content, dict):
         raise ProfileError(f"the profile '{name}' is not a table of names and lines")
-    kinds = {field.name: field.type for field in fields(SupplyProfile)}
+    kinds = {field.name: str(field.type) for field in fields(SupplyProfile)}
     values: dict[str, Any] = {}
     for key, value in content.items():
         if key not in kinds:
             raise ProfileError(
                 f"the profile '{name}' has '{key}', which is none of {', '.join(kinds)}"
             )
-        if str(kinds[key]).startswith("tuple"):
-            given = value if isinstance(value, list) else [value]
-            values[key] = tuple(str(line) for line in given)
-        elif key == "watchdog_step":
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ProfileError(f"'watchdog_step' of the profile '{name}' must be a number [s]")
-            values[key] = float(value)
-        else:
+        if kinds[key].startswith("tuple"):
+            values[key] = tuple(map(str, value if isinstance(value, list) else [value]))
+        elif kinds[key] == "str":
             values[key] = str(value)
+        elif isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ProfileError(f"'{key}' of the profile '{name}' must be a number [s]")
+        else:
+            values[key] = float(value)
     if "tested" not in values:
         raise ProfileError(f"the profile '{name}' does not say what it was tested on ('tested')")
     return SupplyProfile(**values)
@@ -276,73 +275,55 @@ _SETTLING = 1.0
 instrument's queue of errors."""
 
 
-@dataclass
-class SupplyState:
-    """What is known of a supply that is driven: currents [A], and what it has complained of."""
-
-    given: float = 0.0
-    measured: float = math.nan
-    deviates: bool = False
-    complaints: int = 0
-    last_complaint: str = ""
-
-
 class SupplyDriver:
     """A supply under command; times are seconds of one steady clock.
 
-    ``tolerance`` [A] is by how much the measured current may be off. What the supply raises passes
-    through: whoever drives it then has to see that it is off.
+    ``given`` and ``measured`` are currents [A]; the supply ``deviates`` where they differ by more
+    than the ``tolerance`` [A] for too long. What the supply raises passes through: whoever drives
+    it then has to see that it is off.
     """
 
     def __init__(self, supply: ScpiSupply, commander: CurrentCommander, tolerance: float) -> None:
-        self._supply = supply
+        self.supply = supply
         self._commander = commander
         self._tolerance = tolerance
         self._agreed = math.inf
         self._asked = -math.inf
-        self.state = SupplyState()
+        self.given, self.measured = 0.0, math.nan
+        self.deviates = False
+        self.complaints = 0
+        self.last_complaint = ""
+        self.wait = commander.wait
 
     def start(self, now: float) -> None:
         """Switch on, at no current."""
-        self.state = SupplyState()
         self._agreed = now
-        self._supply.switch_on()
+        self.supply.switch_on()
         self._commander.start(now)
 
     def obey(self, now: float) -> None:
         """Set the current that is to be given now."""
-        given = self._commander.step(now)
-        self._supply.give(given)
-        self.state.given = given
-
-    def wait(self, now: float) -> float:
-        """Seconds until there is something to obey again."""
-        return self._commander.wait(now)
+        self.given = self._commander.step(now)
+        self.supply.give(self.given)
 
     def read(self, now: float) -> float:
         """The measured current [A]."""
-        measured = self._supply.measured()
-        self.state.measured = measured
-        if abs(measured - self.state.given) <= self._tolerance:
+        self.measured = self.supply.measured()
+        if abs(self.measured - self.given) <= self._tolerance:
             self._agreed = now
-        self.state.deviates = now - self._agreed > _SETTLING
-        return measured
+        self.deviates = now - self._agreed > _SETTLING
+        return self.measured
 
     def check(self, now: float) -> None:
         """Read one of the instrument's complaints, now and then, and while there are more."""
         if now - self._asked < _SETTLING:
             return
-        complaint = self._supply.next_error()
+        complaint = self.supply.next_error()
         if complaint:
-            self.state.complaints += 1
-            self.state.last_complaint = complaint
+            self.complaints += 1
+            self.last_complaint = complaint
         else:
             self._asked = now
-
-    def stop(self) -> None:
-        """Switch off."""
-        self.state.given = 0.0
-        self._supply.switch_off()
 
 
 _STOP = 3.0
@@ -367,7 +348,6 @@ class SupplyThread:
 
     def __init__(
         self,
-        supply: ScpiSupply,
         driver: SupplyDriver,
         *,
         period: float,
@@ -378,7 +358,7 @@ class SupplyThread:
     ) -> None:
         self.driver = driver
         self.failure = failure
-        self._supply = supply
+        self._supply = driver.supply
         self._period = period
         self._clock_ns = clock_ns
         self._publish = publish
@@ -454,4 +434,5 @@ class SupplyThread:
                 due = max(due + self._period, time.monotonic())
             now = time.monotonic()
             self._wake.wait(max(min(due - now, self.driver.wait(now)), 0.0))
-        self.driver.stop()
+        self.driver.given = 0.0
+        self._supply.switch_off()
