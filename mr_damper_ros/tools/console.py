@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
 import os
+import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from mr_damper_ros.api.comparison import FORMATS, Comparison, save_figures
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
@@ -97,6 +99,56 @@ def _joined(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> list[s
 def _fail(parser: argparse.ArgumentParser, sentence: str) -> int:
     sys.stderr.write(f"{parser.prog}: {sentence}\n")
     return FAILED
+
+
+_UNIT = re.compile(r"\[([^\]]+)\]")
+_TYPES = {"int": int, "float": float}
+
+
+def add_arguments(
+    parser: argparse.ArgumentParser | argparse._ArgumentGroup,
+    function: Callable[..., object],
+    helps: Mapping[str, str],
+    choices: Mapping[str, Sequence[str]] | None = None,
+    flags: Mapping[str, str] | None = None,
+) -> None:
+    """Add an option for each parameter of a function that has a help.
+
+    Type and default are those of the function. The unit in the help, such as [A], stands for the
+    value. ``flags`` are those of options that are not called as the parameter.
+    """
+    parameters = inspect.signature(function).parameters
+    for name, text in helps.items():
+        default = parameters[name].default
+        kind = str(parameters[name].annotation).partition(" |")[0]
+        flag = (flags or {}).get(name, f"--{name.replace('_', '-')}")
+        text = text.replace("%", "%%")
+        if kind == "bool":
+            parser.add_argument(flag, dest=name, action="store_true", help=text)
+            continue
+        needed = default is inspect.Parameter.empty
+        told = "" if needed or default in (None, ()) else " (default %(default)s)"
+        chosen = (choices or {}).get(name)
+        unit = _UNIT.search(text)
+        parser.add_argument(
+            flag,
+            dest=name,
+            type=_TYPES.get(kind, str),
+            default=None if needed else default,
+            required=needed,
+            nargs="+" if kind.startswith("Sequence") else None,
+            choices=chosen,
+            metavar=unit[1] if unit else None if chosen else name.rpartition("_")[2].upper(),
+            help=text + told,
+        )
+
+
+def arguments_of(
+    options: argparse.Namespace, function: Callable[..., object], *left_out: str
+) -> dict[str, Any]:
+    """What was given for the parameters of a function, by name, without some of them."""
+    names = inspect.signature(function).parameters.keys() - set(left_out)
+    return {name: value for name, value in vars(options).items() if name in names}
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
 from mr_damper_ros.lots.many_dampers import ManyDampers, identify_many
 from mr_damper_ros.lots.report import (
     require_parquet,
@@ -16,17 +15,40 @@ from mr_damper_ros.lots.report import (
     write_parquet,
     write_population_report,
 )
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.tools.console import FAILED, INTERRUPTED, StatusLine, program
-from mr_damper_ros.tools.identify import add_search_options
+from mr_damper_ros.tools.console import (
+    FAILED,
+    INTERRUPTED,
+    StatusLine,
+    add_arguments,
+    arguments_of,
+    program,
+)
+from mr_damper_ros.tools.identify import SEARCH_CHOICES, SEARCH_HELPS
 
 LEFT_OUT = 3
 """Exit code where a file was left out or a damper not identified; all others are there."""
 
-_DEFAULTS = EvolutionSettings()
-
 _MOST_NAMED = 10
 """So many of what went wrong are named on the terminal; the report names all."""
+
+_HELPS = {
+    "listed": "CSV file with columns path, damper and, where wanted, current in ampere",
+    "folder": "where the results are kept",
+    "pattern": "regular expression that tells from the path below the source which damper it is "
+    "of: its group 'damper', or the first one; a group 'current' tells the current in ampere "
+    "(default: all recordings in one folder are of one damper)",
+    "workers": "processes",
+    "scheduler": "give the work to the Dask cluster of this scheduler, such as tcp://host:8786; "
+    "its workers need this package and must see the same paths",
+    "accept_doubtful": "take runs that would be refused",
+}
+_FLAGS = {"listed": "--list", "folder": "--output", "pattern": "--damper"}
+_RECORD_HELPS = {
+    "columns": "what the columns hold, as for import_record",
+    "current": "current [A] where neither a column nor the name tells it",
+    "period": "time between samples [s]",
+    "variable": "matrix, sheet or group",
+}
 
 _EPILOG = f"""\
 Called again with the same folder it does only what is missing or whose files have changed, however
@@ -57,43 +79,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="SOURCE",
         help="folder that is searched through, bag, or pattern such as 'lot*/**/*.mcap' in quotes",
     )
-    parser.add_argument(
-        "--list",
-        type=Path,
-        metavar="FILE",
-        help="CSV file with columns path, damper and, where wanted, current [A]",
-    )
-    parser.add_argument(
-        "--output", type=Path, required=True, metavar="FOLDER", help="where the results are kept"
-    )
-    parser.add_argument(
-        "--damper",
-        metavar="PATTERN",
-        help="regular expression that tells from the path below the source which damper it is of: "
-        "its group 'damper', or the first one; a group 'current' tells the current [A] (default: "
-        "all recordings in one folder are of one damper)",
-    )
+    add_arguments(parser, identify_many, _HELPS, flags=_FLAGS)
     records = parser.add_argument_group("record files (without --columns only bags are taken)")
-    records.add_argument("--columns", help="what the columns hold, as for import_record")
-    records.add_argument(
-        "--current", type=float, metavar="A", help="where neither a column nor the name tells it"
-    )
-    records.add_argument("--period", type=float, metavar="S", help="time between samples [s]")
-    records.add_argument("--variable", metavar="NAME", help="matrix, sheet or group")
+    add_arguments(records, identify_many, _RECORD_HELPS)
     search = parser.add_argument_group("identification")
-    add_search_options(search, tuple(MODELS))
-    search.add_argument(
-        "--accept-doubtful", action="store_true", help="take runs that would be refused"
-    )
-    parser.add_argument(
-        "--workers", type=int, default=1, metavar="N", help="processes (default %(default)s)"
-    )
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="give the work to the Dask cluster of this scheduler, such as tcp://host:8786; its "
-        "workers need this package and must see the same paths",
-    )
+    add_arguments(search, identify_many, SEARCH_HELPS, SEARCH_CHOICES)
     parser.add_argument(
         "--parquet", action="store_true", help="write the table as dampers.parquet too"
     )
@@ -101,35 +91,18 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _identify_many(options: argparse.Namespace) -> int:
-    if not options.sources and options.list is None:
+    if not options.sources and options.listed is None:
         raise ValueError("there is nothing to identify: give folders, bags, patterns, or --list")
     if options.parquet:
         require_parquet()
     with _Progress() as progress:
-        found = identify_many(
-            *options.sources,
-            folder=options.output,
-            listed=options.list,
-            pattern=options.damper,
-            columns=options.columns,
-            current=options.current,
-            period=options.period,
-            variable=options.variable,
-            model=options.model,
-            method=options.method,
-            start=options.start,
-            seed=options.seed,
-            generations=options.generations,
-            accept_doubtful=options.accept_doubtful,
-            workers=options.workers,
-            scheduler=options.scheduler,
-            report=progress,
-        )
-    rows = found.table
-    write_csv(rows, options.output / "dampers.csv")
+        given = arguments_of(options, identify_many, "sources")
+        found = identify_many(*options.sources, report=progress, **given)
+    rows, folder = found.table, Path(options.folder)
+    write_csv(rows, folder / "dampers.csv")
     if options.parquet:
-        write_parquet(rows, options.output / "dampers.parquet")
-    page = write_population_report(found, options.output)
+        write_parquet(rows, folder / "dampers.parquet")
+    page = write_population_report(found, folder)
     _tell(found, page)
     return LEFT_OUT if found.failures or found.left_out else 0
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.io.columns import MAXIMUM_SAMPLES, UNITS, RecordError
+from mr_damper_ros.io.columns import UNITS, RecordError
 from mr_damper_ros.io.records import RunsOfFile, read_record
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.recording import Recording
-from mr_damper_ros.tools.console import program
+from mr_damper_ros.tools.console import add_arguments, arguments_of, program
 
 _EPILOG = f"""\
 columns: QUANTITY:UNIT for each column from the left, - to skip one, ... at the end for all that
@@ -34,6 +34,21 @@ examples:
       --current 0.6 --output bags/quake
 """
 
+_HELPS = {
+    "columns": "columns and their units (see below)",
+    "current": "coil current [A], with --split of every run, if no column holds it",
+    "period": "time between samples [s], if no column holds it",
+    "start": "begin here [s], from the first sample",
+    "stop": "end here [s], from the first sample",
+    "moving_average": "undo a moving average over so many of the last samples; exact if the record "
+    "begins at rest",
+    "begins_in_motion": "with --undo-moving-average: the record begins in motion, so what the "
+    "average has removed is unknown and is left out",
+    "variable": "matrix in a MAT file, sheet of a spreadsheet, or group of a TDMS file, if several",
+    "maximum_samples": "refuse a file with more samples",
+}
+_FLAGS = {"start": "--from", "stop": "--to", "moving_average": "--undo-moving-average"}
+
 _LEFT_OUT = "-"
 
 
@@ -45,7 +60,6 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="text, CSV, MAT, XLSX or TDMS file")
-    parser.add_argument("--columns", required=True, help="columns and their units (see below)")
     parser.add_argument(
         "--output",
         required=True,
@@ -53,12 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="BAG",
         help="bag to make; with --split a folder with a bag for each run",
     )
-    parser.add_argument(
-        "--current",
-        type=float,
-        metavar="A",
-        help="coil current [A], with --split of every run, if no column holds it",
-    )
+    add_arguments(parser, read_record, _HELPS, flags=_FLAGS)
     parser.add_argument(
         "--split",
         action="store_true",
@@ -71,62 +80,18 @@ def _parser() -> argparse.ArgumentParser:
         help="with --split: coil current [A] of each run, - to leave a run out; without it they "
         "are asked for, if no column holds them",
     )
-    parser.add_argument(
-        "--period", type=float, metavar="S", help="time between samples [s], if no column holds it"
-    )
-    parser.add_argument(
-        "--from", dest="start", type=float, metavar="S", help="begin here [s from the first sample]"
-    )
-    parser.add_argument(
-        "--to", dest="stop", type=float, metavar="S", help="end here [s from the first sample]"
-    )
-    parser.add_argument(
-        "--undo-moving-average",
-        type=int,
-        metavar="N",
-        help="undo a moving average over the last N samples; exact if the record begins at rest",
-    )
-    parser.add_argument(
-        "--begins-in-motion",
-        action="store_true",
-        help="with --undo-moving-average: the record begins in motion, so what the average has "
-        "removed is unknown and is left out",
-    )
-    parser.add_argument(
-        "--variable",
-        metavar="NAME",
-        help="matrix in a MAT file, sheet of a spreadsheet, or group of a TDMS file, if several",
-    )
-    parser.add_argument(
-        "--maximum-samples",
-        type=int,
-        default=MAXIMUM_SAMPLES,
-        metavar="N",
-        help=f"refuse a file with more samples (default {MAXIMUM_SAMPLES})",
-    )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing bag")
     return parser
 
 
 def _import(options: argparse.Namespace) -> int:
-    if options.begins_in_motion and options.undo_moving_average is None:
+    if options.begins_in_motion and options.moving_average is None:
         raise RecordError("--begins-in-motion says how to undo an average: give its length too")
     if options.split:
         return _import_runs(options)
     if options.currents is not None:
         raise RecordError("--currents is for the runs of --split: give --current for one run")
-    recording = read_record(
-        options.file,
-        options.columns,
-        current=options.current,
-        period=options.period,
-        start=options.start,
-        stop=options.stop,
-        variable=options.variable,
-        moving_average=options.undo_moving_average,
-        begins_in_motion=options.begins_in_motion,
-        maximum_samples=options.maximum_samples,
-    )
+    recording = read_record(options.file, **arguments_of(options, read_record))
     _write(options.output, recording, options.overwrite)
     return 0
 
@@ -134,7 +99,7 @@ def _import(options: argparse.Namespace) -> int:
 def _import_runs(options: argparse.Namespace) -> int:
     if options.start is not None or options.stop is not None:
         raise RecordError("--from and --to are for one run: leave them out, or leave out --split")
-    if options.undo_moving_average is not None:
+    if options.moving_average is not None:
         raise RecordError(
             "--undo-moving-average is for one run: leave it out, or leave out --split"
         )
