@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -43,7 +43,8 @@ class Estimate:
 
     ``observable``: whether the data determined it; else it kept the value of the start.
     ``discrepancy``: the part of the standard error that comes from what the law cannot follow, and
-    that only another motion shows; NaN where it is unknown.
+    that only another motion shows; NaN where it is unknown. ``only_with``: the parameters with
+    which alone it is known, as a product, for one: it then has no error of its own.
     """
 
     value: float
@@ -52,31 +53,61 @@ class Estimate:
     observable: bool = True
     meaning: str = ""
     discrepancy: float = math.nan
+    only_with: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        if not self.observable:
-            return f"{self.value:.6g} {self.unit}, not observable"
+        if not self.observable or self.only_with:
+            return f"{self.value:.6g} {self.unit}, {_error(self)}"
         return f"{self.value:.6g} ± {self.standard_error:.2g} {self.unit}"
 
 
 Estimates = Mapping[str, Estimate]
 
 
-def parameter_estimates(found: ParameterSet) -> dict[str, Estimate]:
-    """The parameters of a set by name."""
+def parameter_estimates(
+    found: ParameterSet, partners: Mapping[str, tuple[str, ...]] | None = None
+) -> dict[str, Estimate]:
+    """The parameters of a set by name; ``partners``: see :meth:`Determination.partners`."""
+    partners = partners or {}
+    errors = found.standard_errors.tolist(), found.observable, found.discrepancies.tolist()
+    rows = zip(found.law.parameters, found.values.tolist(), *errors, strict=True)
     return {
         parameter.name: Estimate(
-            value, error, parameter.unit, bool(observable), discrepancy=discrepancy
+            value,
+            math.nan if parameter.name in partners else error,
+            parameter.unit,
+            bool(observable),
+            discrepancy=math.nan if parameter.name in partners else discrepancy,
+            only_with=partners.get(parameter.name, ()),
         )
-        for parameter, value, error, observable, discrepancy in zip(
-            found.law.parameters,
-            found.values.tolist(),
-            found.standard_errors.tolist(),
-            found.observable,
-            found.discrepancies.tolist(),
-            strict=True,
-        )
+        for parameter, value, error, observable, discrepancy in rows
     }
+
+
+_SURELY = 2.0
+"""A coefficient is negative by so many of its standard errors before that is remarked."""
+
+
+def negative_slopes(runs: Mapping[str, Estimates], found: ParameterSet) -> list[str]:
+    """Remarks on stiffnesses and viscous slopes below zero; ``runs``: coefficients by run."""
+    entries: dict[str, list[tuple[str, Estimate]]] = {}
+    for run, estimates in runs.items():
+        for name, entry in estimates.items():
+            if "stiffness" in entry.meaning or "viscous" in entry.meaning:
+                entries.setdefault(name, []).append((f" in {run}", entry))
+    for name, entry in parameter_estimates(found).items():
+        if name == "stiffness" and entry.observable:
+            entries[name] = [("", replace(entry, meaning="stiffness"))]
+    remarks = []
+    for name, each in entries.items():
+        below = [(where, e) for where, e in each if e.value < -_SURELY * e.standard_error]
+        if below:
+            where, worst = min(below, key=lambda one: one[1].value)
+            remarks.append(
+                f"the {worst.meaning} {name} is negative, {worst}{where}: the law follows the "
+                "runs with it, but no damper has one, so distrust the force beyond them"
+            )
+    return remarks
 
 
 def text_table(heading: str, estimates: Estimates) -> str:
@@ -111,16 +142,23 @@ def html_estimates(heading: str, estimates: Estimates) -> str:
 
 
 def _error(entry: Estimate) -> str:
+    if entry.observable and entry.only_with:
+        others = ", ".join(entry.only_with[:_MOST_PARTNERS])
+        more = len(entry.only_with) > _MOST_PARTNERS
+        return f"only with {others}{', …' if more else ''}"
     if not entry.observable:
         return "not observable"
     return f"{entry.standard_error:.3g}" if math.isfinite(entry.standard_error) else "unknown"
 
 
 def _discrepancy(entry: Estimate) -> str:
-    if not entry.observable:
+    if not entry.observable or entry.only_with:
         return ""
     return f"{entry.discrepancy:.3g}" if math.isfinite(entry.discrepancy) else "unknown"
 
+
+_MOST_PARTNERS = 2
+"""So many parameters are named with which one is known together."""
 
 _CYCLES = 2.0
 """Cycles of a piece; of a motion that is no sine a piece takes ``_DURATION`` seconds."""
@@ -189,13 +227,21 @@ class Findings:
         return Findings(self.lines + other.lines, self.document | other.document)
 
 
-def determined(fit: GlobalFit, windows: Sequence[Window], rig: RigRange) -> Findings:
-    """What the windows determine, and the runs within the range of the rig that would do more."""
+def determination_of(fit: GlobalFit, windows: Sequence[Window]) -> Determination:
+    """What the windows determine of the parameters of a fit to them."""
     found = fit.parameter_set
     misfit = search_misfit(fit, windows)
     jacobian = misfit.jacobian(found.values) / noise_level(misfit, found.values)
     spans = parameter_spans(found.law, jacobian, found.values, parameter_ranges(found.law, windows))
-    result = determination(found.law, jacobian, spans, found.values)
+    return determination(found.law, jacobian, spans, found.values)
+
+
+def determined(
+    fit: GlobalFit, windows: Sequence[Window], rig: RigRange, result: Determination
+) -> Findings:
+    """What the windows determine, and the runs within the range of the rig that would do more."""
+    found = fit.parameter_set
+    misfit = search_misfit(fit, windows)
     noise = float(np.median(fit.noise))
     runs = extra_runs(found.law, misfit, noise, found.values, found.observable, rig)
     lines = [

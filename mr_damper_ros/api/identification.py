@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,8 +49,10 @@ from mr_damper_ros.estimation.multi_start import (
     SearchRecordError,
     identify_from_seeds,
 )
+from mr_damper_ros.estimation.observability import Determination
 from mr_damper_ros.estimation.profile_likelihood import profiled, profiles_of, record_levels
 from mr_damper_ros.estimation.record_levels import Level, LevelPrior
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.parameter_set import DEFAULT_MODEL, ParameterSet, known_model
 from mr_damper_ros.processes.blas_threads import one_thread
@@ -64,12 +66,6 @@ if TYPE_CHECKING:
 
 MOST_LEFT = 0.3
 """A set that leaves more than this part of the force's standard deviation explains too little."""
-
-
-_GIVEN_THE_REST = (
-    "parameters (their standard errors hold for the given values of the others, which one run "
-    "does not determine):"
-)
 
 
 AUTO = "auto"
@@ -114,7 +110,18 @@ class Identification(ComparedRuns):
     @property
     def parameters(self) -> dict[str, Estimate]:
         """Value, standard error, unit and whether the data determined it, by name."""
-        return parameter_estimates(self.parameter_set)
+        found = self.parameter_set
+        errors = dict(zip(found.law.parameter_names, found.standard_errors.tolist(), strict=True))
+        return parameter_estimates(found, self._determination.partners(errors))
+
+    @cached_property
+    def _determination(self) -> Determination:
+        with one_thread():
+            return findings.determination_of(self.searches.best, self._windows)
+
+    @property
+    def _windows(self) -> list[Window]:
+        return all_windows([run.measured for run in self.runs])
 
     @property
     def coefficients(self) -> dict[str, Estimate]:
@@ -176,14 +183,14 @@ class Identification(ComparedRuns):
         ``top_velocity`` [m/s] and ``top_current`` [A]: the most that a run may ask of the rig;
         without them no more than was done already.
         """
-        windows = all_windows([run.measured for run in self.runs])
+        windows = self._windows
         done = RigRange.of_windows(windows)
         rig = RigRange(
             amplitude=done.amplitude,
             peak_velocity=done.peak_velocity if top_velocity is None else top_velocity,
             current=done.current if top_current is None else top_current,
         )
-        return findings.determined(self.searches.best, windows, rig)
+        return findings.determined(self.searches.best, windows, rig, self._determination)
 
     @one_thread()
     def profile(self, *names: str, workers: int = 1, report: Report | None = None) -> Findings:
@@ -193,7 +200,7 @@ class Identification(ComparedRuns):
         ``identify(..., profile=names)`` searches again. Raises ValueError for a name that the model
         does not have.
         """
-        windows, fit = all_windows([run.measured for run in self.runs]), self.searches.best
+        windows, fit = self._windows, self.searches.best
         with ProcessPool(workers) as processes:
             found = profiles_of(fit, windows, names, processes, report)
         return findings.profiles(fit, found)
@@ -238,8 +245,6 @@ class Identification(ComparedRuns):
         parts = [] if self.choice is None else [f"{self.choice}\n"]
         if len(self.runs) == 1 and self.coefficients:
             parts += [self._at_point, text_table("coefficient", self.coefficients), ""]
-            if not all(entry.observable for entry in self.parameters.values()):
-                parts.append(_GIVEN_THE_REST)
         parts += [text_table("parameter", self.parameters), ""]
         parts += [_line(run) for run in self.runs]
         parts.append(
@@ -464,7 +469,12 @@ def identify_measured(
         searches=searches,
         method=method,
         duration=duration,
-        remarks=remarks_on(measured),
+        remarks=(
+            *remarks_on(measured),
+            *findings.negative_slopes(
+                {run.name: run.coefficients for run in fitted}, searches.best.parameter_set
+            ),
+        ),
         profiles=profiles,
     )
 

@@ -210,7 +210,8 @@ def _errors(misfit: Misfit, best: Array, places: Sequence[int]) -> tuple[Array, 
     if len(misfit.windows) == 1 and misfit.prior is None:
         errors = error_covariances(jacobian, residual, samples_per_cycle(misfit.windows[0]))
         discrepancy = without_negative_variance(errors.discrepancy)
-        return without_negative_variance(errors.repeatability) + discrepancy, discrepancy
+        both = without_negative_variance(errors.repeatability) + discrepancy
+        return both, np.full_like(both, math.nan)  # one motion tells no scatter between motions
     covariance = least_squares_covariance(jacobian, residual, prior=misfit.prior)
     motions = motion_numbers(misfit.windows)[misfit.row_windows]
     discrepancy = discrepancy_between(jacobian, residual, motions, covariance)

@@ -239,7 +239,7 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class Determination:
-    """What samples determine: ``singular_values`` (p,) in 1/spans, largest first.
+    """What samples determine: ``singular_values`` (p,) in 1/``spans`` (p,), largest first.
 
     ``rank``: combinations that are determined; ``condition``: the largest over the smallest
     singular value, infinite where the smallest is zero up to rounding; ``open``: the p - rank
@@ -247,10 +247,26 @@ class Determination:
     """
 
     names: tuple[str, ...]
+    spans: Array
     singular_values: Array
     rank: int
     condition: float
     open: tuple[Combination, ...]
+
+    def partners(self, errors: Mapping[str, float]) -> dict[str, tuple[str, ...]]:
+        """The parameters that have no error of their own, and those with which they are known.
+
+        ``errors``: by name the standard errors that hold only where all else is held. A parameter
+        may move by more than its own with the others of an open combination.
+        """
+        found: dict[str, tuple[str, ...]] = {}
+        for combination in self.open:
+            for name, weight in combination.weights.items():
+                others = tuple(other for other in combination.weights if other != name)
+                move = abs(weight) * self.spans[self.names.index(name)]
+                if others and move > errors.get(name, math.inf):
+                    found.setdefault(name, others)
+        return found
 
 
 def parameter_spans(
@@ -296,6 +312,7 @@ def determination(model: Model, jacobian: Array, spans: Array, parameters: Array
     loose = singular * SURE <= 1.0
     return Determination(
         names=names,
+        spans=spans,
         singular_values=singular,
         rank=int(np.sum(~loose)),
         condition=_condition(singular),
@@ -366,7 +383,8 @@ def _words(moves: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -
             return f"{lead} and {others[0]} only as a ratio"
     _, move = moves[lead]
     step = _LEADS_BY if math.isinf(relative[lead]) else _LEADS_BY / abs(relative[lead])
-    step = math.copysign(step, move)
+    # No further than anything may plausibly move: the law is linear over no more.
+    step = math.copysign(min(step, 1.0), move)
     changes = [
         _change(name, step * moves[name][1], moves[name][0], units[name])
         for name in (lead, *others[:_MOST_WORDS])
