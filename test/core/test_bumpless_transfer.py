@@ -160,17 +160,3 @@ def test_a_slow_hysteresis_is_followed_again_over_the_way_that_it_remembers(
     expected = model.force(changed, motion, current, period)[last:]
     # [N] of 500: ten ways to the yield leave a part in twenty thousand, half a second 0.6 N.
     np.testing.assert_allclose(force, expected, rtol=0.0, atol=0.1)
-
-
-def test_a_set_that_starts_again_forgets_what_could_not_be_known() -> None:
-    motion = RUN.window.motion.part(slice(1000))
-    parameters = set_of("sigmoid_lag")
-    made = in_use(parameters)
-    broken = dataclasses.replace(motion, velocity=motion.velocity + 10.0)
-    follow(made, broken.part(slice(400)), 10)
-    made.forget_known()
-    follow(made, motion.part(slice(400, 600)), 10)
-    made.use(parameters, gradual=False, fade=False, restart=True)
-    force = follow(made, motion.part(slice(600, None)), 10)
-    expected = all_along(parameters, motion.part(slice(400, None)), 1.0, known.PERIOD)[200:]
-    np.testing.assert_allclose(force, expected, rtol=0.0, atol=RECOMPUTED)

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mr_damper_ros.signals.clocks import ArrivalClock
 from mr_damper_ros.signals.stamped_channel import (
     ChannelJoin,
     JoinedRun,
@@ -166,20 +165,6 @@ def test_a_value_that_is_not_finite_is_left_out(value: float) -> None:
     channel = StampedChannel(0.0)
     assert channel.add(START, 0, value) == []
     assert channel.counts.not_finite == 1
-
-
-def test_the_clock_of_a_device_is_known_from_what_arrives_soonest() -> None:
-    rng = np.random.default_rng(0)
-    clock = ArrivalClock()
-    taken = np.arange(0, 30_000) * 1e-3
-    stamps = nanoseconds(taken * (1.0 - 40e-6))
-    arrivals = nanoseconds(taken + 5.0 + 1e-4 + rng.exponential(1e-3, taken.size))
-    for stamp, arrival in zip(stamps.tolist(), arrivals.tolist(), strict=True):
-        clock.add(stamp, arrival)
-    assert clock.rate == pytest.approx(40e-6, abs=2e-6)
-    here = stamps[-1] + clock.ahead_ns(int(stamps[-1]))
-    # The shortest way, 0.1 ms, stays in it.
-    assert (here - nanoseconds(taken[-1:] + 5.0)[0]) * 1e-9 == pytest.approx(1e-4, abs=2e-5)
 
 
 def test_a_cubic_goes_through_a_motion_and_no_further_than_its_neighbours() -> None:

@@ -15,7 +15,6 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.current_dependence import COIL, Coefficient, CurrentDependentModel
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.quantities import LoopReading, State
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.tracking.cusum import ScaleFit
@@ -137,17 +136,6 @@ def test_the_lag_of_the_coil_is_found_where_the_current_switches(name: str) -> N
     assert found.observable[place]
     # Relative: what is left of the noise in two seconds of a current that switches.
     assert found.values[place] == pytest.approx(LAG, rel=0.05)
-
-
-@pytest.mark.parametrize("name", FOLLOWING)
-def test_a_set_of_one_current_means_any_current(name: str) -> None:
-    model = MODELS[name]
-    plain = known.EXAMPLES[name][: len(model.coefficient_names)]
-    found = ParameterSet(plain, model=name)
-    np.testing.assert_array_equal(found.values, known.EXAMPLES[name])
-    motion = known.run(noise=0.0).window.motion
-    forces = [model.force(found.values, motion, i, known.PERIOD) for i in (0.0, 1.5)]
-    np.testing.assert_allclose(forces[1], forces[0], rtol=SAME)
 
 
 @pytest.mark.parametrize("name", FOLLOWING)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import known
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,7 +15,6 @@ from mr_damper_ros.emulation.emulator import (
     CurrentSchedule,
     EmulatedRig,
     EmulatorError,
-    ModelDamper,
     RigSettings,
     TemperatureDependentDamper,
     ThermalModel,
@@ -29,8 +27,6 @@ from mr_damper_ros.emulation.motions import (
     SineMotion,
 )
 from mr_damper_ros.kinematics.motion import Motion
-from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid import law as sigmoid
 
@@ -49,19 +45,6 @@ MOTIONS = [
         SampledMotion(0.004 * np.sin(np.linspace(0.0, 30.0, 301)) ** 2, 0.02), id="sampled"
     ),
 ]
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_a_damper_of_any_model_has_the_force_of_its_model(model: str) -> None:
-    parameters = ParameterSet(known.EXAMPLES[model], model=model)
-    damper = ModelDamper(parameters, SILENT.period)
-    for _ in range(2):  # it starts at rest in every rig
-        block = EmulatedRig(damper, SINE, 1.0, settings=SILENT).next_block(1050)
-        u, v, a = SINE.at(np.arange(1050) * SILENT.period)
-        motion = Motion(u, v, a, sigmoid.peak_velocity(u, v, a), None)
-        expected = parameters.law.force(parameters.values, motion, 1.0, SILENT.period)
-        # [N]: the last digits of forces of up to 1.5 kN, computed block by block.
-        np.testing.assert_allclose(block.force, expected, rtol=0.0, atol=2e-11)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -163,13 +146,6 @@ def test_the_heat_balance_closes() -> None:
     # Relative: 2000 roundings of 28 °C are 2e-13 of the rise, if they add up at random.
     assert block.temperature[2000] - 28.0 == pytest.approx(energy / 100.0, rel=1e-12, abs=0.0)
     assert energy > 0.0
-
-
-def test_the_temperature_settles_where_convection_balances_the_power() -> None:
-    model = ThermalModel(ambient=20.0, conductance=0.5, capacity=430.0)
-    assert model.after(28.0, 25.0, 1e6) == pytest.approx(70.0)
-    half_way = model.after(20.0, 25.0, 430.0 / 0.5 * np.log(2.0))
-    assert half_way == pytest.approx(45.0)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from mr_damper_ros.estimation.window_fit import fit_window
 from mr_damper_ros.kinematics.motion import window_motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.misfit import Misfit, WindowProblem
+from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE
 from mr_damper_ros.models.sigmoid.following import EXTENDED_NAMES
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
@@ -78,20 +78,6 @@ def test_a_part_sees_the_lag_of_the_whole(frequency):
     error = EXTENDED.window_force(thinned, TRUTH) - thinned.force
     # Times that: what it may cost where samples are left out too.
     assert known.rms(error) < 5.0 * FINE * np.std(whole.force)
-
-
-@MOTIONS
-@pytest.mark.parametrize("most", [100, 5000], ids=["thinned", "whole"])
-def test_the_jacobian_of_a_window_is_that_of_differences(frequency, most):
-    misfit = WindowProblem(EXTENDED, window(frequency).thinned(most), TRUTH)
-    scales = misfit.start
-    jacobian = misfit.jacobian(scales)
-    for column, size in enumerate(1e-6 * np.abs(scales)):
-        step = size * np.eye(7)[column]
-        expected = (misfit.residual(scales + step) - misfit.residual(scales - step)) / (2 * size)
-        np.testing.assert_allclose(
-            jacobian[:, column], expected, atol=BY_DIFFERENCES * np.abs(expected).max()
-        )
 
 
 def test_a_window_without_its_period_cannot_have_a_lag():

@@ -97,13 +97,6 @@ def test_a_fault_shows(name: str) -> None:
     assert not all(same(blocks, [block]) for blocks, block in zip(came, HEALTHY, strict=True))
 
 
-@pytest.mark.parametrize("name", ["force_delay:0.033", "force_noise:5", "displacement_dropouts:20"])
-def test_an_instrument_does_not_mind_how_the_stream_is_cut(name: str) -> None:
-    channel = name.partition("_")[0]
-    small, large = (values(sent(f"{name}@{BEGIN}", size), channel) for size in (1, 30))
-    np.testing.assert_array_equal(small, large)
-
-
 def test_what_is_stuck_shows_its_last_value() -> None:
     stuck = values(sent(f"displacement_stuck@{BEGIN}-{END}"), "displacement")[part(BEGIN, END)]
     assert set(stuck) == {values(HEALTHY, "displacement")[499]}

@@ -329,21 +329,6 @@ def test_a_doubt_that_lasts_takes_the_current_to_the_safe_one_without_a_jump() -
     assert max(np.abs(np.diff(currents))) <= SPAN * STEP / 0.2 + 1e-9
 
 
-def test_control_that_does_not_last_is_waited_for_ever_longer() -> None:
-    """A damper that is weaker than its set is as known at the safe current, and nowhere else."""
-    fallback, current, begins = begun(doubt_time=0.05, fade_time=0.05), 1.0, []
-    for number in range(2000):
-        lasted = fallback.lasts
-        if fallback.follow(STEP, doubted=current > 0.5):
-            current = fallback.towards(1.0, STEP)
-        else:
-            current = fallback.away_from(current, STEP)
-        if lasted and not fallback.lasts:
-            begins.append(number)
-    waits = np.diff(begins)
-    assert waits[-1] > 4 * waits[0]
-
-
 def test_no_doubt_drives_the_current_up() -> None:
     rng = np.random.default_rng(0)
     fallback = begun(doubt_time=0.05)

@@ -46,9 +46,6 @@ ROUNDING = 1e-12
 BOTTOM = 1e-10
 """Of bounds of size 1: five hundred generations shrink a population to rounding."""
 
-BOTTOM_COST = BOTTOM**2
-"""The cost so far from the bottom of a bowl."""
-
 CURRENTS = (0.0, 0.5, 1.0, 1.5)
 QUICK = EvolutionSettings(generations=150)
 FEW = EvolutionSettings(generations=40, population=8)
@@ -287,17 +284,6 @@ def test_a_stop_returns_something_better_than_a_poor_start(after: int) -> None:
     assert mean_square(SMALL, fit.parameter_set.values) < 1e-4 * mean_square(SMALL, LITERATURE)
 
 
-def test_a_stop_is_heard_while_the_windows_are_fitted_one_by_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("mr_damper_ros.estimation.differential_evolution._REPORT_PERIOD", 0.0)
-    told: list[GlobalProgress] = []
-    fit = identify_global(SIGMOID, SMALL, LITERATURE, QUICK, told.append)
-    assert [progress.stage for progress in told] == ["each run by itself"]
-    assert fit.stopped
-    assert mean_square(SMALL, fit.parameter_set.values) <= mean_square(SMALL, LITERATURE)
-
-
 def test_no_windows_are_refused() -> None:
     with pytest.raises(ValueError, match="no windows to identify from"):
         identify_global(SIGMOID, [], LITERATURE, FEW)
@@ -306,13 +292,6 @@ def test_no_windows_are_refused() -> None:
 def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(ValueError, match="'annealing' is unknown: use one of global, nelder_mead"):
         identify_global(SIGMOID, SMALL, LITERATURE, FEW, method="annealing")
-
-
-def test_a_window_of_constant_force_is_refused() -> None:
-    window = SMALL[0]
-    still = Window(window.motion, np.zeros(window.sample_count), window.current)
-    with pytest.raises(ValueError, match="the force does not change"):
-        identify_global(SIGMOID, [window, still], LITERATURE, FEW)
 
 
 # -- pooled misfit ---------------------------------------------------------------------------
@@ -349,22 +328,6 @@ def test_evolution_finds_the_bottom_of_a_bowl() -> None:
     best, cost, _ = evolved()
     np.testing.assert_allclose(best, [0.3, -0.7], rtol=0.0, atol=BOTTOM)
     assert cost == float(bowl(best[:, np.newaxis])[0])
-
-
-def test_costs_that_are_no_numbers_lose() -> None:
-    def holed(individuals: Array) -> Array:
-        cost = bowl(individuals)
-        return np.where(individuals[0] < 0.0, np.nan, cost)
-
-    best, cost, _ = evolve(
-        holed,
-        [(-1.0, 1.0), (-1.0, 1.0)],
-        EvolutionSettings(),
-        ProgressClock(500, None),
-        stage="holed",
-    )
-    assert best[0] > 0.0
-    assert cost < BOTTOM_COST
 
 
 def test_the_defaults_are_those_of_the_thesis() -> None:

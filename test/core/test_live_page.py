@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import threading
 import time
@@ -127,31 +126,6 @@ def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     assert "✕ error: the state cannot be kept" in shown
     assert "▲ warning: 3 samples were lost" in shown
     assert "✓ good: window 40% full" in shown
-
-
-def point_at(page: Browser, chart: str) -> None:
-    """Move the pointer to the middle of a figure."""
-    at = page.evaluate(
-        f"""(() => {{
-          const over = document.querySelector('{chart} .u-over');
-          over.scrollIntoView({{ block: 'center', behavior: 'instant' }});
-          const box = over.getBoundingClientRect();
-          return [box.x + box.width / 2, box.y + box.height / 2];
-        }})()"""
-    )
-    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at[0] - 3, y=at[1])
-    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at[0], y=at[1])
-
-
-@pytest.mark.parametrize(
-    ("chart", "shown"),
-    [("force-time", r"-?[\d.]+ / -?[\d.]+ N at .* s"), ("force-velocity", r"\S+ N at \S+ m/s")],
-)
-def test_a_figure_says_the_values_under_the_pointer(page: Browser, chart: str, shown: str) -> None:
-    figure = f"[data-chart={chart}]"
-    point_at(page, figure)
-    pattern = f"new RegExp({json.dumps(f'^{shown}$')})"
-    page.until(f"{pattern}.test(document.querySelector('{figure} output').value)")
 
 
 def ink_at_rest(page: Browser, chart: str) -> str:

@@ -11,7 +11,7 @@ from random_motion import BandLimitedRandom
 from benchmarks.other_dampers import DAMPERS
 from mr_damper_ros.emulation.emulator import EmulatedRig, ModelDamper, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.estimation.window_fit import WANDER, WindowFit, WindowPrior, fit_window
+from mr_damper_ros.estimation.window_fit import WindowFit, WindowPrior, fit_window
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.sigmoid.law import SCALE_INDICES
@@ -22,13 +22,6 @@ RANDOM = BandLimitedRandom(rms=4e-3, low=0.2, high=2.0, seed=2)
 
 AS_WELL = 1.001
 """Most that the RMSE may be of that of the fit to the window alone."""
-
-FAST = 0.3
-"""Peak velocity [m/s] that the running set holds for."""
-
-HARDLY = 0.2 * WANDER
-"""Part of a fast motion's force that a window of slow motion may change: less than what wanders
-between two windows, and less than a third of what it changes where a fast motion does not count."""
 
 
 def steady(parameters: Array = RUNNING) -> Window:
@@ -122,17 +115,6 @@ def test_a_running_set_from_part_of_a_cycle_is_given_up_where_a_cycle_refutes_it
     weighed = weigh(cycle, poor)
     # The same of a window that refutes the running set, which may cost it a quarter.
     assert weighed.rmse < 1.3 * alone.rmse
-
-
-@pytest.mark.parametrize("name", ["hyperbolic_tangent", "series_springs"])
-def test_viscous_damping_that_a_slow_window_hardly_shows_stays(name: str) -> None:
-    model, running = MODELS[name], known.EXAMPLES[name]
-    window = random_window(1500, 1500, name=name, size=0.15, seed=1)
-    weighed = weigh(window, running, name, FAST)
-    rate, time = 6.0, np.arange(4000) * 1e-3
-    sine = Window.from_samples(FAST / rate * np.sin(rate * time), np.zeros(4000), 1.0, 1e-3)
-    before, after = (model.window_force(sine, v) for v in (running, weighed.parameters))
-    assert known.rms(after - before) < HARDLY * known.rms(before)
 
 
 @pytest.mark.parametrize("name", sorted(known.EXAMPLES))

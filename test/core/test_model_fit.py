@@ -71,23 +71,6 @@ def test_a_search_that_ends_at_its_limit_says_so(monkeypatch: pytest.MonkeyPatch
     assert "limit of steps" in fit.message
 
 
-def test_the_standard_errors_are_those_of_the_scatter() -> None:
-    fits = [
-        fit_window(
-            MODELS["bouc_wen"],
-            window("bouc_wen", seed=k),
-            known.EXAMPLES["bouc_wen"],
-            method="least_squares",
-        )
-        for k in range(20)
-    ]
-    scatter = np.std([fit.scales for fit in fits], axis=0, ddof=1)
-    stated = np.mean([np.sqrt(np.diag(fit.covariance)) for fit in fits], axis=0)
-    # Least and most of a stated standard error over the scatter, which 20 draws tell to a sixth.
-    least, most = (0.6, 1.7)
-    assert np.all((stated / scatter > least) & (stated / scatter < most))
-
-
 @MOTIONS
 @pytest.mark.parametrize("name", MODELS)
 def test_a_part_of_a_window_remembers_the_whole(name: str, sine: bool) -> None:

@@ -118,19 +118,6 @@ def test_a_record_from_before_discrepancies_is_taken() -> None:
     assert all(np.isnan(fit.discrepancy).all() for fit in again.fits.values())
 
 
-def test_finished_searches_are_not_done_again() -> None:
-    record = empty()
-    first = searched(1, record=record)
-    heard: list[str] = []
-
-    def report(progress: GlobalProgress) -> bool:
-        heard.append(progress.stage)
-        return True
-
-    assert_same(searched(1, report, record).best, first.best)
-    assert heard == []
-
-
 @pytest.mark.parametrize(
     ("method", "after"), [("global", 1), ("global", 45), ("differential_evolution", 10)]
 )

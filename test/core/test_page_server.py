@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import random
 import re
 import socket
 import threading
@@ -256,37 +255,6 @@ def test_a_viewer_that_reads_nothing_holds_up_nobody(
             stuck.sendall(100 * request)  # five megabytes, of which it takes none
         record.add_signals(1.0, 0.0, 0.0, 0.0, 1.0, 1.0, valid=True)
         assert json.loads(ask(server, "/status")[1])["tables"]["signals"]["next"] == known + 1
-
-
-PIECES = (
-    *(b"\r\n", b"\n", b" ", b":", b"/", b"?", b"%00", b"\x00", b"[", b"]", b"\xff", b"\xb2", b"-1"),
-    *(b"HTTP/9.9", b"HTTP/1.0", b"Content-Length: 7", b"Host: [::1]:99999", b"A: b\r\n" * 120),
-    *(b"Transfer-Encoding: chunked", b"Connection: keep-alive", b"Origin: null", b"9" * 400),
-    *(b"after=", b"generation=1e9", b"GET", b"POST", b"http://localhost", b"Expect: 100-continue"),
-)
-WHOLE = (
-    b"GET /status?windows=3 HTTP/1.1\r\nHost: localhost\r\n\r\n",
-    b"GET /tables/signals?after=90&generation=7 HTTP/1.1\r\nHost: localhost:1\r\nA: b\r\n\r\n",
-    b"POST /command HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\n"
-    b"Content-Length: 5\r\n\r\nreset",
-)
-ANSWERS = {0, 100, 200, 202, 204, 400, 403, 404, 414, 431, 501, 503, 505}
-
-
-def test_requests_at_random_end_in_an_answer(
-    commanded: PageServer, capfd: pytest.CaptureFixture[str]
-) -> None:
-    chance = random.Random(27)
-    for _ in range(400):
-        text = bytearray(chance.choice(WHOLE))
-        for _ in range(chance.randrange(1, 5)):
-            begin = chance.randrange(len(text) + 1)
-            end = begin + chance.choice((0, 0, 1, 1, 5, 40))
-            text[begin:end] = chance.choice((b"", chance.randbytes(2), chance.choice(PIECES)))
-        answer = raw(place_of(commanded), bytes(text))
-        assert answer.status in ANSWERS, bytes(text)
-    assert ask(commanded, "/status")[0].status == 200
-    assert capfd.readouterr().err == ""
 
 
 def eventually_served(server: PageServer) -> bool:

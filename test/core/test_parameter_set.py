@@ -210,17 +210,6 @@ def test_whatever_yaml_stumbles_over_is_one_error(text: str) -> None:
         ParameterSet.from_yaml(text)
 
 
-def test_an_entry_of_any_size_is_refused_in_a_short_sentence() -> None:
-    lists = "&a [1, 1, 1, 1, 1, 1, 1, 1]"
-    for name in "bcdefg":
-        lists = f"&{name} [{lists}{', *' + chr(ord(name) - 1)}{', *' + chr(ord(name) - 1)}]"
-    names = ParameterSet(np.ones(16)).law.parameter_names
-    text = f"nrmse: {lists}\nparameters: {{{', '.join(f'{name}: 1' for name in names)}}}"
-    with pytest.raises(ParameterError) as caught:
-        ParameterSet.from_yaml(text)
-    assert len(str(caught.value)) < 300
-
-
 @pytest.mark.parametrize(
     ("time", "sentence"),
     [([0.0, 1.0, 3.0], "give samples in even steps"), ([0.0, 1.0], "one displacement for each")],

@@ -10,7 +10,7 @@ import numpy as np
 from step_worker import StepWorker
 
 from mr_damper_ros.estimation.differential_evolution import EvolutionSettings
-from mr_damper_ros.models.parameter_set import EARLY_SOURCE, ParameterSet
+from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS
 from mr_damper_ros.models.sigmoid.law import sine_force
 from mr_damper_ros.tracking.identifier import (
@@ -202,15 +202,6 @@ def test_a_new_set_makes_the_running_fit_start_again_from_it() -> None:
     for number in range(2):
         reference.identifier.add_windows([window(number)])
     assert results(b.work_off()) == results(reference.work_off())
-
-
-def test_a_look_that_sees_a_change_ends_in_an_early_set() -> None:
-    b = bench()
-    b.identifier.add_windows([window(0)])
-    b.identifier.add_windows([replace(window(4), look=COUNT)])
-    ended = b.work_off()
-    assert [report.method for report in of_windows(ended)][1] == EARLY_SOURCE
-    assert b.tracker.parameters.set_id.startswith("early-")
 
 
 def test_a_window_that_makes_room_takes_its_looks_along() -> None:

@@ -189,15 +189,6 @@ def test_the_force_of_every_model_is_predicted(model: str) -> None:
     assert predictions[-1].valid, predictions[-1].reason
 
 
-def test_another_model_is_doubtful_until_it_knows_its_past() -> None:
-    made, blocks = predictor(), stream()
-    predicted(made, blocks[:333])
-    made.set_parameters(set_of("bouc_wen"))
-    rest = predicted(made, blocks[333:])
-    assert "state of the model is unknown" in rest[0].reason
-    assert rest[-1].valid, rest[-1].reason
-
-
 def test_a_force_beyond_all_numbers_is_no_force() -> None:
     huge = known.EXAMPLES["bouc_wen"].copy()
     huge[:4] = 1.7e308

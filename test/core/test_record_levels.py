@@ -75,15 +75,6 @@ def test_the_levels_of_the_records_are_found() -> None:
     np.testing.assert_allclose(zeros + scales * offset, ZEROS, atol=10.0 * 2.0)
 
 
-def test_the_set_knows_its_strength_no_better_than_the_levels_allow() -> None:
-    found = identified(0.1).parameters["alpha"]
-    of_the_mean = found.value * 0.1 / np.sqrt(len(SCALES))
-    # Relative: what the samples do not tell of a strength, the prior of the levels alone says.
-    assert found.standard_error == pytest.approx(of_the_mean, rel=0.02)
-    missed = abs(found.value - TRUTH[LAW.parameter_names.index("alpha")])
-    assert missed < HONEST * found.standard_error
-
-
 def test_levels_are_told_line_by_line_and_in_json() -> None:
     result = identified(0.1)
     assert str(result).count("force scale") == len(SCALES)

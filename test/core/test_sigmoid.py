@@ -11,7 +11,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.models import published as thesis
 from mr_damper_ros.models.published import (
     LITERATURE,
@@ -23,10 +22,7 @@ from mr_damper_ros.models.sigmoid.law import (
     COEFFICIENT_NAMES,
     PARAMETER_NAMES,
     SCALE_PARAMETER_NAMES,
-    Coefficients,
-    force_and_damping_jacobian,
     operating_point_coefficients,
-    secant_damping,
     sine_force,
 )
 from mr_damper_ros.signals.arrays import Array
@@ -145,10 +141,6 @@ def test_a_set_of_another_length_is_refused_by_name() -> None:
         sine_force(np.zeros(15), 0.0, 0.0, 0.0, 0.0)
 
 
-def test_the_peak_velocity_is_zero_where_the_square_would_be_negative() -> None:
-    assert peak_velocity(1e-3, 0.01, 1.0) == 0.0
-
-
 @pytest.mark.parametrize("scale", SCALE_PARAMETER_NAMES)
 def test_each_scale_parameter_scales_its_coefficient_alone(scale: str) -> None:
     values = known.PLAUSIBLE.copy()
@@ -210,24 +202,6 @@ def test_derivatives_around_a_plausible_damper(
     assert_columns_agree(
         known.parameter_jacobian(values, u, v, a, current), numeric, PARAMETER_NAMES
     )
-
-
-COEFFICIENT_SIZES = np.array([1000.0, 200.0, 10.0, 10.0, 0.05, 0.01, 100.0])
-
-
-@known.fixed(25)
-@given(st.tuples(*[st.floats(-1.0, 1.0)] * 7), st.integers(0, 2**31))
-def test_derivatives_of_the_damping_by_the_seven_coefficients(
-    x: tuple[float, ...], seed: int
-) -> None:
-    values = np.array(x) * COEFFICIENT_SIZES
-    v, a = np.random.default_rng(seed).normal(0.0, (0.1, 1.0), (40, 2)).T
-
-    def at(c: Array) -> Array:
-        return secant_damping(Coefficients(*c), v, a)
-
-    analytic = force_and_damping_jacobian(Coefficients(*values), v, a).damping
-    assert_columns_agree(analytic, numeric_derivatives(at, values), COEFFICIENT_NAMES)
 
 
 # -- what the thesis publishes ---------------------------------------------------------------

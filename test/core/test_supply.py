@@ -371,18 +371,6 @@ def test_pyvisa_reaches_the_same_instrument_over_a_serial_line(
     supply.close()
 
 
-def test_a_plain_socket_by_its_visa_name_needs_no_visa(
-    server: InstrumentServer, clock: SetClock
-) -> None:
-    host, _, port = server.address.partition(":")
-    supply = supply_at(f"TCPIP0::{host}::{port}::SOCKET")
-    supply.open()
-    server.dribble = 0.2 * TIMEOUT
-    with pytest.raises(LinkLostError, match="has not answered within"):
-        supply.measured()
-    supply.close()
-
-
 # --- driving it ---------------------------------------------------------------------------------
 
 
@@ -397,22 +385,6 @@ def driven(instrument: EmulatedInstrument) -> tuple[SupplyDriver, CurrentCommand
     supply.open()
     made = CurrentCommander(CommandSettings(largest_current=20.0))
     return SupplyDriver(supply, made, tolerance=0.05), made
-
-
-def test_a_driven_supply_gives_what_is_commanded_and_stops_with_the_commands(
-    instrument: EmulatedInstrument, clock: SetClock
-) -> None:
-    driver, commands = driven(instrument)
-    driver.start(clock.now)
-    commands.command(1.0, 0, 0.0, clock.now)
-    readings = []
-    for _ in range(16):
-        driver.obey(clock.now)
-        readings.append(driver.read(clock.now))
-        clock.now += 0.1
-    assert readings[4] == pytest.approx(1.0, abs=1e-3)
-    assert readings[15] == pytest.approx(0.0, abs=1e-3)
-    assert not driver.deviates
 
 
 # --- in a thread of its own ---------------------------------------------------------------------

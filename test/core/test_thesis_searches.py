@@ -111,15 +111,6 @@ def test_results_do_not_depend_on_workers_and_are_kept(tmp_path, monkeypatch):
     assert len(calls) == 1
 
 
-@pytest.mark.parametrize(
-    ("wins", "count", "low", "high"),
-    [(5, 10, 0.2366, 0.7634), (0, 10, 0.0, 0.2775), (100, 100, 0.9630, 1.0)],
-)
-def test_wilson(wins, count, low, high):
-    # The intervals stand here with four decimals.
-    assert optimisers.wilson(wins, count) == pytest.approx((low, high), abs=5e-5)
-
-
 @pytest.mark.parametrize("method", available())
 def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the_force(method):
     result = optimisers.run(method, 0, [1, 2], 1500)
@@ -131,19 +122,6 @@ def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the
     if not method.endswith("_7"):
         inside = np.array(result["parameters"])
         assert np.all((inside >= facts.SEARCH_LOW) & (inside <= facts.SEARCH_HIGH))
-
-
-def test_seven_unknowns_succeed_where_the_thesis_way_does_not():
-    seeds = [[k] for k in range(6)]
-
-    def successes(method):
-        results = [optimisers.run(method, 0, seed, 3000) for seed in seeds]
-        return sum(r["rmse"] <= optimisers.SUCCESS * r["floor"] for r in results)
-
-    assert successes("least_squares_7") == 6
-    assert successes("nelder_mead_7") == 6
-    assert successes("least_squares_16") >= 5
-    assert successes("de_0") == 0
 
 
 def test_equally_good_sets_differ_and_have_one_loop():

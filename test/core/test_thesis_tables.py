@@ -9,9 +9,7 @@ from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
 from mr_damper_ros.models.published import (
     ROW_ERRATA,
     find,
-    parameters,
 )
-from mr_damper_ros.models.sigmoid.law import sine_force
 from studies.thesis import (
     dependency,
     errata,
@@ -21,7 +19,6 @@ from studies.thesis import (
 )
 from studies.thesis.campaign import Campaign, Settings
 from studies.thesis.conditions import identified
-from studies.thesis.runs import cycle, window
 
 SOUND_AFTER_ALL = (find("7.5mm_3Hz_1.5A"), "nelder_mead")
 """Its k4 has the wrong sign, but so has the factor of the current: its loop is sound."""
@@ -149,20 +146,6 @@ def test_errata_are_found_by_criteria():
     assert set(found) == set(ROW_ERRATA) - {SOUND_AFTER_ALL}
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("5.0mm_1Hz_1.0A", "copied from 5.0 mm, 1 Hz, 0.0 A"),
-        ("2.5mm_5Hz_0.0A", "out of family"),
-        ("7.5mm_5Hz_1.0A", "not dissipative"),
-        ("7.5mm_1Hz_1.5A", "offset"),
-        ("7.5mm_3Hz_1.5A", "not dissipative"),
-    ],
-)
-def test_reasons_of_errata(name, reason):
-    assert reason in errata.find_errata()[find(name), "differential_evolution"]
-
-
 def test_statements_of_the_text():
     found = errata.statements()
     velocity, variance, extremes, crowded, outliers, heated, frequency, stroke, count = found
@@ -191,17 +174,3 @@ def test_sensitivity():
         else:
             assert READ_OFF[0] < ours[name][-1] / theirs < READ_OFF[1], name
     assert sorted(ours, key=lambda n: -ours[n][-1])[:4] == ["f0", "k5", "k1e", "k1c"]
-
-
-@pytest.mark.parametrize("name", ["2.5mm_1Hz_0.0A", "5.0mm_3Hz_1.5A", "2.5mm_5Hz_1.0A"])
-def test_the_averaged_cycle_has_the_error_of_all_samples(name):
-    misfit, w = cycle(name, 0), window(name, 0)
-    m = w.motion
-    for factor in (1.0, 1.02):
-        values = parameters(find(name)) * factor
-        residual = (
-            sine_force(values, m.displacement, m.velocity, m.acceleration, w.current) - w.force
-        )
-        ours = np.sqrt(misfit.costs(values))
-        # Relative: a line in each of 250 phases takes 1.8 % of the deviation of 7001 samples.
-        assert ours == pytest.approx(np.sqrt(np.mean(residual**2)), rel=0.02)

@@ -16,6 +16,12 @@ import known
 import numpy as np
 import pytest
 
+from mr_damper_ros.emulation.emulator import (
+    ConstantDamper,
+    EmulatedRig,
+    RigSettings,
+)
+from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
@@ -47,15 +53,6 @@ def test_a_run_is_identified_down_to_its_noise(tmp_path: Path, method: str) -> N
     document = identified(tmp_path, bag, "--method", method)
     # Residual over the noise in the bag: the asked figure.
     assert document["metrics"]["rmse"] <= 1.01 * 5.53
-
-
-def test_validate_gives_the_errors_that_identify_gave(tmp_path: Path) -> None:
-    output, report = tmp_path / "set.yaml", tmp_path / "validation.json"
-    document = identified(tmp_path, ONE_RUN, "--method", "least_squares", "--output", str(output))
-    assert validate.main([str(output), str(ONE_RUN), "--json", str(report)]) == 0
-    validation = json.loads(report.read_text())
-    assert list(validation) == ["bags", "remarks"]
-    assert validation["bags"][0]["metrics"] == pytest.approx(document["bags"][0]["metrics"])
 
 
 def test_validate_does_not_extrapolate_the_law(tmp_path: Path) -> None:
@@ -107,6 +104,11 @@ def test_a_bag_that_makes_no_sense_is_refused_in_a_sentence(
         ([str(ONE_RUN), "--generations", "0"], "generations must be from 1"),
         ([str(ONE_RUN), "--start", "nowhere.yaml"], "nowhere.yaml"),
         ([str(ONE_RUN), "--seed", "-1"], "seed"),
+        ([str(ONE_RUN), "--profile", "b9"], "there is no parameter 'b9' to profile"),
+        ([str(ONE_RUN), "--starts", "0"], "starts is 0: at least 1 is needed"),
+        ([str(ONE_RUN), "--workers", "0"], "workers is 0: at least 1 is needed"),
+        ([str(ONE_RUN), "--top-velocity", "-1"], "-1.0: it must be positive"),
+        ([str(ONE_RUN), "--top-current", "nan"], "largest current is nan"),
     ],
 )
 def test_a_wrong_argument_is_one_sentence(
@@ -214,3 +216,117 @@ def test_the_time_left_never_counts_up(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ends == ["at most 10 s left", "at most 9 s left", "at most 5 s left"] + [
         "longer than expected"
     ]
+
+
+# -- what it finds besides the set ----------------------------------------------------------------
+
+
+QUICK = ("--generations", "20")
+
+PROGRAM = (
+    "import sys\n"
+    "from mr_damper_ros.tools import identify\n"
+    "if __name__ == '__main__':\n"
+    "    sys.exit(identify.main(sys.argv[1:]))\n"
+)
+"""A process of its own: BLAS has one thread there from the start."""
+
+STOPPING = PROGRAM.replace(
+    "if __name__",
+    "from mr_damper_ros.tools.console import ProgressLine\n"
+    "ProgressLine.__call__ = lambda self, progress: False\n"
+    "if __name__",
+)
+"""The same, stopped as soon as it tells of its progress."""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Short runs of one damper at four currents, which determine ten parameters."""
+    folder, paths = tmp_path_factory.mktemp("runs"), []
+    for seed, current in enumerate((0.0, 0.5, 1.0, 1.5)):
+        rig = EmulatedRig(
+            ConstantDamper(known.PLAUSIBLE),
+            SineMotion(5e-3, 2.0),
+            current,
+            settings=RigSettings(sample_rate=500.0, seed=seed),
+        )
+        paths.append(folder / f"{current} A")
+        write_bag(paths[-1], rig.record(1.0))
+    return paths
+
+
+def in_a_process(tmp_path: Path, program: str, *arguments: str | Path) -> dict[str, Any]:
+    path = tmp_path / "result.json"
+    ended = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments), "--json", str(path)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    document: dict[str, Any] = json.loads(path.read_text())
+    return document
+
+
+# -- what is open --------------------------------------------------------------------------------
+
+
+def test_one_run_determines_seven_combinations_and_the_rest_is_advised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = identified(tmp_path, ONE_RUN, "--top-velocity", "0.2")
+    said = capsys.readouterr().out
+    assert document["determination"]["rank"] == 7
+    assert document["determination"]["condition"] is None
+    assert len(document["determination"]["open"]) == 9
+    promised = {name for run in document["advice"] for name in run["determines"]}
+    assert promised == set(known.SHAPE_PARAMETER_NAMES)
+    assert "determine 7 of 16 combinations" in said
+    for run in document["advice"]:
+        assert run["sentence"] in said
+
+
+def test_a_profile_is_given_on_demand(tmp_path: Path) -> None:
+    document = identified(tmp_path, ONE_RUN, "--profile", "k6", "a2")
+    profile, error = document["profiles"]["k6"], document["standard_errors"]["k6"]
+    low, high = profile["interval"]
+    assert (high - low) / (2.0 * 1.96 * error) == pytest.approx(1.0, abs=0.05)
+    assert document["profiles"]["a2"]["interval"] == [None, None]
+
+
+# -- searches ------------------------------------------------------------------------------------
+
+
+def test_the_number_of_workers_does_not_change_a_digit(tmp_path: Path, runs: list[Path]) -> None:
+    results = []
+    for workers in ("1", "2"):
+        document = in_a_process(
+            tmp_path,
+            PROGRAM,
+            *runs,
+            *QUICK,
+            *("--starts", "3", "--workers", workers, "--profile", "k5", "k6"),
+        )
+        del document["duration_s"]
+        results.append(document)
+    assert results[0] == results[1]
+
+
+def test_a_stopped_search_is_resumed_from_its_file(tmp_path: Path, runs: list[Path]) -> None:
+    record = tmp_path / "record.json"
+    arguments = (*runs, *QUICK, "--resume", record)
+    stopped = in_a_process(tmp_path, STOPPING, *arguments)
+    resumed = in_a_process(tmp_path, PROGRAM, *arguments)
+    again = in_a_process(tmp_path, STOPPING, *arguments)
+    assert "stopped" in stopped["message"]
+    assert resumed["message"] == "converged"
+    assert resumed["searches"][0]["cost"] <= stopped["searches"][0]["cost"]
+    # What is finished is not searched again, so there is nothing to stop.
+    assert again["parameters"] == resumed["parameters"]
+    assert [path.name for path in tmp_path.iterdir() if "record" in path.name] == ["record.json"]
+
+
+# -- temperature ---------------------------------------------------------------------------------

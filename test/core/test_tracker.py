@@ -264,16 +264,6 @@ def test_a_law_that_is_right_at_another_current_holds_there_and_here() -> None:
     assert tracked.parameters.current_range == (0.2, 1.0)
 
 
-def test_a_spike_is_not_the_largest_force() -> None:
-    spoilt = known.window()
-    spoilt.force[[300, 301]] = 5e3
-    tracked = known.tracker(method="least_squares")
-    known.fed(tracked, spoilt)
-    largest = np.max(np.abs(known.window().force))
-    # By which the largest force may miss the outermost sample: the noise of 5.5 N in 500 N.
-    assert tracked.parameters.largest_force == pytest.approx(largest, rel=0.03)
-
-
 def test_a_reset_goes_back_to_the_initial_set_and_forgets() -> None:
     tracked = experienced()
     tracked.reset()
@@ -281,16 +271,6 @@ def test_a_reset_goes_back_to_the_initial_set_and_forgets() -> None:
     assert tracked.accepted_windows == 0
     assert tracked.points.windows == ()
     assert math.isnan(known.fed(tracked, known.window(6))[0].scale.value)
-
-
-def test_a_replaced_set_runs_and_starts_a_new_baseline() -> None:
-    tracked = experienced()
-    loaded = ParameterSet(known.PLAUSIBLE, set_id="loaded")
-    tracked.replace(loaded)
-    assert tracked.parameters is loaded
-    report = known.fed(tracked, known.window(6, strength=0.9))[0]
-    assert report.accepted
-    assert math.isnan(report.scale.value)
 
 
 # -- global identification -------------------------------------------------------------------

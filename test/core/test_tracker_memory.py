@@ -23,7 +23,7 @@ from mr_damper_ros.tracking.operating_point import Kept, KnownPoints
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.state_directory import StateError
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
-from mr_damper_ros.tracking.tracker_state import TrackerMemory, check, from_text, to_text
+from mr_damper_ros.tracking.tracker_state import TrackerMemory, from_text, to_text
 
 START = ParameterSet(known.PLAUSIBLE, set_id="start")
 
@@ -156,36 +156,9 @@ def test_other_texts_are_refused(text: str, sentence: str) -> None:
         from_text(text, SIGMOID)
 
 
-@pytest.mark.parametrize("speed", [-0.1, 0.0, math.inf, math.nan])
-def test_a_force_known_at_no_speed_is_refused(speed: float) -> None:
-    tracked = tracker()
-    feed(tracked, 0, 3)
-    first = tracked.points.records[0]
-    assert first.force is not None
-    spoilt = dataclasses.replace(first.force, peak_velocity=speed)
-    memory = dataclasses.replace(
-        tracked.memory, points=tracked.points.noted(first.point, force=spoilt)
-    )
-    with pytest.raises(StateError, match="such a known force cannot be"):
-        check(memory, SIGMOID)
-
-
 def test_the_memory_of_another_model_is_refused() -> None:
     with pytest.raises(StateError, match="number of parameters"):
         from_text(json.dumps(DOCUMENT), MODELS["sigmoid_lag"])
-
-
-def test_windows_of_any_motion_keep_what_is_behind_their_samples() -> None:
-    time = np.arange(3000) * 1e-3
-    displacement = 3e-3 * np.sin(6.0 * time) + 2e-3 * np.sin(17.0 * time)
-    window = Window.from_samples(displacement, np.sin(6.0 * time), 1.0, 1e-3).thinned(500)
-    assert window.whole is not None
-    memory = TrackerMemory(KnownPoints().with_window(Kept(window, window.operating_point)))
-    (again,) = from_text(to_text(memory), SIGMOID).points.windows
-    assert np.array_equal(
-        again.history.at_samples(again.history.motion.velocity),
-        window.history.at_samples(window.history.motion.velocity),
-    )
 
 
 def test_a_place_beyond_the_window_is_refused() -> None:

@@ -14,8 +14,6 @@ from scipy.signal import lfilter
 from mr_damper_ros.models import MODELS
 from studies.truth import report as truth_report
 from studies.truth.hysteretic_oscillator import (
-    COUNT,
-    FORCE_RMS,
     PERIOD,
     STEPS,
     TRUTH,
@@ -54,17 +52,6 @@ def test_the_steps_follow_the_equations() -> None:
         off = np.max(np.abs(simulated - expected)) / np.ptp(expected)
         # Of the span: (omega h)² / 12 of a period at the highest frequency, 150 Hz, and 15 kHz.
         assert off < 2e-4
-
-
-def test_the_multisine_is_the_published_one() -> None:
-    period = multisine(0)
-    assert period.size == COUNT * STEPS
-    assert np.sqrt(np.mean(period**2)) == pytest.approx(FORCE_RMS)
-    spectrum = np.abs(np.fft.rfft(period))
-    lines = np.fft.rfftfreq(period.size, PERIOD / STEPS)
-    inside = (lines >= 5.0) & (lines <= 150.0)
-    assert np.max(spectrum[~inside]) < 1e-9 * np.min(spectrum[inside])
-    assert spectrum[inside] == pytest.approx(spectrum[inside][0])
 
 
 def test_the_benchmark_is_found_in_its_own_form() -> None:

@@ -31,15 +31,6 @@ def judged(sequence: UniformGrid, one: SampleBlock) -> Continuity:
     return placed.continuity
 
 
-def test_lost_samples_are_counted() -> None:
-    sequence = followed(block(0), block(10))
-    verdict = judged(sequence, block(85))
-    assert verdict.restarts
-    assert verdict.lost == 65
-    assert "65 samples were lost" in verdict.sentence
-    assert sequence.lost_samples == 65
-
-
 def test_a_pause_loses_no_samples() -> None:
     sequence = followed(block(0))
     verdict = judged(sequence, block(10, late=2.5))
@@ -62,12 +53,6 @@ def test_of_a_block_that_overlaps_what_is_new_is_taken() -> None:
     assert (placed.block.sequence, placed.block.sample_count) == (10, 5)
     assert placed.block.start_ns == block(10).start_ns
     assert sequence.repeated_samples == 5
-
-
-def test_a_changed_period_restarts() -> None:
-    verdict = judged(followed(block(0)), block(10, period=2e-3))
-    assert (verdict.kind, verdict.restarts) == ("changed_period", True)
-    assert "from 0.001 s to 0.002 s" in verdict.sentence
 
 
 # -- streams ---------------------------------------------------------------------------------

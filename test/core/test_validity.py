@@ -142,20 +142,6 @@ def test_a_wild_sample_of_the_load_cell_is_told_and_spoils_no_other(size: float)
     assert "the measured force jumps to" in predictions[10].reason
 
 
-def test_new_parameters_that_are_right_are_valid_soon() -> None:
-    made = ForcePredictor(PredictorSettings())
-    made.set_parameters(dataclasses.replace(SET, values=known.PLAUSIBLE * 1.5))
-    blocks = known.blocks(RUN.displacement, RUN.force, (10,))
-    results = []
-    for number, block in enumerate(blocks):
-        made.add_current(block.start_ns, 1.0)
-        if number == 400:
-            made.set_parameters(SET)
-        results.append(made.predict(block))
-    assert not any(p.valid for p in results[:400])
-    assert all(p.valid for p in results[500:]), results[500].reason
-
-
 def test_a_measured_force_that_drives_the_motion_is_told() -> None:
     predictions = predicted(force=spoilt(RUN.force, -RUN.force[CHANGE:]))
     assert predictions[-1].doubt.kind is DoubtKind.SENSOR
@@ -346,18 +332,6 @@ def test_windows_refused_in_a_row_speak_against_the_force(
     reports: list[tuple[Verdict, float]], kind: DoubtKind
 ) -> None:
     assert verdicts(*reports) is kind
-
-
-def test_a_refusal_makes_no_force_invalid_that_the_measured_one_agrees_with() -> None:
-    made = ForcePredictor(PredictorSettings())
-    made.set_parameters(SET)
-    for number, block in enumerate(known.blocks(RUN.displacement, RUN.force, (10,))):
-        made.add_current(block.start_ns, 1.0)
-        if number in (400, 450):
-            made.follow_report(known.refusal(Verdict.DISTURBED, 0.5))
-        prediction = made.predict(block)
-        made.catch_up()
-        assert prediction.valid or number < 300, prediction.reason
 
 
 def test_without_a_load_cell_a_refusal_is_believed_until_other_parameters_come() -> None:

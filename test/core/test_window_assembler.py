@@ -74,17 +74,6 @@ def test_windows_do_not_depend_on_the_size_of_the_blocks(
         np.testing.assert_array_equal(one.current, other.current)
 
 
-def test_a_gap_is_told_once() -> None:
-    made = assembler()
-    cut(stream(100, last=800) + stream(100, first=900), made)
-    assert made.take_events() == [
-        "100 samples were lost (by a busy computer or network, or left out by their source?): "
-        "windows and motion restart"
-    ]
-    assert made.take_events() == []
-    assert made.sequence.lost_samples == 100
-
-
 def test_a_changed_period_starts_the_window_again() -> None:
     made = assembler()
     cut(stream(100, last=800), made)
@@ -221,19 +210,6 @@ def held(*values: tuple[float, float], keep: float = 60.0) -> ZeroOrderHold:
     for seconds, value in values:
         made.add(at(seconds), value)
     return made
-
-
-@pytest.mark.parametrize("rate", [100.0, 512.0, 1000.0, 3000.0, 44100.0])
-def test_a_step_falls_on_its_sample_at_any_rate(rate: float) -> None:
-    period = 1.0 / rate
-    for sample in (1, 7, 333, 999):
-        step = round(sample * period * NANOSECONDS)
-        made = ZeroOrderHold(60.0)
-        made.add(T0, 0.0)
-        made.add(T0 + step, 1.0)
-        current = made.at(T0, period, 1000)
-        assert int(np.argmax(current)) == sample
-        assert current.sum() == 1000 - sample
 
 
 def test_after_a_reset_the_window_starts_again() -> None:

@@ -31,9 +31,6 @@ from mr_damper_ros.signals.arrays import Array
 STANDARD_ERRORS = 4.0
 """By which an estimate may miss the truth: one normal number in 16 000 does."""
 
-WARM_EVALUATIONS = {"least_squares": 20, "nelder_mead": 150}
-"""Most evaluations from the fit of the window before: twice those it takes, or thrice."""
-
 CLEAN = [c for c in thesis.CONDITIONS if thesis.is_clean(c)]
 
 
@@ -187,13 +184,6 @@ def test_a_force_without_noise_is_fitted_exactly_and_without_a_warning(
         fit = fit_window(SIGMOID, run.window, start, method=method)
     # Relative: without noise the search converges quadratically, to rounding.
     np.testing.assert_allclose(fit.coefficients, run.coefficients, rtol=1e-11)
-
-
-@pytest.mark.parametrize("method", WINDOW_METHODS)
-def test_a_warm_start_needs_few_evaluations(method: str) -> None:
-    before = fit_window(SIGMOID, known.run(current=1.0, seed=1).window, LITERATURE).parameters
-    window = known.run(current=1.0, seed=2).window
-    assert fit_window(SIGMOID, window, before, method=method).evaluations < WARM_EVALUATIONS[method]
 
 
 # -- outliers --------------------------------------------------------------------------------

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mr_damper_msgs.msg import MtsSamples, SupplyCurrent
+from mr_damper_msgs.msg import MtsSamples
 from support import Listener, installed_programs
 
-from mr_damper_ros.nodes.messages import from_field, to_nanoseconds
+from mr_damper_ros.nodes.messages import from_field
 from mr_damper_ros.processes.programs import Program, node_arguments
 
 ONE_FILE = '''
@@ -77,29 +76,6 @@ class PipeSource(Source):
         os.close(self._pipe)
 '''
 
-ONE_LINE = 'SOURCES["pipe"] = PipeSource'
-
-PROGRAM = """
-import sys
-from mr_damper_ros.rig.sources import SOURCES
-from pipe_source import PipeSource
-{line}
-from mr_damper_ros.entry_points import bridge
-sys.exit(bridge())
-"""
-
-
-@pytest.fixture
-def program(tmp_path: Path) -> Path:
-    (tmp_path / "pipe_source.py").write_text(ONE_FILE, encoding="utf-8")
-    path = tmp_path / "bridge_with_pipe.py"
-    path.write_text(PROGRAM.format(line=ONE_LINE), encoding="utf-8")
-    return path
-
-
-def started(program: Path, **parameters: object) -> Program:
-    return Program([sys.executable, str(program), *node_arguments(parameters)])
-
 
 @pytest.fixture
 def pipe(tmp_path: Path) -> Iterator[tuple[Path, int]]:
@@ -108,42 +84,6 @@ def pipe(tmp_path: Path) -> Iterator[tuple[Path, int]]:
     descriptor = os.open(path, os.O_RDWR)
     yield path, descriptor
     os.close(descriptor)
-
-
-def test_it_streams_what_comes_as_it_comes(
-    program: Path, pipe: tuple[Path, int], listener: Listener
-) -> None:
-    samples = listener.listen(MtsSamples, "mts/samples")
-    current = listener.listen(SupplyCurrent, "supply/current")
-    path, descriptor = pipe
-    bridge = started(program, source="pipe", pipe__path=path, wait_for_subscribers=1)
-    bridge.wait_for_log(f"reading {path}")
-    listener.wait_for_publishers("mts/samples")
-    listener.until(
-        lambda: listener.node.get_publishers_info_by_topic("/supply/current"), "the topics"
-    )
-    listener.spin_for(1.0)  # nothing has come: nothing is sent, and nothing has failed
-    assert samples == []
-    rows = np.array([[1e-3 * k, 10.0 * k, 0.5] for k in range(200)])
-    for part in np.split(rows, 4):
-        os.write(descriptor, b"".join(b"%r %r %r\n" % tuple(row) for row in part.tolist()))
-    listener.until(lambda: sum(len(m.force) for m in samples) == 200, "all samples")
-    force = np.concatenate([from_field(message.force) for message in samples])
-    assert (force == rows[:, 1]).all()
-    assert [message.seq for message in samples] == list(
-        np.cumsum([0, *(len(m.force) for m in samples)])[:-1]
-    )
-    listener.until(lambda: current, "the current, which is on a topic of its own")
-    assert {message.current for message in current} == {0.5}
-    assert to_nanoseconds(current[0].header.stamp) == to_nanoseconds(samples[0].header.stamp)
-
-    assert listener.set_parameter("bridge", "pipe.gain", 2.0).successful
-    samples.clear()
-    os.write(descriptor, b"0 1 0.5\n0 2 0.5\n")
-    listener.until(lambda: sum(len(m.force) for m in samples) == 2, "two more")
-    assert np.concatenate([from_field(m.force) for m in samples]).tolist() == [2.0, 4.0]
-    assert bridge.stop() == 0, bridge.log
-    bridge.close()
 
 
 ENTRY_POINTS = """[mr_damper_ros.sources]
