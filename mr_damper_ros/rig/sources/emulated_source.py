@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, QuarterCar
 from mr_damper_ros.emulation.emulator import (
@@ -39,13 +40,18 @@ from mr_damper_ros.emulation.plant_rig import (
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.rig.commander import (
+    CommandSettings,
+    CurrentCommander,
     MotionCommander,
     MotionLimits,
     Origin,
 )
-from mr_damper_ros.rig.sources.source import MOST_CURRENT, Source, StreamSettings, emulated_supply
+from mr_damper_ros.rig.sources.source import Source, StreamSettings
 from mr_damper_ros.settings.option_table import ParameterTable, option, with_default
 from mr_damper_ros.signals.blocks import Moment, RigBlock
+
+MOST_CURRENT = 10.0
+"""Largest current [A] of an emulated supply, of either sign."""
 
 _THESIS_TEMPERATURES = "thesis_temperatures"
 
@@ -211,7 +217,36 @@ class EmulatedOptions(_RigOptions):
         return ""
 
 
-class EmulatedSource(Source):
+class _EmulatedSupply(Source):
+    """What both have in common: a supply with a knob, which takes commands."""
+
+    _damper: Any = None
+
+    def _supply(self) -> CurrentCommander:
+        given = self.settings
+        limits = CommandSettings(
+            largest_current=MOST_CURRENT,
+            smallest_current=-MOST_CURRENT,
+            command_timeout=given.command_timeout,
+        )
+        return CurrentCommander(limits, given.current)
+
+    def _rig(self, start_ns: int) -> RigSettings:
+        given = self.settings
+        return RigSettings(
+            sample_rate=given.sample_rate,
+            force_noise=given.force_noise,
+            displacement_noise=given.displacement_noise,
+            seed=given.seed,
+            start_ns=start_ns,
+        )
+
+    def close(self) -> None:
+        """Take the damper out."""
+        self._damper = self.commander = self.mover = None
+
+
+class EmulatedSource(_EmulatedSupply):
     """An emulated rig, for ever; its supply has a knob, and both take commands."""
 
     options = EmulatedOptions
@@ -227,7 +262,7 @@ class EmulatedSource(Source):
         given = self.settings
         self._damper = _damper(given)
         self._excitation = _excitation(given)
-        self.commander = emulated_supply(given.current, given.command_timeout)
+        self.commander = self._supply()
         self.mover = MotionCommander(
             MotionLimits(given.largest_amplitude, given.largest_velocity, given.command_timeout)
         )
@@ -239,13 +274,7 @@ class EmulatedSource(Source):
         assert self.commander is not None
         assert self.mover is not None
         given, commander, mover = self.settings, self.commander, self.mover
-        settings = RigSettings(
-            sample_rate=given.sample_rate,
-            force_noise=given.force_noise,
-            displacement_noise=given.displacement_noise,
-            seed=given.seed,
-            start_ns=start_ns,
-        )
+        settings = self._rig(start_ns)
         faults = faults_of(given.faults.split(), given.seed)
         instruments = Instruments(faults)
         knob = SupplyKnob(commander.step(time.monotonic()))
@@ -283,10 +312,6 @@ class EmulatedSource(Source):
             if not deliveries:
                 yield made.without_samples()
             taken += self.stream.block_size
-
-    def close(self) -> None:
-        """Take the damper out."""
-        self._damper = self.commander = self.mover = None
 
 
 def _excitation(rig: EmulatedOptions) -> Excitation:
@@ -350,7 +375,7 @@ class QuarterCarOptions(_RigOptions):
     sample_rate: float = option(1000.0, "Samples per second [Hz].", minimum=200.0, maximum=10_000.0)
 
 
-class QuarterCarSource(Source):
+class QuarterCarSource(_EmulatedSupply):
     """A car on its road, for ever; its supply has a knob, and takes commands."""
 
     options = QuarterCarOptions
@@ -370,7 +395,7 @@ class QuarterCarSource(Source):
             else ParameterSet.from_yaml(Path(given.damper).read_text(encoding="utf-8"))
         )
         self._damper = BuiltInDamper(known, given.hot_force)
-        self.commander = emulated_supply(given.current, given.command_timeout)
+        self.commander = self._supply()
         return []
 
     def blocks(self, start_ns: int) -> Iterator[RigBlock]:
@@ -384,13 +409,7 @@ class QuarterCarSource(Source):
             _CAR.plant,
             _road(given),
             knob.schedule,
-            settings=RigSettings(
-                sample_rate=given.sample_rate,
-                force_noise=given.force_noise,
-                displacement_noise=given.displacement_noise,
-                seed=given.seed,
-                start_ns=start_ns,
-            ),
+            settings=self._rig(start_ns),
             thermal=ThermalModel(initial=given.initial_temperature, capacity=given.heat_capacity),
             coil_time_constant=given.coil_time_constant,
             substeps=2,
@@ -401,10 +420,6 @@ class QuarterCarSource(Source):
             made = rig.next_block(self.stream.block_size)
             taken += self.stream.block_size
             yield replace(made, suspension=moment_of(rig))
-
-    def close(self) -> None:
-        """Take the damper out."""
-        self._damper = self.commander = None
 
 
 def moment_of(rig: PlantRig) -> Moment:

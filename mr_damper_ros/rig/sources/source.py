@@ -7,12 +7,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
-from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, MotionCommander
+from mr_damper_ros.rig.commander import CurrentCommander, MotionCommander
 from mr_damper_ros.settings.option_table import ParameterTable
 from mr_damper_ros.signals.blocks import RigBlock
-
-MOST_CURRENT = 10.0
-"""Largest current [A] of an emulated supply, of either sign."""
 
 
 @dataclass(frozen=True)
@@ -21,14 +18,6 @@ class StreamSettings:
 
     block_size: int
     loop: bool = False
-
-
-def emulated_supply(current: float, timeout: float) -> CurrentCommander:
-    """The commands of an emulated supply, set by hand to a current [A] until the first comes."""
-    limits = CommandSettings(
-        largest_current=MOST_CURRENT, smallest_current=-MOST_CURRENT, command_timeout=timeout
-    )
-    return CurrentCommander(limits, current)
 
 
 class SourceState(NamedTuple):

@@ -8,7 +8,8 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 _PORT = 5025
@@ -62,37 +63,30 @@ class SocketLink:
         self._name = f"{host}:{port}"
         self._patience = patience
         self._rest = b""
-        try:
+        with _failures_of(self._name):
             self._socket = socket.create_connection((host, port), self._left(time.monotonic()))
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except OSError as error:
-            raise self._lost(error) from error
 
     def write(self, line: str) -> None:
         """Send a line that is not answered."""
-        try:
+        with _failures_of(self._name):
             self._socket.settimeout(self._left(time.monotonic()))
             self._socket.sendall(line.encode("ascii") + b"\n")
-        except OSError as error:
-            raise self._lost(error) from error
 
     def query(self, line: str) -> str:
         """Send a line and return the answer to it."""
         asked = time.monotonic()
         self.write(line)
-        while b"\n" not in self._rest:
-            try:
+        with _failures_of(self._name):
+            while b"\n" not in self._rest:
                 self._socket.settimeout(min(self._left(asked), 0.05))
-                part = self._socket.recv(_LONGEST_ANSWER)
-            except TimeoutError:
-                continue
-            except OSError as error:
-                raise self._lost(error) from error
-            if not part:
-                raise LinkLostError(f"{self._name} has closed the connection")
-            self._rest += part
-            if len(self._rest) > _LONGEST_ANSWER:
-                raise LinkLostError(f"{self._name} sends an unterminated answer")
+                with suppress(TimeoutError):
+                    part = self._socket.recv(_LONGEST_ANSWER)
+                    if not part:
+                        raise ConnectionError("it has closed the connection")
+                    self._rest += part
+                if len(self._rest) > _LONGEST_ANSWER:
+                    raise ConnectionError("it sends an unterminated answer")
         answer, _, self._rest = self._rest.partition(b"\n")
         return answer.decode("ascii", "replace").strip()
 
@@ -107,15 +101,6 @@ class SocketLink:
                 f"{self._name} has not answered within {time.monotonic() - since:.3g} s"
             )
         return left
-
-    def _lost(self, error: OSError) -> LinkLostError:
-        if isinstance(error, LinkLostError):
-            return error
-        if isinstance(error, TimeoutError):
-            return LinkLostError(
-                f"{self._name} accepts nothing within {self._patience.timeout:g} s"
-            )
-        return LinkLostError(f"{self._name}: {error.strerror or error}")
 
 
 class VisaLink:
@@ -133,45 +118,45 @@ class VisaLink:
             ) from error
         self._name = resource
         self._patience = patience
-        self._failures: tuple[type[Exception], ...] = (pyvisa.errors.Error, OSError, ValueError)
-        try:
+        with _failures_of(resource):
             self._manager = pyvisa.ResourceManager()
             self._resource: Any = self._manager.open_resource(
                 resource, open_timeout=self._milliseconds()
             )
             self._resource.read_termination = self._resource.write_termination = "\n"
-        except self._failures as error:
-            raise self._lost(error) from error
 
     def write(self, line: str) -> None:
         """Send a line that is not answered."""
-        try:
+        with _failures_of(self._name):
             self._resource.timeout = self._milliseconds()
             self._resource.write(line)
-        except self._failures as error:
-            raise self._lost(error) from error
 
     def query(self, line: str) -> str:
         """Send a line and return the answer to it."""
-        try:
+        with _failures_of(self._name):
             self._resource.timeout = self._milliseconds()
             return str(self._resource.query(line)).strip()
-        except self._failures as error:
-            raise self._lost(error) from error
 
     def close(self) -> None:
         """Let the instrument go."""
-        try:
+        with _failures_of(self._name):
             self._resource.close()
             self._manager.close()
-        except self._failures as error:
-            raise self._lost(error) from error
 
     def _milliseconds(self) -> int:
         return max(round(1e3 * self._patience.left(time.monotonic())), 1)
 
-    def _lost(self, error: Exception) -> LinkLostError:
-        return LinkLostError(f"{self._name}: {' '.join(str(error).split())}")
+
+@contextmanager
+def _failures_of(name: str) -> Iterator[None]:
+    """Make a LinkLostError of whatever a link of this name raises."""
+    try:
+        yield
+    except LinkLostError:
+        raise
+    except Exception as error:
+        told = getattr(error, "strerror", None) or str(error)
+        raise LinkLostError(f"{name}: {' '.join(told.split())}") from error
 
 
 _VISA_SOCKET = re.compile(r"TCPIP\d*::(?P<host>[^:]+)::(?P<port>\d{1,5})::SOCKET", re.IGNORECASE)
