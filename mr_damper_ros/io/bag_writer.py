@@ -12,7 +12,6 @@ import heapq
 import os
 import tempfile
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -66,13 +65,8 @@ _STREAM_QUALITY = Qos(
 )
 
 
-@dataclass(frozen=True)
-class _Message:
-    """One serialised message: ``data`` is what a publisher sends (CDR with its header)."""
-
-    topic: str
-    time_ns: int
-    data: bytes
+_Message = tuple[int, str, bytes]
+"""Time [ns], topic, and what a publisher sends (CDR with its header)."""
 
 
 def _message_folder() -> Path:
@@ -137,7 +131,7 @@ def write_bag(
         _current_messages(recording),
         _temperature_messages(recording),
         _sample_messages(recording, block_size),
-        key=lambda message: message.time_ns,
+        key=lambda message: message[0],
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
@@ -170,8 +164,8 @@ def _write_messages(
             )
             for topic, message_type in topics.items()
         }
-        for message in messages:
-            writer.write(connections[message.topic], message.time_ns, message.data)
+        for time_ns, topic, data in messages:
+            writer.write(connections[topic], time_ns, data)
     add_checksums(path / f"{path.name}.mcap")
 
 
@@ -185,7 +179,7 @@ def _message(
         frame_id=_FRAME,
     )
     message = store.types[message_type](header=header, **fields)
-    return _Message(topic, time_ns, bytes(store.serialize_cdr(message, message_type)))
+    return time_ns, topic, bytes(store.serialize_cdr(message, message_type))
 
 
 def _sample_messages(recording: Recording, block_size: int) -> Iterator[_Message]:

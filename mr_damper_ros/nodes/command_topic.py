@@ -138,19 +138,16 @@ class MotionCommands(CommandTopic):
         return Finding(OK, f"{motion.sentence} commanded", {"excitation": motion.sentence})
 
 
+_OF_A_MOTION = ("amplitude", "frequency", "highest_frequency", "period", "seed")
+"""Called alike in a command and in a motion."""
+
+
 def command_message(header: Header, motion: PeriodicMotion | None) -> ExcitationCommand:
     """The command of a motion, None for rest."""
     if motion is None:
         return ExcitationCommand(header=header)
-    return ExcitationCommand(
-        header=header,
-        amplitude=motion.amplitude,
-        frequency=motion.frequency,
-        motion=_KINDS.index(motion.kind),
-        highest_frequency=motion.highest_frequency,
-        period=motion.period,
-        seed=motion.seed,
-    )
+    values = {name: getattr(motion, name) for name in _OF_A_MOTION}
+    return ExcitationCommand(header=header, motion=_KINDS.index(motion.kind), **values)
 
 
 def motion_of(message: ExcitationCommand) -> PeriodicMotion | None:
@@ -160,13 +157,6 @@ def motion_of(message: ExcitationCommand) -> PeriodicMotion | None:
     if message.motion >= len(_KINDS):
         raise ValueError(f"the motion {message.motion} is unknown")
     kind = _KINDS[message.motion]
-    if kind is MotionKind.SINE:
-        return PeriodicMotion(kind, message.amplitude, message.frequency)
-    return PeriodicMotion(
-        kind,
-        message.amplitude,
-        message.frequency,
-        message.highest_frequency,
-        message.period,
-        message.seed,
-    )
+    # The others have no meaning for a sine.
+    names = _OF_A_MOTION[:2] if kind is MotionKind.SINE else _OF_A_MOTION
+    return PeriodicMotion(kind, **{name: getattr(message, name) for name in names})

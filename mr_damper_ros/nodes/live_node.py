@@ -37,6 +37,11 @@ _SAME = (
 """Figures of a window that are called as in FitReport."""
 
 
+_OF_A_SET = ("model", "source", "node", "nrmse")
+_ARRAYS_OF_A_SET = ("names", "units", "values", "standard_errors", "observable")
+"""What of a set is called as in DamperParameters."""
+
+
 def listen(node: Node, record: LiveRecord) -> None:
     """Subscribe a node to all that is shown, in its namespace, and keep it in the record."""
     seen = _Ear(record, node.get_namespace().strip("/"))
@@ -104,25 +109,17 @@ class _Ear:
         )
 
     def parameters(self, message: DamperParameters) -> None:
-        count = len(message.names)
-        arrays = (message.values, message.standard_errors, message.observable, message.units)
-        if any(len(array) != count for array in arrays):
+        arrays: dict[str, Any] = {n: list(getattr(message, n)) for n in _ARRAYS_OF_A_SET}
+        if len({len(array) for array in arrays.values()}) > 1:
             return
         self._record.set_parameters(
             SetSeen(
                 time=to_nanoseconds(message.header.stamp) / NANOSECONDS,
                 set_id=message.id,
-                model=message.model,
-                source=message.source,
-                node=message.node,
-                nrmse=message.nrmse,
-                names=list(message.names),
-                units=list(message.units),
-                values=list(message.values),
-                standard_errors=list(message.standard_errors),
-                observable=list(message.observable),
                 peak_velocity_range=(message.peak_velocity_min, message.peak_velocity_max),
                 current_range=(message.current_min, message.current_max),
+                **{name: getattr(message, name) for name in _OF_A_SET},
+                **arrays,
             )
         )
 

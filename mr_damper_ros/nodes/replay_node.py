@@ -32,21 +32,13 @@ INPUTS = "inputs"
 _INPUT_TOPICS = ("/mts/samples", "/supply/current", "/temperature")
 
 
-@dataclass(frozen=True)
-class RecordedTopic:
-    """A topic in a bag, with the message class to publish it with."""
-
-    name: str
-    message_type: type
-    latched: bool
-
-
 class RecordedBag:
     """An open bag: its topics, its provenance, its messages in the order of recording.
 
     ``topics`` names the topics to read, separated by blanks: all where it is empty, those of the
     test machine where it is ``INPUTS``. Raises ConfigurationError where the bag cannot be read, or
-    lacks a wanted topic. ``omitted`` says in sentences which topics cannot be published here and
+    lacks a wanted topic. ``types`` are the message classes by topic, ``latched`` the topics whose
+    last message was kept. ``omitted`` says in sentences which topics cannot be published here and
     why.
     """
 
@@ -64,10 +56,9 @@ class RecordedBag:
             raise ConfigurationError(f"{path}: {error}") from error
         except Exception as error:  # a damaged file fails in many ways
             raise ConfigurationError(f"the bag {path} cannot be read: {error}") from error
-        self.details: dict[str, str] = {
-            str(key): str(value) for key, value in (self._custom_data() or {}).items()
-        }
-        self.topics: list[RecordedTopic] = []
+        self.details: dict[str, Any] = self._reader.storage.metadata.custom or {}
+        self.types: dict[str, type] = {}
+        self.latched: set[str] = set()
         self.omitted: list[str] = []
         self._connections: list[Connection] = []
         recorded = {connection.topic for connection in self._reader.connections}
@@ -85,16 +76,8 @@ class RecordedBag:
         if not self._connections or not self._reader.message_count:
             reasons = "; ".join(self.omitted) or "it is empty"
             raise ConfigurationError(f"the bag {path} has nothing to play: {reasons}")
-
-    @property
-    def message_count(self) -> int:
-        """Number of messages of the topics in ``topics``."""
-        return sum(connection.msgcount for connection in self._connections)
-
-    @property
-    def duration(self) -> float:
-        """Time [s] from the first message to the last."""
-        return float(self._reader.duration * 1e-9)
+        self.message_count = sum(connection.msgcount for connection in self._connections)
+        self.duration = float(self._reader.duration * 1e-9)
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of recording [ns] and serialised message of each message."""
@@ -105,23 +88,19 @@ class RecordedBag:
         """Close the bag."""
         self._reader.close()
 
-    def _custom_data(self) -> dict[str, Any] | None:
-        return self._reader.storage.metadata.custom
-
     def _add(self, connection: Connection) -> None:
         problem = _definition_problem(connection)
         if problem:
             self.omitted.append(f"{connection.topic} is left out: {problem}")
             return
         self._connections.append(connection)
-        if connection.topic not in (topic.name for topic in self.topics):
-            package, _, name = connection.msgtype.split("/")
-            message_type = getattr(import_module(f"{package}.msg"), name)
-            latched = any(
-                profile.durability is QosDurability.TRANSIENT_LOCAL
-                for profile in connection.ext.offered_qos_profiles
-            )
-            self.topics.append(RecordedTopic(connection.topic, message_type, latched))
+        package, _, name = connection.msgtype.split("/")
+        self.types[connection.topic] = getattr(import_module(f"{package}.msg"), name)
+        if any(
+            profile.durability is QosDurability.TRANSIENT_LOCAL
+            for profile in connection.ext.offered_qos_profiles
+        ):
+            self.latched.add(connection.topic)
 
 
 def _definition_problem(connection: Connection) -> str:
@@ -212,8 +191,8 @@ class ReplayNode(Node):  # type: ignore[misc]
         self._sender = PacedSender(
             self,
             values.rate,
-            {topic.name: topic.message_type for topic in self._bag.topics},
-            latched=[topic.name for topic in self._bag.topics if topic.latched],
+            self._bag.types,
+            latched=self._bag.latched,
             paused=values.start_paused,
         )
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)

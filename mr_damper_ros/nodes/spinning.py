@@ -7,7 +7,8 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import TypeVar
 
@@ -70,51 +71,55 @@ def run(
     keep_one_thread(with_scipy=False)  # only workers compute with it
     arguments = list(sys.argv if arguments is None else arguments)
     try:
-        others = remove_ros_args(arguments)[1:]
-    except Exception as error:  # rcl's errors share no public base class
-        return _reject(f"the command line cannot be used: {_without_source_position(error)}")
-    if "-h" in others or "--help" in others:
-        print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
-        print(describe(parameters))
-        print(hosted + (WORKERS_HELP if shared_workers else ""), end="")
-        return SUCCESS
-    places: tuple[Place, ...] = ()
-    if hosted:
-        try:
-            found = hosting(others, shared_workers=shared_workers)
-        except ValueError as error:
-            return _reject(str(error))
-        places, others = found.places, list(found.rest)
-    if others:
-        return _reject(
-            f"unknown argument {others[0]}: parameters are set by --ros-args -p NAME:=VALUE"
-        )
-
-    if not any(os.environ.get(name) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")):
-        return _reject(f"HOME is not set: {_LOG_ADVICE}")
-
-    # rclpy's own handlers shut the context down in the midst of whatever is being done: callbacks
-    # fail, and the events executor may abort the process when that happens in its first spin. With
-    # these the node ends in good order, and a signal before rclpy has started is not lost.
-    stop = _Stop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
-    try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:
-        reason = _without_source_position(error)
-        if "logging" in reason:
-            return _reject(f"{reason}: {_LOG_ADVICE}")
-        return _reject(f"the command line cannot be used: {reason}")
-    try:
+        with _refusals("the command line cannot be used"):
+            others = remove_ros_args(arguments)[1:]
+        if "-h" in others or "--help" in others:
+            print("Parameters, set by --ros-args -p NAME:=VALUE or --params-file FILE:\n")
+            print(describe(parameters))
+            print(hosted + (WORKERS_HELP if shared_workers else ""), end="")
+            return SUCCESS
+        places: tuple[Place, ...] = ()
+        if hosted:
+            try:
+                found = hosting(others, shared_workers=shared_workers)
+            except ValueError as error:
+                raise ConfigurationError(str(error)) from error
+            places, others = found.places, list(found.rest)
+        if others:
+            raise ConfigurationError(
+                f"unknown argument {others[0]}: parameters are set by --ros-args -p NAME:=VALUE"
+            )
+        if not any(os.environ.get(name) for name in ("HOME", "ROS_HOME", "ROS_LOG_DIR")):
+            raise ConfigurationError(f"HOME is not set: {_LOG_ADVICE}")
+        # rclpy's own handlers shut the context down in the midst of whatever is being done:
+        # callbacks fail, and the events executor may abort the process when that happens in its
+        # first spin. With these the node ends in good order, and a signal before rclpy has started
+        # is not lost.
+        stop = _Stop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, stop)
+        with _refusals("the command line cannot be used"):
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         return _spin(_nodes(factory, places), ended, between, stop)
     except _CONFIGURATION_ERRORS as error:
-        return _reject(str(error))
-    except _NodeError as error:
-        return _reject(f"the node cannot be started: {error}")
+        print(error, file=sys.stderr)
+        return BAD_CONFIGURATION
     finally:
         rclpy.try_shutdown()
         faulthandler.cancel_dump_traceback_later()
+
+
+@contextmanager
+def _refusals(what: str) -> Iterator[None]:
+    """Make a ConfigurationError of what rcl raises, whose errors share no public base class."""
+    try:
+        yield
+    except Exception as error:
+        # Without the place in its source.
+        reason = str(error).removeprefix("Failed to parse ROS arguments: ").split(", at /")[0]
+        reason = " ".join(reason.split())
+        advice = f"{reason}: {_LOG_ADVICE}" if "logging" in reason else f"{what}: {reason}"
+        raise ConfigurationError(advice) from error
 
 
 class _Stop:
@@ -143,8 +148,9 @@ def _nodes(factory: Callable[..., N], places: Sequence[Place]) -> list[N]:
 def _node(factory: Callable[..., N]) -> N:
     try:
         node = factory()
-    except RCLError as error:
-        raise _NodeError(_without_source_position(error)) from error
+    except RCLError:
+        with _refusals("the node cannot be started"):
+            raise
     for name in given_parameters(node):
         if name.startswith(OVERRIDES) and not node.has_parameter(name):
             node.get_logger().warning(f"{name} is not used: there is no such topic so far")
@@ -198,21 +204,6 @@ _CONFIGURATION_ERRORS = (
     InvalidNodeNameException,
     InvalidNamespaceException,
 )
-
-
-class _NodeError(Exception):
-    """The middleware has refused to make the node."""
-
-
-def _reject(sentence: str) -> int:
-    print(sentence, file=sys.stderr)
-    return BAD_CONFIGURATION
-
-
-def _without_source_position(error: Exception) -> str:
-    """Return rcl's message, reduced to what concerns the user."""
-    message = str(error).removeprefix("Failed to parse ROS arguments: ").split(", at /")[0]
-    return " ".join(message.split())
 
 
 def make_executor(context: Context | None = None) -> Executor:

@@ -76,21 +76,16 @@ class Commander(Generic[T]):
         return ""
 
 
-@dataclass(frozen=True)
-class MotionLimits:
-    """Largest ``amplitude`` [m] and ``velocity`` [m/s], and how long a command holds [s]."""
-
-    amplitude: float
-    velocity: float
-    command_timeout: float
-
-
 class MotionCommander(Commander[PeriodicMotion | None]):
-    """A motion that is commanded, None for rest. Without commands the machine comes to rest."""
+    """A motion that is commanded, None for rest. Without commands the machine comes to rest.
 
-    def __init__(self, limits: MotionLimits) -> None:
-        super().__init__(None, limits.command_timeout)
-        self.limits = limits
+    Motions beyond the ``amplitude`` [m] or the ``velocity`` [m/s] are refused.
+    """
+
+    def __init__(self, amplitude: float, velocity: float, timeout: float) -> None:
+        super().__init__(None, timeout)
+        self._amplitude = amplitude
+        self._velocity = velocity
 
     @property
     def commanded(self) -> bool:
@@ -102,14 +97,13 @@ class MotionCommander(Commander[PeriodicMotion | None]):
         return self._wanted if now < self._until else None
 
     def _beyond(self, motion: PeriodicMotion | None) -> str:
-        limits = self.limits
         if motion is None:
             return ""
-        if motion.amplitude > limits.amplitude:
-            return f"the amplitude of {motion.amplitude:g} m is beyond {limits.amplitude:g} m"
+        if motion.amplitude > self._amplitude:
+            return f"the amplitude of {motion.amplitude:g} m is beyond {self._amplitude:g} m"
         velocity = motion.growing_velocity
-        if velocity > limits.velocity:
-            return f"{motion.sentence} moves at {velocity:.3g} m/s, beyond {limits.velocity:g} m/s"
+        if velocity > self._velocity:
+            return f"{motion.sentence} moves at {velocity:.3g} m/s, beyond {self._velocity:g} m/s"
         return ""
 
 

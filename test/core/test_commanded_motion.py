@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from mr_damper_ros.emulation.motions import CommandedMotion, Kinematics, SineMotion
 from mr_damper_ros.kinematics.periodic_motion import MotionKind, PeriodicMotion
-from mr_damper_ros.rig.commander import MotionCommander, MotionLimits
+from mr_damper_ros.rig.commander import MotionCommander
 
 AMPLITUDE, VELOCITY = 0.01, 0.2
-LIMITS = MotionLimits(AMPLITUDE, VELOCITY, 0.5)
+LIMITS = (AMPLITUDE, VELOCITY, 0.5)
 BY_ITSELF = SineMotion(0.005, 2.0)
 PERIOD = 2e-3
 
@@ -76,7 +76,7 @@ def test_no_sample_leaves_the_limits_or_jumps_whatever_is_commanded(
 
 
 def test_the_machine_rests_when_the_commands_stop() -> None:
-    commander = MotionCommander(LIMITS)
+    commander = MotionCommander(*LIMITS)
     assert commander.command(sine(0.01, 1.0), 100, 0.0, 10.0) == ""
     assert commander.wanted(10.4) == sine(0.01, 1.0)
     assert commander.wanted(10.6) is None
@@ -94,14 +94,14 @@ def test_the_machine_rests_when_the_commands_stop() -> None:
     ],
 )
 def test_what_cannot_be_made_is_refused(wanted: PeriodicMotion, age: float, sentence: str) -> None:
-    commander = MotionCommander(LIMITS)
+    commander = MotionCommander(*LIMITS)
     assert sentence in commander.command(wanted, 100, age, 10.0)
     assert not commander.commanded
     assert commander.wanted(10.0) is None
 
 
 def test_a_command_that_was_overtaken_is_refused() -> None:
-    commander = MotionCommander(LIMITS)
+    commander = MotionCommander(*LIMITS)
     commander.command(sine(0.01, 1.0), 200, 0.0, 10.0)
     assert "after a newer one" in commander.command(sine(0.005, 1.0), 100, 0.0, 10.1)
     assert commander.wanted(10.1) == sine(0.01, 1.0)

@@ -43,7 +43,6 @@ from mr_damper_ros.rig.commander import (
     CommandSettings,
     CurrentCommander,
     MotionCommander,
-    MotionLimits,
     Origin,
 )
 from mr_damper_ros.rig.sources.source import Source, StreamSettings
@@ -264,7 +263,7 @@ class EmulatedSource(_EmulatedSupply):
         self._excitation = _excitation(given)
         self.commander = self._supply()
         self.mover = MotionCommander(
-            MotionLimits(given.largest_amplitude, given.largest_velocity, given.command_timeout)
+            given.largest_amplitude, given.largest_velocity, given.command_timeout
         )
         return []
 
