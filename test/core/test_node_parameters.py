@@ -137,3 +137,9 @@ def test_a_generated_file_gives_every_option_its_default(node: str) -> None:
         assert value == item.default or both_nan, item.name
         assert item.objection(item.default) == "", item.name
         assert item.description.endswith("."), item.name
+
+
+def test_an_integer_counts_as_a_number_but_not_the_other_way_round() -> None:
+    assert type(OPTIONS["inner.gain"].normalised(4)) is float
+    assert OPTIONS["count"].normalised(4.0) == 4.0
+    assert OPTIONS["count"].objection(OPTIONS["count"].normalised(4.0))

@@ -463,3 +463,10 @@ def test_what_does_not_go_together_is_said(options: dict[str, Any], part: str) -
     if options and "columns" in options:
         options = {"address": "tcp:a:1", **options}
     assert part in source_of("stream", **options).settings.objection()
+
+
+def test_a_sender_that_was_started_again_begins_anew() -> None:
+    rows = StampedRows(1e-6)
+    found = stamped(rows, [100.0 + 1e-3 * k for k in range(1000)] + [1e-3 * k for k in range(1000)])
+    assert len(found) > 1900
+    assert (np.diff(found) > 0).all()

@@ -330,3 +330,26 @@ def test_a_stopped_search_is_resumed_from_its_file(tmp_path: Path, runs: list[Pa
 
 
 # -- temperature ---------------------------------------------------------------------------------
+
+
+def test_the_searches_and_their_spread_are_told(
+    tmp_path: Path, runs: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = identified(tmp_path, *runs, *QUICK, "--starts", "2")
+    said = capsys.readouterr().out
+    assert [search["seed"] for search in document["searches"]] == [0, 1]
+    best = min(document["searches"], key=lambda search: search["cost"])
+    assert document["parameters"] == best["parameters"]
+    assert set(document["spread"]) == set(document["parameters"])
+    assert "2 searches left " in said
+
+
+@pytest.mark.parametrize("text", ["", "no JSON", "{}", '{"version": 1, "search": "x"}'])
+def test_a_file_that_is_no_record_is_refused_and_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    record = tmp_path / "record.json"
+    record.write_text(text)
+    assert identify.main([str(ONE_RUN), "--resume", str(record)]) == 2
+    assert f"cannot resume from {record}" in capsys.readouterr().err
+    assert record.read_text() == text
