@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from mr_damper_ros.kinematics.peak_velocity import peak_velocity
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
-from mr_damper_ros.models.misfit import WindowProblem
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid.law import (
@@ -94,11 +93,6 @@ def controllable(name: str) -> ParameterSet:
 def weaker(strength: float) -> Array:
     """The sixteen parameters of the known damper with so many times its yield force."""
     return np.asarray(PLAUSIBLE * np.where(np.arange(16) == index("f0"), strength, 1.0))
-
-
-def sum_of_squares(problem: WindowProblem) -> float:
-    """Sum of the squared residual [N²] of a window's problem at its start."""
-    return float(np.sum(problem.residual(problem.start) ** 2))
 
 
 def parameter_jacobian(

@@ -15,11 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mr_damper_ros.campaign import course as campaign_course
-from mr_damper_ros.campaign.conductor import (
-    CampaignConductor,
-    CampaignStage,
-    ConductSettings,
-)
+from mr_damper_ros.campaign.conductor import CampaignConductor, CampaignStage, ConductSettings
 from mr_damper_ros.campaign.course import CampaignCourse, CampaignOutcome
 from mr_damper_ros.campaign.folder import CampaignFolder, CampaignTask, read_campaign_runs
 from mr_damper_ros.campaign.runs import REST, DriveSettings, MachineCommand

@@ -12,12 +12,7 @@ from campaign_of_three import GOAL, LIMITS, RUNS, TASK, perform, plan_quickly
 
 import mr_damper_ros as mr
 from mr_damper_ros.campaign.course import fault_of_run
-from mr_damper_ros.campaign.folder import (
-    CampaignFolder,
-    read_campaign_runs,
-    read_steps,
-    read_task,
-)
+from mr_damper_ros.campaign.folder import CampaignFolder, read_campaign_runs, read_steps, read_task
 from mr_damper_ros.estimation.planned_run import ForceGoal, MachineLimits, PlannedRun
 from mr_damper_ros.kinematics.periodic_motion import MotionKind
 from mr_damper_ros.models.parameter_set import ParameterSet

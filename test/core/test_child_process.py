@@ -37,14 +37,6 @@ def test_nothing_is_imported_from_the_folder_where_it_was_called(
     assert output(pool_tasks.told) == "[]\n"
 
 
-def test_the_import_paths_of_the_environment_do_not_leak_in(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "ctypes.py").write_text("raise SystemExit(1)", encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    assert output(pool_tasks.told) == "[]\n"
-
-
 _UNGUARDED = """
 import sys
 sys.path[:] = {paths!r}

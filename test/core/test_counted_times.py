@@ -89,11 +89,3 @@ def test_nothing_of_another_rate_than_the_stated_one_is_used(rate: float) -> Non
         times.add(None, arrival) is not None for _, _, arrival in arrivals(30_000, rate=rate)
     )
     assert used == 0
-
-
-def test_samples_that_had_been_waiting_do_not_count_as_another_rate() -> None:
-    times = CountedTimes(RATE)
-    for _, _, arrival in arrivals(12_000):
-        index = times.add(None, max(arrival, BEGIN + 1_000_000_000))
-    assert index is not None
-    assert times.time_ns(index) == pytest.approx(BEGIN + 11_999 * 1_000_000, abs=5_000_000)

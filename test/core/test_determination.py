@@ -70,14 +70,6 @@ def test_one_run_determines_seven_combinations() -> None:
     assert math.isinf(result.condition)
 
 
-def test_at_one_current_the_laws_over_current_are_open() -> None:
-    """They trade with the scale of their coefficient, with nothing else."""
-    result = determined(windows((1.0,)))
-    named = {name for combination in result.open for name in combination.weights}
-    assert len(result.open) == 6
-    assert named == {"f0", "k2", "a2", "I0", "k4", "k3", "a3", "I1"}
-
-
 def random_jacobian(seed: int, rank: int) -> Array:
     rng = np.random.default_rng(seed)
     return np.asarray(rng.normal(size=(60, rank)) @ rng.normal(size=(rank, 16)) * 10.0)

@@ -20,12 +20,7 @@ from mr_damper_ros.emulation.emulator import (
     ThermalModel,
 )
 from mr_damper_ros.emulation.faults import fault_of
-from mr_damper_ros.emulation.motions import (
-    Excitation,
-    ExcitationError,
-    SampledMotion,
-    SineMotion,
-)
+from mr_damper_ros.emulation.motions import Excitation, ExcitationError, SampledMotion, SineMotion
 from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS, THESIS_71_CELSIUS
 from mr_damper_ros.models.sigmoid import law as sigmoid

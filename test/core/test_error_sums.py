@@ -28,11 +28,6 @@ def test_records_taken_together_are_one_record(cuts: list[int]) -> None:
     assert together.nrmse == pytest.approx(whole.nrmse, rel=ROUNDING)
 
 
-@pytest.mark.parametrize("measured", [np.empty(0), np.full(10, 300.1)])
-def test_without_samples_or_variation_there_is_no_nrmse(measured: np.ndarray) -> None:
-    assert math.isnan(ErrorSums.of(measured + 1.0, measured).nrmse)
-
-
 def test_the_running_error_is_the_nrmse_of_what_lies_within_the_memory() -> None:
     rng = np.random.default_rng(1)
     measured = 300.0 + rng.normal(0.0, 100.0, 1000)

@@ -8,12 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.models.first_order_lag import FirstOrderLag, lagged
-from mr_damper_ros.models.sigmoid.following import (
-    Extension,
-    extension_of,
-    is_extended,
-)
+from mr_damper_ros.models.first_order_lag import FirstOrderLag
+from mr_damper_ros.models.sigmoid.following import extension_of, is_extended
 
 PERIOD = 1e-3
 COUNT = 400
@@ -99,12 +95,6 @@ def test_a_constant_is_not_changed_and_no_value_is_exceeded(tau, level):
     assert values.min() - ROUNDING <= late.min() <= late.max() <= values.max() + ROUNDING
 
 
-def test_a_time_constant_is_never_negative():
-    damping = np.array([-2e5, 0.0, 1e5])
-    extension = Extension(2e-8, 0.0, 0.0)
-    np.testing.assert_allclose(extension.time_constant(damping), [0.0, 0.0, 2e-3])
-
-
 def test_an_array_tells_its_law():
     extended = np.append(known.PLAUSIBLE, [1e-8, 3.0, 4.0, 0.0])
     assert not is_extended(known.PLAUSIBLE)
@@ -112,12 +102,3 @@ def test_an_array_tells_its_law():
     assert extension_of(extended) == (1e-8, 3.0, 4.0)
     with pytest.raises(ValueError, match="there are 17 parameters: the sigmoid law has 16"):
         is_extended(np.zeros(17))
-
-
-@pytest.mark.parametrize("tau", [constant(5e-3), CHANGING])
-def test_a_lag_goes_on_from_its_state(tau):
-    values, cut = signal(), 150
-    whole = lagged(values, tau, PERIOD)
-    state = (values[cut - 1], whole[cut - 1], tau[cut - 1])
-    rest = lagged(values[cut:], tau[cut:], PERIOD, state=state)
-    np.testing.assert_allclose(rest, whole[cut:], atol=ROUNDING)

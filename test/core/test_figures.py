@@ -70,7 +70,3 @@ def test_the_programs_draw_what_is_asked_for(tmp_path: Path, program: str) -> No
         assert validate.main([str(output), str(BAG), *drawing]) == 0
     for ending, beginning in BEGINNINGS.items():
         assert (plots / f"{BAG.name}.{ending}").read_bytes().startswith(beginning)
-
-
-def test_a_notebook_shows_the_figure() -> None:
-    assert comparison_figure(comparison())._repr_png_().startswith(b"\x89PNG")

@@ -41,15 +41,6 @@ def test_a_weaker_damper_has_a_smaller_scale() -> None:
     assert value == pytest.approx(0.9, rel=NOISELESS)
 
 
-def test_phase_and_noise_of_the_windows_play_no_part() -> None:
-    value, error = scale_between(known.run(seed=1, phase=0.3), known.run(WEAKER, seed=2, phase=2.9))
-    # Both fits have an error; the scale tells that of the second.
-    # By which a scale may miss the truth: one normal number in 16 000 does.
-    assert value == pytest.approx(0.9, abs=4.0 * math.sqrt(2.0) * error)
-    # Relative: noise over force, over the root of 2000 samples, is a standard error of 1e-4.
-    assert error < 2e-4
-
-
 def test_the_standard_error_is_the_scatter() -> None:
     baseline = known.run(seed=None)
     scales = [scale_between(baseline, known.run(seed=seed)) for seed in range(60)]
@@ -114,13 +105,3 @@ def test_a_baseline_beyond_all_measure_tells_no_scale() -> None:
     known_points = known_points.with_baseline(dataclasses.replace(fit, parameters=absurd))
     assert window.motion.sine is None
     assert math.isnan(force_scale(SIGMOID, window, fit, known_points.baselines).value)
-
-
-def test_a_force_unlike_that_of_the_baseline_tells_no_scale() -> None:
-    run = known.run(seed=None)
-    fit = fit_of(run)
-    reversed_force = dataclasses.replace(fit, parameters=fit.parameters.copy())
-    reversed_force.parameters[SIGMOID.strength_indices] *= -1e3
-    known_points = KnownPoints()
-    known_points = known_points.with_baseline(reversed_force)
-    assert math.isnan(scale_of(known_points, run).value)

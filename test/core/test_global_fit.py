@@ -21,17 +21,11 @@ from mr_damper_ros.estimation.differential_evolution import (
     evolve,
 )
 from mr_damper_ros.estimation.global_fit import GlobalFit, error_of_set, identify_global
-from mr_damper_ros.estimation.observability import (
-    varied_parameters,
-)
+from mr_damper_ros.estimation.observability import varied_parameters
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import Misfit
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
-from mr_damper_ros.models.sigmoid.law import (
-    PARAMETER_NAMES,
-    SCALE_PARAMETER_NAMES,
-    sine_force,
-)
+from mr_damper_ros.models.sigmoid.law import PARAMETER_NAMES, SCALE_PARAMETER_NAMES, sine_force
 from mr_damper_ros.signals.arrays import Array
 
 AT_THE_NOISE = 1.06

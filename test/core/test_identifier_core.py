@@ -10,11 +10,7 @@ import pytest
 from step_worker import StepWorker
 
 from mr_damper_ros.models.parameter_set import ParameterSet
-from mr_damper_ros.tracking.identifier import (
-    Identifier,
-    PipelineSettings,
-    Publication,
-)
+from mr_damper_ros.tracking.identifier import Identifier, PipelineSettings, Publication
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
 

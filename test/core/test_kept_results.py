@@ -100,14 +100,6 @@ def test_a_damaged_file_is_no_result(tmp_path: Path, text: str) -> None:
     assert some.kept == set()
 
 
-def test_the_death_of_a_process_loses_nothing(tmp_path: Path) -> None:
-    some = Work(tmp_path, ["task0", "deadly1", "task2", "task3", "task4"])
-    some.do(LocalProcesses(2), pool_tasks.deadly_once)
-    assert some.kept == set(some.told) == {task.name for task in some.tasks}
-    assert len(some.told) == len(some.tasks)
-    assert some.lost == []
-
-
 def test_who_kills_every_process_is_given_up_alone(tmp_path: Path) -> None:
     some = Work(tmp_path, ["task0", "deadly1", "task2"])
     some.do(LocalProcesses(2), pool_tasks.deadly)

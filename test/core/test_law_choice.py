@@ -92,10 +92,6 @@ def test_a_law_that_cannot_be_fitted_is_told_and_not_taken() -> None:
     assert "no fit" in str(choice)
 
 
-def test_a_choice_that_says_little_says_so() -> None:
-    assert "NO LAW PREDICTS" in str(LawChoice((trial("bingham", [0.9, 1.1, 1.0]),), "runs"))
-
-
 def test_a_stopped_comparison_says_so() -> None:
     runs = [[run(damper("bingham"), "bingham", amplitude)] for amplitude in (2e-3, 5e-3, 9e-3)]
     with pytest.raises(ValueError, match="stopped before the first was finished"):

@@ -27,24 +27,6 @@ def test_what_a_source_alone_needs_is_loaded_when_it_is_opened() -> None:
     assert not loaded & {"rosbags", "csv", "serial", "mr_damper_ros.io.records"}
 
 
-LIVE_RIG = """
-from mr_damper_ros.models.published import THESIS_28_CELSIUS
-from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig
-from mr_damper_ros.emulation.motions import SineMotion
-rig = EmulatedRig(ConstantDamper(THESIS_28_CELSIUS), SineMotion(5e-3, 1.0), 1.0)
-rig.next_block(20)
-first = set(sys.modules)
-for _ in range(50):
-    rig.next_block(20)
-print(*set(sys.modules) - first)
-"""
-
-
-def test_an_emulated_rig_loads_nothing_in_the_middle_of_a_stream() -> None:
-    # Loading takes tenths of a second, by which the stream would be late.
-    assert printed_by(LIVE_RIG) == set()
-
-
 def loaded_by(modules: str) -> set[str]:
     """All modules of a fresh interpreter that has imported these."""
     return printed_by(f"import {modules}; print(*sys.modules)")

@@ -83,16 +83,6 @@ def test_without_numba_the_loop_runs_as_it_is() -> None:
     assert last == sums[-1]
 
 
-def test_a_loop_whose_machine_code_cannot_be_kept_is_compiled_all_the_same() -> None:
-    pytest.importorskip("numba")
-    place: dict[str, Any] = {}
-    # No file to keep it beside: as where neither the package nor the user's folder can be written.
-    exec("def first(values, results):\n    results[0] = values[0]\n    return 0.0", place)
-    with as_machine_code():
-        (result,), _ = run_loop(place["first"], (), (np.full(COUNT, 7.0),), 1)
-    assert result[0] == 7.0
-
-
 def test_a_stream_does_not_wait_for_a_compiler() -> None:
     code = f"""
 import sys

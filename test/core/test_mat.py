@@ -37,13 +37,6 @@ def test_a_matrix_comes_as_it_was_saved(tmp_path: Path, kind: type) -> None:
     np.testing.assert_array_equal(read, MATRIX)
 
 
-def test_what_is_no_real_matrix_of_numbers_is_left_out(tmp_path: Path) -> None:
-    others = {"text": "x", "cells": np.array([1, "a"], dtype=object), "complex": 1j * MATRIX}
-    path = written(tmp_path / "run.mat", {**others, "cube": np.ones((2, 2, 2))})
-    with pytest.raises(RecordError, match="it holds no matrix of numbers"):
-        matrix(path)
-
-
 def test_a_reader_that_is_killed_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

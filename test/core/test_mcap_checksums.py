@@ -14,11 +14,7 @@ from benchmarks.fuzz import checksum_places
 from mr_damper_ros.io.bag_files import BagError, check_bag_files
 from mr_damper_ros.io.bag_reader import read_bag
 from mr_damper_ros.io.bag_writer import write_bag
-from mr_damper_ros.io.mcap_checksums import (
-    OversizedError,
-    add_checksums,
-    check_mcap,
-)
+from mr_damper_ros.io.mcap_checksums import OversizedError, add_checksums, check_mcap
 from mr_damper_ros.signals.recording import Recording
 
 CHUNK = 0x06

@@ -65,10 +65,3 @@ def test_a_set_for_all_the_currents_displaces_a_given_one() -> None:
 def test_a_given_set_that_states_no_range_is_displaced_by_any() -> None:
     stated = replace(GIVEN, current_range=(-np.inf, np.inf))
     assert in_use(sets_of((stated, None), (identified("window", (0.5, 0.5)), 1))) == "window"
-
-
-def test_a_given_set_does_not_age_though_windows_confirm_it() -> None:
-    sets = sets_of((GIVEN, None))
-    sets.confirm("given", 5, (0.0, 0.0))
-    assert sets.present is not None
-    assert sets.present.confirmed_ns is None

@@ -99,16 +99,3 @@ def test_a_rest_is_one_for_as_long_as_it_lasts() -> None:
     assert not any(resting[100:150])
     assert all(resting[175:349])
     assert not any(resting[360:])
-
-
-def test_a_sine_is_followed_again_after_a_change_that_looked_like_a_slow_reversal() -> None:
-    # While the motion is a fifth of what it was no reversal of it counts; the first one after that
-    # looks like one of a motion of 13 s.
-    time = PERIOD * np.arange(15_000)
-    amplitude = np.interp(time, (6.0, 6.1, 12.0, 12.1), (5e-3, 1e-3, 1e-3, 8e-3))
-    displacement = amplitude * np.sin(2.0 * np.pi * time)
-    follower = MotionFollower(PERIOD, 0.0, 10.0)
-    for part in np.split(displacement, 150):
-        follower.follow(part)
-        follower.catch_up()
-    assert follower.steady

@@ -55,11 +55,6 @@ def test_a_record_cut_out_of_the_middle_comes_back_but_for_what_is_lost(part: sl
         assert np.mean(found) == pytest.approx(np.mean(values[part]), abs=LOST)
 
 
-def test_a_cut_record_too_short_for_its_average_is_refused() -> None:
-    with pytest.raises(ValueError, match="1000 are needed"):
-        undo_average_in_motion(motion()[:900], COUNT)
-
-
 @pytest.mark.parametrize("count", [10, 33, 100])
 def test_the_length_of_an_average_is_found(count: int) -> None:
     assert find_average(averaged(motion(), count)) == count

@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 from random_motion import BandLimitedRandom
 
 from mr_damper_ros.kinematics.motion_follower import MotionFollower
-from mr_damper_ros.kinematics.peak_velocity import (
-    HALF_CYCLES,
-    MEMORY,
-    PeakVelocity,
-    peak_velocity_of_window,
-)
+from mr_damper_ros.kinematics.peak_velocity import HALF_CYCLES, MEMORY, PeakVelocity
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.tracking.window_assembler import WindowAssembler
@@ -55,17 +50,6 @@ def test_in_a_sine_it_is_the_peak_soon_and_then_more_exactly(frequency: float) -
     np.testing.assert_allclose(found[1.1 / frequency < TIME], 0.03, rtol=OF_FEW)
     late = (0.5 * HALF_CYCLES + 1.0) / frequency < TIME
     np.testing.assert_allclose(found[late], 0.03, rtol=SAMPLED)
-
-
-@pytest.mark.parametrize("frequency", [0.1, 0.5, 3.0])
-@pytest.mark.parametrize("before", [0.0, 0.1, 0.3])
-def test_a_window_of_a_cycle_or_more_knows_it_from_the_start(
-    frequency: float, before: float
-) -> None:
-    """Also where its first samples belong to a half-cycle of which it has hardly seen anything."""
-    time = np.arange(round((1.6 + before) / frequency / PERIOD)) * PERIOD - before / frequency
-    found = peak_velocity_of_window(*sine(frequency, time=time), PERIOD)
-    np.testing.assert_allclose(found, 0.03, rtol=OF_FEW)
 
 
 @known.fixed(40)

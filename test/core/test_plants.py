@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.control.linear_plant import IsoRoad, MovingPlant, QuarterCar
-from mr_damper_ros.control.semi_active import (
-    SuspensionSettings,
-    controller_of,
-)
+from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.emulation.commanded_rig import commanded
-from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob, ThermalModel
+from mr_damper_ros.emulation.emulator import RigSettings, SupplyKnob
 from mr_damper_ros.emulation.plant_rig import HOT_FORCE, BuiltInDamper, PlantRig, invented_damper
 from mr_damper_ros.signals.blocks import Moment
 from studies.control.buildings import reversals
@@ -44,13 +41,6 @@ def test_a_plant_moves_the_same_whatever_the_blocks(sizes: tuple[int, ...]) -> N
     for name in ("displacement", "force", "current", "temperature"):
         joined = np.concatenate([getattr(part, name) for part in parts])
         np.testing.assert_array_equal(joined, getattr(whole, name))
-
-
-def test_what_a_damper_takes_warms_it() -> None:
-    rig = car_rig(0.8, thermal=ThermalModel(capacity=50.0, ambient=28.0))
-    block = rig.next_block(1500)
-    assert block.temperature[0] == 28.0
-    assert block.temperature[-1] > 28.5
 
 
 def test_a_choice_takes_effect_with_the_next_block() -> None:

@@ -12,7 +12,6 @@ from scipy.signal import lfilter
 
 from mr_damper_ros.estimation.covariance import least_squares_covariance
 from mr_damper_ros.estimation.global_search import adapted
-from mr_damper_ros.estimation.local_search import StopRequestedError
 from mr_damper_ros.estimation.profile_likelihood import ProfileLikelihood
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.misfit import Misfit
@@ -91,13 +90,6 @@ def test_a_name_that_the_law_does_not_have_is_refused() -> None:
     likelihood = ProfileLikelihood(SIGMOID, pooled(windows((1.0,))), known.PLAUSIBLE, ALL, RANGES)
     with pytest.raises(ValueError, match="no parameter 'b9' to profile: use one of f0"):
         likelihood.of("b9")
-
-
-def test_a_profile_can_be_stopped() -> None:
-    misfit = pooled(windows((1.0,)))
-    likelihood = ProfileLikelihood(SIGMOID, misfit, known.PLAUSIBLE, ALL, RANGES, lambda: True)
-    with pytest.raises(StopRequestedError):
-        likelihood.of("f0")
 
 
 # -- scales that follow a change of the shape --------------------------------------------------

@@ -34,15 +34,6 @@ def test_output_and_errors_are_kept_apart_and_together() -> None:
     program.close()
 
 
-def test_the_environment_is_added_to_that_of_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("KEPT", "kept")
-    code = "import os; print(os.environ['KEPT'], os.environ['ADDED'])"
-    program = Program([sys.executable, "-c", code], {"ADDED": "added"})
-    assert program.wait() == 0
-    assert program.output == "kept added\n"
-    program.close()
-
-
 def test_one_that_is_asked_to_stop_ends_by_an_interrupt(waiting: Program) -> None:
     assert waiting.running
     assert waiting.stop() != 0  # of this program: a KeyboardInterrupt

@@ -53,13 +53,6 @@ def test_the_two_methods_agree_where_neither_row_is_an_erratum() -> None:
     assert np.median(differences) == pytest.approx(0.012, abs=0.002)
 
 
-@pytest.mark.parametrize("name", ["2.5mm_5Hz_0.0A", "7.5mm_5Hz_1.0A", "7.5mm_1Hz_1.5A"])
-def test_rows_marked_as_errata_contradict_the_other_method(name: str) -> None:
-    assert (find(name), "differential_evolution") in ROW_ERRATA
-    assert is_clean(find(name))
-    assert difference(find(name)) > 0.075
-
-
 @pytest.mark.parametrize(
     "call",
     [lambda: find("2.5mm_2Hz_0.0A"), lambda: parameters(Condition(0.0, 0.0025, 2.0))],

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.models.published import (
-    CONDITIONS,
-    find,
-    parameters,
-)
+from mr_damper_ros.models.published import CONDITIONS, find, parameters
 from mr_damper_ros.models.sigmoid.law import sine_force
 from studies.thesis.published_runs import PHASE, synthesise
 

@@ -18,11 +18,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.models.published import LITERATURE, THESIS_28_CELSIUS
 from mr_damper_ros.tracking.jobs import Outcome
 from mr_damper_ros.tracking.jobs import run as work
-from mr_damper_ros.tracking.recursive_tracker import (
-    METHOD,
-    FilterState,
-    RecursiveFilter,
-)
+from mr_damper_ros.tracking.recursive_tracker import METHOD, FilterState, RecursiveFilter
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.tracker import TrackerSettings, WindowTracker
 from mr_damper_ros.tracking.window_assembler import RawWindow

@@ -68,11 +68,6 @@ def test_what_a_source_left_out_at_the_end_of_a_range_is_cut_off_and_not_lost() 
     assert str(left_out) in found[0].sentence
 
 
-def test_what_was_left_out_before_is_not_told() -> None:
-    heard = replace(record(), saturated={"force": (40, 40)})
-    assert troubles(heard) == []
-
-
 def test_where_nothing_comes_that_is_all_that_is_said_of_the_samples() -> None:
     assert troubles(RigRecord()) == [Trouble.SILENT, Trouble.NO_CURRENT]
 

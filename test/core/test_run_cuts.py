@@ -114,13 +114,6 @@ def imported(path: Path, *arguments: str) -> int:
     return import_record.main([str(path), "--columns", COLUMNS, "--output", output, *arguments])
 
 
-def test_each_run_becomes_a_bag_with_its_current(two_runs: Path) -> None:
-    assert imported(two_runs, "--split", "--currents", "0,0.5") == 0
-    for number, current in ((1, 0.0), (2, 0.5)):
-        (run,) = read_bag(two_runs.parent / "bags" / f"two_{number}")
-        assert run.current[0] == current
-
-
 def test_each_run_is_asked_for_its_current(two_runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked, answers = [], iter(("0.25", "-"))
 

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.screening import (
-    Screening,
-    fault_of_samples,
-    fault_of_sign,
-    lack_of_motion,
-)
+from mr_damper_ros.tracking.screening import Screening, fault_of_samples, lack_of_motion
 
 Samples = dict[str, Array]
 
@@ -68,13 +63,6 @@ def test_a_fault_is_named(changes: dict[str, object], sentence: str) -> None:
     assert sentence in fault(data)
 
 
-def test_a_clipped_force_is_seen_at_a_low_rate_too() -> None:
-    run = known.run(current=1.0, frequency=3.0, period=5e-3, samples=400)
-    clipped = np.clip(run.force, -0.8 * run.force.max(), 0.8 * run.force.max())
-    reason = fault_of_samples(run.displacement, clipped, np.full(400, 1.0), Screening())
-    assert "clipped" in reason
-
-
 @pytest.mark.parametrize("step", [1.0, 3.0, 5.0])
 def test_a_quantised_force_is_not_taken_for_clipped(step: float) -> None:
     # 16 bits over a load cell of 100 kN are 3 N.
@@ -96,13 +84,3 @@ def test_a_crank_that_rests_at_dead_centre_is_not_taken_for_clipped(dwell: float
     assert fault(data) == ""
     clipped = np.minimum(data["displacement"], 4.8e-3)
     assert "the displacement is clipped" in fault({**data, "displacement": clipped})
-
-
-@pytest.mark.parametrize("frequency", [0.5, 2.0])
-def test_exchanged_displacement_and_force_are_not_called_a_wrong_sign(frequency: float) -> None:
-    run = known.run(current=1.0, frequency=frequency, samples=4000)
-    velocity = np.gradient(run.displacement, run.period)
-    assert fault_of_sign(velocity, run.force) == ""
-    assert "reverse the sign" in fault_of_sign(velocity, -run.force)
-    exchanged = fault_of_sign(np.gradient(run.force, run.period), run.displacement)
-    assert "displacement and force seem to be exchanged" in exchanged

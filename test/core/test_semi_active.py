@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mr_damper_ros.control.linear_plant import ROUGHNESS, Bump, IsoRoad, MovingPlant, QuarterCar
+from mr_damper_ros.control.linear_plant import ROUGHNESS, IsoRoad, MovingPlant, QuarterCar
 from mr_damper_ros.control.semi_active import (
     Controller,
     Moment,
@@ -103,13 +103,6 @@ def test_a_road_has_the_density_of_its_class() -> None:
     band = (waves > 0.1) & (waves < 0.4)
     expected = ROUGHNESS["B"] * (waves[band] / 0.1) ** -2 / speed
     assert np.mean(density[band] / expected) == pytest.approx(1.0, abs=0.3)
-
-
-def test_a_bump_ends_where_it_began() -> None:
-    velocity = Bump(0.05, 1.0, 5.0).at(np.arange(500) * PERIOD)
-    height = np.cumsum(velocity) * PERIOD
-    assert height.max() == pytest.approx(0.05, rel=0.01)
-    assert height[-1] == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_road_of_no_class_is_refused() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import known
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from mr_damper_ros.kinematics.motion import Motion
 from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models import MODELS
 from mr_damper_ros.models.misfit import Misfit, WindowProblem
-from mr_damper_ros.signals.arrays import Array
 
 LAW = MODELS["series_springs"]
 PLACE = {name: place for place, name in enumerate(LAW.parameter_names)}
@@ -25,19 +22,6 @@ EXAMPLE = known.EXAMPLES["series_springs"]
 EXAMPLE_AT_REST = np.zeros(len(LAW.parameters))
 """Without the gas, and the same at every current."""
 EXAMPLE_AT_REST[:6] = EXAMPLE[:6]
-
-SAME = 1e-9
-"""Relative: rounding, and how far the search for a flow goes."""
-
-
-def moved(samples: int = 1500, period: float = 1e-3, seed: int = 3) -> Motion:
-    time = np.arange(samples) * period
-    displacement = BandLimitedRandom(5e-3, 0.5, 3.0, seed=seed).at(time).displacement
-    return Window.from_samples(displacement, np.ones(samples), 1.0, period).motion
-
-
-def relative(found: Array, expected: Array) -> float:
-    return float(np.sqrt(np.mean((found - expected) ** 2)) / np.std(expected))
 
 
 @known.fixed(40)
@@ -56,23 +40,6 @@ def test_no_period_makes_it_ring(period: float, stiffness: float, width: float, 
     # No more than the flow at the largest velocity gives, and the overshoot of the second order.
     most = values[PLACE["f_y"]] + values[PLACE["c"]] * 0.2
     assert np.all(np.abs(force) < 1.5 * most)
-
-
-@pytest.mark.parametrize("coil", [0.0, 0.02])
-def test_cut_into_blocks_and_in_many_sets_it_is_the_same(coil: float) -> None:
-    values = truth("series_springs")
-    values[-1] = coil
-    motion = moved()
-    current = np.where(np.arange(1500) // 300 % 2, 1.2, 0.2)
-    whole = LAW.force(values, motion, current, 1e-3)
-    sets = LAW.force(np.stack([values, EXAMPLE]), motion, current, 1e-3)
-    stream = LAW.stream(1e-3)
-    edges = [0, 1, 2, 10, 333, 334, 1500]
-    blocks = [
-        stream.follow(values, motion.part(slice(a, b)), current[a:b]) for a, b in pairwise(edges)
-    ]
-    assert relative(np.concatenate(blocks), whole) < SAME
-    assert relative(sets[0], whole) < SAME
 
 
 @pytest.mark.parametrize("current", ["constant", "switched"])

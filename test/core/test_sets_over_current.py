@@ -13,11 +13,10 @@ import pytest
 from benchmarks.other_dampers import DAMPERS
 from mr_damper_ros.emulation.emulator import CurrentSchedule, EmulatedRig, ModelDamper
 from mr_damper_ros.emulation.motions import SineMotion
-from mr_damper_ros.models.parameter_set import EARLY_SOURCE, GLOBAL_SOURCE, ParameterSet
+from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking import model_bank
 from mr_damper_ros.tracking.model_bank import KnownSet, force_ratio
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind
@@ -235,14 +234,6 @@ def test_a_wrong_set_for_all_is_not_called_valid() -> None:
 def at(set_id: str, current: float, stamp_ns: int, source: str = "nelder_mead") -> KnownSet:
     parameters = replace(window_of(SIGMOID, current, set_id), source=source)
     return KnownSet(parameters, stamp_ns, currents=(current, current))
-
-
-def test_after_a_sudden_change_the_sets_of_before_are_forgotten() -> None:
-    sets = model_bank.CurrentSchedule()
-    sets.add(at("high", HIGH, known.T0))
-    sets.add(at("early", LOW, known.T0 + 1, EARLY_SOURCE))
-    assert sets.at_current(HIGH, known.T0 + 2) is None
-    assert sets.at_current(LOW, known.T0 + 2) is not None
 
 
 def test_a_factor_is_believed_in_as_far_as_it_stands_out() -> None:

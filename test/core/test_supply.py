@@ -15,11 +15,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.instrument_server import InstrumentServer
-from mr_damper_ros.rig.commander import (
-    CommandSettings,
-    CurrentCommander,
-    Origin,
-)
+from mr_damper_ros.rig.commander import CommandSettings, CurrentCommander, Origin
 from mr_damper_ros.rig.supplies.scpi_link import (
     EmulatedInstrument,
     EmulatedLink,

@@ -52,14 +52,6 @@ def test_a_line_without_end_is_refused(tmp_path: Path, length: int) -> None:
         read_record(path, COLUMNS, current=0.5)
 
 
-def test_lines_are_named_after_comments_and_empty_lines(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    lines = ["# a", "t,u,f", "", "0,1,2", "", "", "0.1,1,2", "0.2,1,2", "0.3,1,nan"]
-    path.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(RecordError, match=r"the force in line 9 of run.csv is nan"):
-        read_record(path, COLUMNS, current=0.5)
-
-
 @pytest.mark.parametrize("place", range(5))
 def test_no_column_lets_in_what_is_not_finite(tmp_path: Path, place: int) -> None:
     quantities = ("time:s", "displacement:mm", "force:N", "current:A", "temperature:degC")

@@ -18,42 +18,15 @@ from mr_damper_ros.report.document import (
     with_error,
     write_report,
 )
-from studies.thesis import (
-    facts,
-    identifiability,
-    one_set,
-    optimisers,
-    repeated,
-    sensitivity,
-)
+from studies.thesis import facts, identifiability, one_set, optimisers, repeated, sensitivity
 from studies.thesis.campaign import Campaign, Settings
-from studies.thesis.de import STRATEGIES, evolve
 from studies.thesis.optimiser_methods import available
-from studies.thesis.runs import cycle
 
 VARIANCE_FACTOR = 3.0
 """Of the variance of one parameter, which six runs tell to 60 %."""
 
 MEANS = 3.0
 """Standard errors of a difference of means: the largest of sixteen is expected at 2."""
-
-
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_evolution_finds_a_minimum_and_one_on_a_bound(strategy):
-    target = np.array([0.5, -1.0, 2.0, 9.0])
-    low, high = np.full(4, -3.0), np.full(4, 3.0)
-    found = evolve(
-        lambda sets: np.sum((sets - target) ** 2, axis=1),
-        low,
-        high,
-        np.random.default_rng(1),
-        strategy=strategy,
-        generations=400,
-        population=40,
-    )
-    # Of bounds of size 6: the slowest strategy shrinks its population to a twentieth of this.
-    np.testing.assert_allclose(found.best, [0.5, -1.0, 2.0, 3.0], rtol=0.0, atol=1e-6)
-    assert found.evaluations == 40 * 401
 
 
 @pytest.fixture(scope="module")
@@ -124,33 +97,11 @@ def test_an_optimiser_keeps_budget_and_bounds_and_ends_between_the_noise_and_the
         assert np.all((inside >= facts.SEARCH_LOW) & (inside <= facts.SEARCH_HIGH))
 
 
-def test_equally_good_sets_differ_and_have_one_loop():
-    fits = identifiability.descents(0, [[k] for k in range(8)])
-    floor = min(fit["rmse"] for fit in fits)
-    # RMSE over the least: searches end where a step gains 1e-8 of the sum of squares.
-    good = np.array([fit["parameters"] for fit in fits if fit["rmse"] < 1.0001 * floor])
-    assert len(good) >= 4
-    spread = np.ptp(good, axis=0) / (facts.SEARCH_HIGH - facts.SEARCH_LOW)
-    # Of the width of the bounds, of which seven random places would span three quarters.
-    assert np.median(spread) > 0.2
-    residuals = cycle(identifiability.CONDITION, 0).residual(good)
-    # [N]: where the sum of squares gains 1e-8 of itself, residuals change by 1e-4 of 5 N.
-    assert np.max(np.ptp(residuals, axis=0)) < 1e-3
-
-
 @pytest.mark.parametrize("law", one_set.LAWS)
 def test_one_set_for_one_run_leaves_the_noise(law):
     fit = one_set.resynthesised([identifiability.CONDITION], 0, 4, law, generations=20)
     # Relative: three of the standard errors that a deviation of 1750 samples has.
     assert fit["rmse"][0] == pytest.approx(THESIS_FORCE_NOISE, rel=0.05)
-
-
-def test_one_set_for_all_currents_errs_most_without_current():
-    names = [f"7.5mm_1Hz_{current}A" for current in ("0.0", "0.5", "1.0", "1.5")]
-    fit = one_set.resynthesised(names, 0, 16, "sigmoid", generations=50)
-    assert int(np.argmax(fit["nrmse"])) == 0
-    # RMSE over the noise, of runs whose errors with current are up to 2.4 times the noise.
-    assert fit["rmse"][0] > 5.0 * THESIS_FORCE_NOISE
 
 
 @pytest.mark.parametrize(

@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 
 from mr_damper_ros.emulation.emulator import THESIS_FORCE_NOISE
-from mr_damper_ros.models.published import (
-    ROW_ERRATA,
-    find,
-)
-from studies.thesis import (
-    dependency,
-    errata,
-    facts,
-    force_error,
-    sensitivity,
-)
+from mr_damper_ros.models.published import ROW_ERRATA, find
+from studies.thesis import dependency, errata, facts, force_error, sensitivity
 from studies.thesis.campaign import Campaign, Settings
 from studies.thesis.conditions import identified
 

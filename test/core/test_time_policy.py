@@ -126,16 +126,6 @@ MENDED = {"duplicates", "out of order"}
 """What interrupts nothing: the one is ignored, the other waited for or bridged."""
 
 
-@pytest.mark.parametrize("name", sorted(set(FAULTS) - {"out of order"}))
-def test_every_fault_of_the_stamps_is_told(name: str) -> None:
-    made = WindowAssembler(1.0, 0.5)
-    for block in FAULTS[name](BLOCKS[:300], BLOCKS[300:]):
-        made.add_block(block)
-    assert made.take_events()
-    assert made.sequence.interruptions > 0
-    assert made.sequence.last_interruption
-
-
 @pytest.mark.parametrize("name", sorted(set(FAULTS) - MENDED))
 def test_after_a_break_nothing_is_valid_before_the_motion_is_known_again(name: str) -> None:
     predictions = predicted_after(name)

@@ -16,11 +16,7 @@ import known
 import numpy as np
 import pytest
 
-from mr_damper_ros.emulation.emulator import (
-    ConstantDamper,
-    EmulatedRig,
-    RigSettings,
-)
+from mr_damper_ros.emulation.emulator import ConstantDamper, EmulatedRig, RigSettings
 from mr_damper_ros.emulation.motions import SineMotion
 from mr_damper_ros.estimation.differential_evolution import GlobalProgress
 from mr_damper_ros.io.bag_reader import read_bag

@@ -97,10 +97,3 @@ def test_a_search_that_fails_is_no_fault_of_the_data(monkeypatch: pytest.MonkeyP
     tracked.follow(WINDOWS["sine"])
     monkeypatch.setattr(jobs, "identify_global", failing)
     assert tracked.identify().verdict is Verdict.FAILED
-
-
-def test_a_force_that_does_not_change_is_a_fault_of_the_data() -> None:
-    still = replace(WINDOWS["sine"], force=np.full(SAMPLES, 100.0))
-    report = WindowTracker(TrackerSettings(), START).follow(still)
-    assert report is not None
-    assert report.verdict is Verdict.FAULT_OF_DATA
