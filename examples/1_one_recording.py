@@ -1,8 +1,8 @@
 # %% [markdown]
 # # One recording to a figure
 #
-# A test machine has written time, displacement and force to a text file; the current was constant and
-# is noted in the log book. Run this file as it is, or open it as a notebook (Jupytext).
+# A test machine has written time, displacement and force to a text file; the current was constant
+# and is noted in the log book. Run this file as it is, or open it as a notebook (Jupytext).
 
 # %%
 from pathlib import Path
@@ -13,11 +13,10 @@ run = mr.read_record("doc/example.csv", "time:s,displacement:mm,force:N", curren
 print(f"{run.name}: {run.force.size} samples, {run.period * 1e3:g} ms apart")
 
 # %% [markdown]
-# Units are given when the file is read. From here on all values are in SI units, extension and tension
-# positive.
-# A single motion at a single current determines seven coefficients. The sixteen parameters describe
-# how these depend on velocity and current; those that this run does not determine are marked
-# *not observable*.
+# Units are given when the file is read. From here on all values are in SI units, extension and
+# tension positive. A single motion at a single current determines seven coefficients. The sixteen
+# parameters describe how these depend on velocity and current; those that this run does not
+# determine are marked *not observable*.
 
 # %%
 result = mr.identify(run)

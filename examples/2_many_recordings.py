@@ -1,7 +1,8 @@
 # %% [markdown]
 # # Many recordings to one set, and the next run
 #
-# Runs at several amplitudes, frequencies and currents determine one parameter set for all of them. The bags here are re-synthesised from the parameters that a thesis published for each
+# Runs at several amplitudes, frequencies and currents determine one parameter set for all of
+# them. The bags here are re-synthesised from the parameters that a thesis published for each
 # condition (`bags/README.md`); they are not original recordings. The thesis gives one set per
 # condition, so a single set for all leaves more than the noise, as on a real damper.
 
@@ -13,9 +14,9 @@ result = mr.identify(bags)
 print(result)
 
 # %% [markdown]
-# The standard error of a parameter contains all uncertainty; the discrepancy beside it is the part that
-# is model error, because no law describes a damper exactly. `determination` lists the combinations of
-# parameters that the runs do not determine, and the recommended next runs.
+# The standard error of a parameter contains all uncertainty; the discrepancy beside it is the
+# part that is model error, because no law describes a damper exactly. `determination` lists the
+# combinations of parameters that the runs do not determine, and the recommended next runs.
 
 # %%
 print(result.determination())

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A recording as a stream: what the nodes would have published
 #
-# `replay` feeds a recording to the engine of identifier and model, at default settings, driven by the
-# stamps of the data. Over ROS the same bag gives identical numbers. (The bag is
+# `replay` feeds a recording to the engine of identifier and model, at default settings, driven by
+# the stamps of the data. Over ROS the same bag gives identical numbers. (The bag is
 # re-synthesised from published parameters, see `bags/README.md`.)
 
 # %%
@@ -16,16 +16,16 @@ replayed = mr.replay("bags/5.0mm_1Hz_1.5A")
 print(replayed)
 
 # %% [markdown]
-# Every window has a report: the errors of the set in use and of the new set on validation samples, and
-# why the new set was accepted or rejected.
+# Every window has a report: the errors of the set in use and of the new set on validation
+# samples, and why the new set was accepted or rejected.
 
 # %%
 for report in replayed.reports:
     print(f"{replayed.time_of(report):.1f} s: {report.verdict.name}, {report.set_id}")
 
 # %% [markdown]
-# The force is predicted from past samples only, and each sample is valid or invalid. No force is valid
-# before the first window has been identified.
+# The force is predicted from past samples only, and each sample is valid or invalid. No force is
+# valid before the first window has been identified.
 
 # %%
 first = replayed.time[np.argmax(replayed.valid)]

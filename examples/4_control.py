@@ -1,9 +1,9 @@
 # %% [markdown]
 # # A controller for an identified damper
 #
-# The inverse of the law gives the current for a desired force. The second part simulates a quarter car
-# whose damper follows a skyhook controller through the inverse; the last part exports the inverse as
-# code. All of this is simulated; the bags are re-synthesised (`bags/README.md`).
+# The inverse of the law gives the current for a desired force. The second part simulates a
+# quarter car whose damper follows a skyhook controller through the inverse; the last part exports
+# the inverse as code. All of this is simulated; the bags are re-synthesised (`bags/README.md`).
 
 # %%
 from pathlib import Path
@@ -26,11 +26,14 @@ moving = Motion(
 )
 found = inverse.currents(moving, [700.0, 900.0, -300.0])
 for current, force, attainable in zip(found.current, found.force, found.attainable, strict=True):
-    print(f"{current:.2f} A gives {force:.0f} N" + ("" if attainable else ", the nearest attainable force"))
+    print(
+        f"{current:.2f} A gives {force:.0f} N"
+        + ("" if attainable else ", the nearest attainable force")
+    )
 
 # %% [markdown]
-# A quarter car drives on a poor road (ISO 8608, class C) at 20 m/s. The node `controller` runs the same
-# `ForceController`: an invalid force never raises the current.
+# A quarter car drives on a poor road (ISO 8608, class C) at 20 m/s. The node `controller` runs
+# the same `ForceController`: an invalid force never raises the current.
 
 # %%
 from mr_damper_ros.control.force_controller import ForceController, ForceControlSettings

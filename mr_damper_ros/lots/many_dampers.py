@@ -1,4 +1,4 @@
-"""Many dampers from many recordings: each is identified once, and its result is kept."""
+"""Identify many dampers from many recordings; each result is stored once."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ from mr_damper_ros.processes.process_pool import (
 from mr_damper_ros.signals.arrays import Array
 
 _LASTING = (FileNotFoundError, PermissionError, ValueError)
-"""What is wrong with the file itself; other trouble may have passed the next time."""
+"""Errors of the file itself; other errors may be temporary."""
 
 
 @dataclass(frozen=True, eq=False)
 class GroupOptions:
-    """What is the same for all dampers; the names are those of :func:`mr_damper_ros.identify`.
+    """Options common to all dampers; the names are those of :func:`mr_damper_ros.identify`.
 
-    ``start_values`` (p,) are those that a search starts from; ``record_format`` tells how record
-    files are read, None where there are only bags.
+    ``start_values`` (p,) are the starting values of a search; ``record_format`` describes record
+    files, None if there are only bags.
     """
 
     model: str
@@ -73,18 +73,18 @@ class DamperGroup:
 
 
 def identify_group(group: DamperGroup) -> dict[str, Any]:
-    """What is known of a damper, as JSON can hold it; nothing is raised.
+    """The result for a damper, as JSON-compatible values; never raises.
 
-    ``failure``: why it could not be identified, in a sentence, empty where it was; ``left_out``:
-    recordings that could not be used, with the reasons; ``passing``: whether what went wrong may
-    have to do with the machine and not with the files.
+    ``failure``: a sentence why it was not identified, or empty; ``left_out``: unusable recordings
+    with the reasons; ``passing``: whether the error may be caused by the machine and not by the
+    files.
     """
     began = time.perf_counter()
     runs, left_out, passing = [], [], False
     for listed in group.recordings:
         try:
             runs.append(_read(listed, group.options))
-        # Whatever is wrong with one file, the others are not to suffer from it.
+        # An error in one file must not affect the others.
         except Exception as error:
             left_out.append({"path": str(listed.path), "reason": _in_words(error)})
             passing = passing or not isinstance(error, _LASTING)
@@ -104,7 +104,7 @@ def identify_group(group: DamperGroup) -> dict[str, Any]:
 
 
 def is_final(document: dict[str, Any]) -> bool:
-    """Whether doing the group again would give the same."""
+    """Whether a repetition would give the same result."""
     return not document["passing"]
 
 
@@ -155,16 +155,16 @@ _EVOLUTION = EvolutionSettings()
 _LOST = "the process that identified it died repeatedly: is there enough memory?"
 
 Told = Callable[[int, int, Mapping[str, Any]], None]
-"""Hears how many dampers are done, of how many, and the document of the last one."""
+"""Receives the number of finished dampers, the total, and the document of the last one."""
 
 
 @dataclass(frozen=True, eq=False)
 class ManyDampers:
     """Outcome of :func:`identify_many`.
 
-    ``documents``: of each damper, in the order of their names, as :func:`identify_group` has it.
-    ``unnamed``: files of which it is not known which damper they are of. ``kept``: how many dampers
-    had been identified before and were not done again.
+    ``documents``: results of :func:`identify_group`, in the order of the names of the dampers.
+    ``unnamed``: files that are assigned to no damper. ``kept``: number of dampers whose earlier
+    results were reused.
     """
 
     documents: tuple[dict[str, Any], ...]
@@ -173,7 +173,7 @@ class ManyDampers:
 
     @cached_property
     def population(self) -> Population:
-        """The dampers that were identified, as a production lot."""
+        """The identified dampers as a production lot."""
         return Population(
             [
                 KnownDamper.from_document(document)
@@ -184,12 +184,12 @@ class ManyDampers:
 
     @property
     def failures(self) -> dict[str, str]:
-        """Why a damper could not be identified, by its name."""
+        """Reasons by the names of the dampers that were not identified."""
         return {d["damper"]: d["failure"] for d in self.documents if d["failure"]}
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """All files that were not used, and why."""
+        """Unused files and the reasons."""
         return self.unnamed + tuple(
             LeftOut(Path(entry["path"]), entry["reason"])
             for document in self.documents
@@ -198,14 +198,14 @@ class ManyDampers:
 
     @property
     def duration(self) -> float:
-        """What all dampers together have taken, each in its process [s]."""
+        """Sum of the computing times of all dampers [s]."""
         return float(sum(document["duration_s"] for document in self.documents))
 
     @property
     def table(self) -> list[dict[str, Any]]:
-        """A row for each damper; what is not known of one is None in its row.
+        """One row per damper; unknown values are None.
 
-        Parameters that the recordings did not determine have no standard error.
+        Parameters that the recordings do not determine have no standard error.
         """
         rows = [_row(document) for document in self.documents]
         names = list(dict.fromkeys(name for row in rows for name in row))
@@ -232,52 +232,51 @@ def identify_many(
     scheduler: str | None = None,
     report: Told | None = None,
 ) -> ManyDampers:
-    """Identify every damper of which there are recordings, each with all of its own.
+    """Identify every damper from all its recordings.
 
-    What is found of a damper is kept in a file of its own below ``folder`` as soon as it is there.
-    Called again, it does only what is missing or whose files have changed, however it ended.
+    The result of each damper is written to its own file below ``folder`` as soon as it is complete.
+    A repeated call processes only dampers that are missing or whose files have changed.
 
     Parameters
     ----------
     *sources
-        Folders that are searched through, paths of bags, patterns such as ``"lot*/**/*.mcap"``.
+        Folders to search, paths of bags, patterns such as ``"lot*/**/*.mcap"``.
     folder
-        What is found goes there: ``dampers/`` holds all that is known of each, ``sets/`` the
-        parameter sets.
+        Folder of the results: ``dampers/`` holds the complete results, ``sets/`` the parameter
+        sets.
     listed
-        CSV file with columns ``path`` and ``damper``, and ``current`` [A] where wanted.
+        CSV file with the columns ``path``, ``damper`` and optionally ``current`` [A].
     pattern
-        Regular expression that tells from a path which damper it is of: its group ``damper``, or
-        the first one; a group ``current`` tells the current [A]. Without it, all recordings in one
-        folder are of one damper.
+        Regular expression for paths: its group ``damper``, or its first group, is the name of the
+        damper; a group ``current`` is the current [A]. Without it, all recordings in one folder
+        belong to one damper.
     columns, current, period, variable
-        How record files are read, as in :func:`read_record`; without ``columns`` only bags are
-        taken.
+        Format of record files, as in :func:`read_record`; without ``columns`` only bags are used.
     model, method, start, seed, generations, accept_doubtful
         As in :func:`identify`.
     workers
-        Processes of this machine.
+        Number of processes on this machine.
     executor
-        Any executor of ``concurrent.futures`` instead; its workers must see the same paths.
+        Any executor of ``concurrent.futures`` instead of them; its workers must see the same paths.
     scheduler
-        Address of the scheduler of a Dask cluster that runs already, such as
+        Address of the scheduler of a running Dask cluster, such as
         ``"tcp://host:8786"``. Its workers need this package and must see the same paths.
     report
-        Called as each damper is done.
+        Called after each damper.
 
     Returns
     -------
     ManyDampers
-        One bad file does not stop the rest: ``left_out`` and ``failures`` name what could not be
-        used.
+        An unusable file does not stop the rest: ``left_out`` and ``failures`` name the unusable
+        files and dampers.
 
     Raises
     ------
     ValueError
-        In one sentence that says what to change, where an option cannot be used, there is no
-        recording, or the folder holds results of other options.
+        If an option is invalid, there is no recording, or the folder holds results of other
+        options.
     OSError
-        Where the folder cannot be written, or the workers can do nothing.
+        If the folder cannot be written, or no worker can run.
     """
     record_format = None if columns is None else RecordFormat(columns, current, period, variable)
     options = GroupOptions(
@@ -324,7 +323,7 @@ def _workforce(workers: int, executor: Executor | None, scheduler: str | None) -
 
 
 def _groups(recordings: Iterable[ListedRecording]) -> dict[str, list[ListedRecording]]:
-    """The recordings of each damper; those given twice count once."""
+    """The recordings by damper, without duplicates."""
     groups: dict[str, dict[Path, ListedRecording]] = defaultdict(dict)
     for recording in recordings:
         groups[recording.damper].setdefault(recording.path.absolute(), recording)
@@ -344,7 +343,7 @@ def _task(damper: str, group: Sequence[ListedRecording], options: GroupOptions) 
 
 
 def _state(path: Path) -> list[tuple[str, int, int]] | None:
-    """Name, size and time of change of a file, or of those in the folder of a bag."""
+    """Name, size and modification time of a file, or of the files in the folder of a bag."""
     try:
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         return [(f.name, f.stat().st_size, f.stat().st_mtime_ns) for f in files]
@@ -353,7 +352,7 @@ def _state(path: Path) -> list[tuple[str, int, int]] | None:
 
 
 def _check_options(folder: Path, options: GroupOptions) -> None:
-    """Results of one folder are of one kind. Raises ValueError, and OSError."""
+    """Check that the results in a folder have the same options. Raises ValueError and OSError."""
     wanted = {
         "model": options.model,
         "method": options.method,
@@ -384,7 +383,7 @@ def _all_done(
     folder: Path,
     report: Told | None,
 ) -> tuple[dict[str, dict[str, Any]], int]:
-    """The documents of all tasks by name, and how many had been kept."""
+    """The documents of all tasks by name, and how many were reused."""
     results = ResultFolder(folder / "dampers")
     documents: dict[str, dict[str, Any]] = {}
     open_tasks = []

@@ -1,7 +1,7 @@
-"""A production lot: how far its dampers differ in force, and which of them stand out.
+"""Variation and outliers of a production lot.
 
-Forces are compared, at operating points that the dampers have in common, and not parameters: what
-the recordings leave open scatters from damper to damper and says nothing about them.
+The comparison uses forces at common operating points, not parameters, because undetermined
+parameters scatter without meaning.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
 
 LEAST_DAMPERS = 5
-"""Of fewer, none can be said to stand out."""
+"""Lots of fewer dampers have no outliers."""
 
 _LIMIT = 3.5
-"""Deviations, in robust standard deviations, beyond which a damper stands out at the least.
+"""Smallest deviation of an outlier, in robust standard deviations.
 
 Iglewicz and Hoaglin, "How to detect and handle outliers", 1993.
 """
 
 _BY_CHANCE = 0.5
-"""In a lot without outliers, so many dampers may be named."""
+"""Expected number of false outliers per lot."""
 
 _POOR = 1.5
-"""A fit that leaves so many times what is usual in the lot is poor."""
+"""A residual above this multiple of the median of the lot is poor."""
 
 _OWN_ERRORS = 3.0
-"""A damper stands out only by more than so many of its own standard errors."""
+"""Smallest deviation of an outlier, in its own standard errors."""
 
 _TO_SIGMA = 1.0 / NormalDist().inv_cdf(0.75)
-"""From the median absolute deviation to the standard deviation, for a normal distribution."""
+"""Standard deviation over median absolute deviation of a normal distribution."""
 
 _PHASES = 64
-"""Samples of the cycle in which the force is looked at."""
+"""Samples of the cycle in which the force is evaluated."""
 
 _EDGE = 0.02
-"""A damper identified up to nearly a point, to this part, counts there."""
+"""Relative tolerance at the limits of the identified range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class KnownDamper:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> KnownDamper:
-        """The damper of a document of :func:`identify_group` without a failure."""
+        """The damper of a document of :func:`identify_group` that has no failure."""
         return cls(
             document["damper"],
             ParameterSet.from_yaml(document["set"]),
@@ -68,7 +68,7 @@ class KnownDamper:
         )
 
     def covers(self, peak_velocity: float, current: float) -> bool:
-        """Whether the damper was identified there."""
+        """Whether the operating point lies in the identified range."""
         return all(
             low - _EDGE * abs(high) <= value <= high * (1.0 + _EDGE)
             for value, (low, high) in (
@@ -100,10 +100,10 @@ def _cycle(peak_velocity: float, current: float) -> Window:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """How far a quantity differs over the lot.
+    """Variation of a quantity over the lot.
 
-    ``label`` names it, with ``unit``; ``values`` and their standard ``errors`` (n,) are NaN where a
-    damper does not tell.
+    ``label`` is its name, ``unit`` its unit; ``values`` and their standard ``errors`` (n,) are NaN
+    for dampers without a value.
     """
 
     label: str
@@ -113,24 +113,24 @@ class Spread:
 
     @property
     def known(self) -> Array:
-        """The values that are there."""
+        """The known values."""
         return self.values[np.isfinite(self.values)]
 
     @property
     def median(self) -> float:
-        """Median over the lot; NaN where nobody tells."""
+        """Median over the lot; NaN without values."""
         return float(np.median(self.known)) if self.known.size else math.nan
 
     @property
     def deviation(self) -> float:
-        """Standard deviation over the lot, as most dampers have it whatever the others do."""
+        """Robust standard deviation over the lot."""
         if not self.known.size:
             return math.nan
         return _TO_SIGMA * float(np.median(np.abs(self.known - self.median)))
 
     @property
     def scores(self) -> Array:
-        """Deviations from the median in standard deviations (n,), zero where nobody differs."""
+        """Deviations from the median in standard deviations (n,), zero without variation."""
         if not self.deviation > 0.0:
             return np.zeros(self.values.size)
         return np.nan_to_num((self.values - self.median) / self.deviation)
@@ -138,7 +138,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A damper that stands out in a quantity: by ``score`` robust standard deviations."""
+    """An outlier in a quantity, ``score`` robust standard deviations from the median."""
 
     damper: str
     quantity: str
@@ -149,7 +149,7 @@ class Outlier:
 
     @property
     def sentence(self) -> str:
-        """What is unusual, in words."""
+        """The deviation in words."""
         part = f" ({self.value / self.median - 1.0:+.0%})" if self.median else ""
         return (
             f"{self.damper}: {self.quantity} {self.value:.4g} {self.unit}".rstrip()
@@ -166,7 +166,7 @@ class Population:
 
     @cached_property
     def points(self) -> list[tuple[float, float]]:
-        """Operating points (m/s, A) within what most dampers were identified at."""
+        """Operating points (m/s, A) within the identified range of most dampers."""
         if not self.dampers:
             return []
         ranges = [
@@ -181,7 +181,7 @@ class Population:
 
     @cached_property
     def forces(self) -> list[Spread]:
-        """Of each point, the largest force of the dampers that were identified there."""
+        """Largest force at each point, of the dampers that were identified there."""
         shape = len(self.dampers), len(self.points)
         values, errors = np.full(shape, math.nan), np.full(shape, math.nan)
         for row, damper in enumerate(self.dampers):
@@ -196,16 +196,16 @@ class Population:
 
     @cached_property
     def limit(self) -> float:
-        """Robust standard deviations beyond which a damper stands out.
+        """Smallest deviation of an outlier, in robust standard deviations.
 
-        So large that in a lot without outliers chance alone would name half a damper.
+        In a lot without outliers, half a false outlier is expected.
         """
         comparisons = max(len(self.dampers) * (len(self.points) + 1), 1)
         return max(_LIMIT, NormalDist().inv_cdf(1.0 - 0.5 * _BY_CHANCE / comparisons))
 
     @cached_property
     def outliers(self) -> list[Outlier]:
-        """Dampers that stand out in force, each by where it does most, and then those in misfit."""
+        """Outliers in force, each at its largest deviation, followed by those in misfit."""
         worst: dict[str, Outlier] = {}
         for spread in self.forces:
             for outlier in self._beyond(spread):
@@ -232,7 +232,7 @@ class Population:
                 )
 
     def _poor_fits(self) -> list[Outlier]:
-        """Dampers whose force the law leaves far more of than of the others'."""
+        """Dampers whose residual is far larger than that of the others."""
         logarithms = np.array([math.log(max(damper.nrmse, 1e-9)) for damper in self.dampers])
         spread = Spread("NRMSE", "", logarithms, np.zeros(logarithms.size))
         found = [

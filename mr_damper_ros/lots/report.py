@@ -32,11 +32,11 @@ from mr_damper_ros.report.document import (
 Row = Mapping[str, Any]
 
 _MOST_SHOWN = 100
-"""Rows of a table on the page; the files hold all."""
+"""Largest number of rows of a table on the page; the files contain all rows."""
 
 
 def write_csv(rows: Sequence[Row], path: Path) -> None:
-    """Write the table as CSV, numbers with all their digits; what is not known is empty."""
+    """Write the table as CSV with full precision; unknown values are empty."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()
@@ -45,13 +45,13 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
 
 
 def require_parquet() -> None:
-    """Raise ValueError where no Parquet file can be written."""
+    """Raise ValueError if no Parquet file can be written."""
     if find_spec("pyarrow") is None:
         raise ValueError("a Parquet file needs pyarrow: install it, or use the CSV file")
 
 
 def write_parquet(rows: Sequence[Row], path: Path) -> None:
-    """Write the table as Parquet. Raises ValueError where pyarrow is not installed."""
+    """Write the table as Parquet. Raises ValueError if pyarrow is not installed."""
     require_parquet()
     from pyarrow import Table as ArrowTable
     from pyarrow import parquet
@@ -65,7 +65,7 @@ def write_parquet(rows: Sequence[Row], path: Path) -> None:
 
 
 def write_population_report(found: ManyDampers, folder: Path) -> Path:
-    """Write ``population.html``, its figures and its tables; returns the page."""
+    """Write ``population.html`` with its figures and tables; returns the path of the page."""
     population = found.population
     with styled():
         chapters = [

@@ -1,4 +1,4 @@
-"""Reports as one HTML file with its figures inside; figures and tables lie beside it as files."""
+"""Reports as one self-contained HTML file; figures and tables are also separate files."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from typing import Any
 from mr_damper_ros.processes.files import write_bytes, write_text
 
 INK = ("#000000", "#b2182b", "#3f8fc4", "#8a8a8a", "#6a3d9a", "#1b7837", "#e08214", "#c6a6d9")
-"""Line colours; they differ in lightness too, and go with :data:`DASHES` and :data:`MARKS`."""
+"""Line colours of different lightness, used with :data:`DASHES` and :data:`MARKS`."""
 
 DASHES: tuple[Any, ...] = ("-", "--", (0, (1, 1)), "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
 MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 GREY = "0.62"
 
 WIDTH = 6.8
-"""Inches of a figure on a page."""
+"""Width of a figure on a page [inch]."""
 
 _SETTINGS = {
     "font.size": 8.5,
@@ -49,7 +49,7 @@ _SETTINGS = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Matplotlib with this style, whatever the user's settings are."""
+    """Matplotlib with this style, independent of the user's settings."""
     import matplotlib
 
     with matplotlib.rc_context():
@@ -59,7 +59,7 @@ def styled() -> Iterator[None]:
 
 
 def figure_of(width: float, height: float) -> Any:
-    """A figure of ``width`` by ``height`` inches, drawn without a screen, that a notebook shows."""
+    """A figure of ``width`` by ``height`` inches, drawn without a display; notebooks show it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -81,7 +81,7 @@ def panels(rows: int, columns: int, width: float, height: float, **options: Any)
 
 
 def legend_above(figure: Any, axes: Any, columns: int) -> None:
-    """One legend for all panels, above them; the entries are those of ``axes``."""
+    """One legend above all panels, with the entries of ``axes``."""
     handles, labels = axes.get_legend_handles_labels()
     figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.25 / figure.get_figheight()))
     figure.legend(handles, labels, loc="upper center", ncols=columns)
@@ -92,14 +92,14 @@ Cell = str | int | float | None
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph; plain text."""
+    """A paragraph of plain text."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a file name (no ending), a caption, column heads and rows."""
+    """A table with a file name without extension, a caption, column heads and rows."""
 
     name: str
     caption: str
@@ -109,7 +109,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A Matplotlib figure with a file name (no ending) and a caption."""
+    """A Matplotlib figure with a file name without extension and a caption."""
 
     name: str
     caption: str
@@ -120,11 +120,11 @@ Block = Text | Table | Picture
 
 
 _SMALL = 1e-3
-"""Smaller numbers are shown with a power of ten."""
+"""Smaller numbers are written with a power of ten."""
 
 
 def shown(value: Cell) -> str:
-    """A cell as text: four significant digits, and all of those before the point."""
+    """A cell as text: four significant digits, and all digits before the decimal point."""
     if value is None:
         return "–"
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -146,7 +146,7 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def with_error(value: float, error: float) -> str:
-    """A value with its standard error, both as multiples of one power of ten if they are small."""
+    """A value with its standard error, with a common power of ten if both are small."""
     size = max(abs(value), error)
     if size >= _SMALL:
         return f"{to_error(value, error)} ± {to_error(error, error)}"
@@ -157,13 +157,13 @@ def with_error(value: float, error: float) -> str:
 
 
 def to_error(value: float, error: float) -> str:
-    """A value to the second digit of its standard error, which must be positive."""
+    """A value rounded to the second digit of its (positive) standard error."""
     decimals = max(1 - math.floor(math.log10(error)), 0)
     return f"{value:.{decimals}f}".replace("-", "−")
 
 
 def write_table(folder: Path, table: Table) -> None:
-    """Write a table as CSV; numbers with all their digits."""
+    """Write a table as CSV with full precision."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)
@@ -176,7 +176,7 @@ def write_picture(folder: Path, picture: Picture) -> bytes:
     pixels, svg = io.BytesIO(), io.BytesIO()
     picture.figure.savefig(pixels, format="png", dpi=150)
     write_bytes(folder / f"{picture.name}.png", pixels.getvalue())
-    # No date and fixed ids: the same data give the same file.
+    # No date and fixed ids: identical data give an identical file.
     picture.figure.savefig(svg, format="svg", metadata={"Date": None})
     write_bytes(folder / f"{picture.name}.svg", svg.getvalue())
     return svg.getvalue()
@@ -184,7 +184,7 @@ def write_picture(folder: Path, picture: Picture) -> bytes:
 
 @dataclass(frozen=True)
 class Chapter:
-    """A section as shown: a name for links, a title, blocks."""
+    """A section: a name for links, a title and blocks."""
 
     name: str
     title: str
@@ -199,9 +199,9 @@ def write_report(
     chapters: Sequence[Chapter],
     page: str = "report.html",
 ) -> Path:
-    """Write the page, the figures and the tables below ``folder``; returns the page.
+    """Write the page, the figures and the tables to ``folder``; returns the path of the page.
 
-    ``headlines`` has one sentence for each chapter: they stand on top as a summary.
+    ``headlines`` has one sentence per chapter, shown as a summary at the top.
     """
     parts = [f"<h1>{html.escape(title)}</h1>", f'<p class="notice">{html.escape(notice)}</p>']
     links = "".join(
@@ -253,7 +253,7 @@ def _table(table: Table) -> str:
             for text, number in zip(map(shown, row), numbers, strict=True)
         )
         rows.append(f"<tr>{cells}</tr>")
-    # In print, a wide table is set smaller, and a long one may go over pages.
+    # In print, wide tables use a smaller font, and long tables may span pages.
     kind = _classes(table=True, wide=len(table.columns) > 12, long=len(table.rows) > 40)
     return (
         f'<div{kind}><p class="caption">{html.escape(table.caption)}</p>'

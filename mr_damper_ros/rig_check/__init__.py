@@ -1,1 +1,1 @@
-"""The check of a rig: what is wrong with its signals."""
+"""Check of the signals of a rig."""

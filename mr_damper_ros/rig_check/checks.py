@@ -1,4 +1,4 @@
-"""What is wrong with the signals of a rig, in words, and what to begin with."""
+"""Checks of the signals of a rig: findings in words, and a recommended first motion."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from mr_damper_ros.signals.arrays import Array, white_noise
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _CUT, _ROW = 0.01, 5
-"""Part of the samples, and how many in a row, that have exactly the largest or smallest value."""
+"""Fraction and run length of samples at exactly the extreme value that indicate clipping."""
 
 _COARSE = 0.02
-"""Step of a converter, in standard deviations of the channel."""
+"""Coarse quantisation: smallest step, in standard deviations of the channel."""
 
 _NOISY = {"displacement": (0.002, 1e-5), "force": (0.03, 10.0)}
-"""White noise that is much, in standard deviations of the channel and in its unit: both, for
-without current a damper's force is small."""
+"""Excessive white noise, in standard deviations of the channel and in its unit. Both must be
+exceeded, because the force is small without current."""
 
 _WILD, _JUMP = 12.0, 0.1
-"""A single value that is so many times the noise, and such a part of the range, off its neighbours.
-"""
+"""An outlier deviates from its neighbours by this multiple of the noise and this fraction of the
+range."""
 
 _MAINS = (50.0, 60.0)
 _NEAR, _BESIDE = 0.5, 6.0
-"""Hertz around a frequency of the mains that belong to it, and that it is compared with."""
+"""Half-widths [Hz] of the band of a mains frequency and of the band for comparison."""
 
 _HARMONICS = 2.2
-"""Frequencies of the motion that it is compared with: odd harmonics lie two apart."""
+"""Width of the comparison in multiples of the motion frequency; odd harmonics are two apart."""
 
 _STANDS_OUT, _HUMS = 3.0, {"displacement": 1e-3, "force": 5e-3}
-"""Times the lines beside it, and standard deviations of the channel, that a line is hum from."""
+"""A line is hum above this multiple of its neighbours and this fraction of the channel's spread."""
 
 
 def channel_findings(
     name: str, unit: str, values: Array, period: float, frequency: float
 ) -> Iterator[RigFinding]:
-    """What is wrong with the values (n,) of a channel of a motion of about this frequency [Hz]."""
+    """Findings on the values (n,) of a channel; the motion has about this frequency [Hz]."""
     spread = float(np.std(values))
     step = coarse_step(values)
     cut = "" if step else _cut_off(values)
@@ -90,7 +90,7 @@ def channel_findings(
 
 
 def coarse_step(values: Array) -> float:
-    """The step that values come in, where that is coarse; else 0."""
+    """The quantisation step if it is coarse, otherwise 0."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > 1e-9 * float(np.ptp(values))]
     step = float(steps.min()) if steps.size else 0.0
@@ -98,11 +98,11 @@ def coarse_step(values: Array) -> float:
 
 
 def _cut_off(values: Array) -> str:
-    """Where the values are cut off, in words; empty where they are not."""
+    """Where the values are clipped, in words; empty if they are not."""
     places = []
     for limit in (float(values.min()), float(values.max())):
         there = values == limit
-        # The longest row of equal values.
+        # The longest run of equal values.
         ends = np.flatnonzero(np.diff(np.concatenate([[0], there.astype(int), [0]])))
         longest = int(np.diff(ends)[::2].max())
         if longest >= _ROW and np.count_nonzero(there) >= _CUT * values.size:
@@ -118,7 +118,7 @@ def _wild_values(values: Array, noise: float) -> int:
 
 
 def _hum(values: Array, period: float, mains: float, reach: float, least: float) -> float:
-    """Amplitude of a line at the mains' frequency that stands out; 0 where none does."""
+    """Amplitude of a significant line at the mains frequency; 0 without one."""
     if mains + reach > 0.5 / period or values.size * period < 2.0 / _NEAR:
         return 0.0
     weights = np.hanning(values.size)
@@ -130,33 +130,33 @@ def _hum(values: Array, period: float, mains: float, reach: float, least: float)
 
 
 _RATE = 0.003
-"""Difference from the stated period that no clock of a machine has."""
+"""Largest relative error of the sample period that clock tolerance explains."""
 
 _JITTER = 0.1
-"""Sample periods: a stamp that is off by less is taken as it is (doc/time.md)."""
+"""Tolerated stamp jitter in sample periods (doc/time.md)."""
 
 _BURST = 0.1
-"""Seconds by which a block comes later than its samples, that no network needs."""
+"""Delay of a block [s] that indicates a hold-up."""
 
 _TOLD_LATE = 2.0
-"""Seconds of samples by which two counts may differ that are told once a second."""
+"""Tolerated difference [s] of two counts that are reported once a second."""
 
 _CURRENT_OFF, _SETTLING = 0.05, 1.0
-"""Amperes that the measured current may be off, once the command is so many seconds old."""
+"""Tolerated deviation [A] of the measured current; age [s] of the command from which it applies."""
 
 _CURRENT_AHEAD = 0.5
-"""Seconds between the newest stamps of current and samples that are more than a slow reading."""
+"""Difference [s] between the newest stamps of current and samples that indicates two clocks."""
 
 
 def stream_findings(record: RigRecord) -> Iterator[RigFinding]:
-    """What is wrong with the blocks of a record that holds some."""
+    """Findings on the blocks of a non-empty record."""
     yield from _count_findings(record)
     yield from _stamp_findings(record)
     arrivals = np.array([block.arrival_ns for block in record.blocks], dtype=np.float64)
     if (arrivals >= 0.0).all() and arrivals.size > 2:
         longest = max(block.force.size * block.period for block in record.blocks)
         stamps = np.array([block.start_ns for block in record.blocks], dtype=np.int64)
-        # Where there are no samples, nothing was held up.
+        # Without samples, nothing was held up.
         expected = np.clip(np.diff(stamps) / NANOSECONDS, longest, None)
         pauses = np.diff(arrivals) / NANOSECONDS
         held_up = pauses - expected > _BURST
@@ -188,7 +188,7 @@ def _count_findings(record: RigRecord) -> Iterator[RigFinding]:
         expected = newest = block.sequence + block.force.size
         stamped = block.start_ns + round(block.force.size * block.period * NANOSECONDS)
     if repeated:
-        # What comes later than its successor was missed when that came.
+        # A block that arrives after its successor counted as missing at that time.
         lost = max(lost - repeated * round(np.median([b.force.size for b in record.blocks])), 0)
         yield RigFinding(
             Trouble.REPEATED,
@@ -235,7 +235,7 @@ def _stamp_findings(record: RigRecord) -> Iterator[RigFinding]:
             f"the stamps say a sample every {1e3 * period:.4g} ms ({1.0 / period:.4g} Hz), stated "
             f"are {1e3 * stated:.4g} ms: set the right period in the driver",
         )
-    # A line over the whole record would not follow a clock that was set.
+    # A line over the whole record would not follow a clock step.
     off = np.diff(times)[rising] - period * np.diff(numbers)[rising]
     jitter = float(np.std(off[np.abs(off) < 1.0])) / math.sqrt(2.0) / period
     if jitter > _JITTER:
@@ -247,7 +247,7 @@ def _stamp_findings(record: RigRecord) -> Iterator[RigFinding]:
 
 
 def current_findings(record: RigRecord) -> Iterator[RigFinding]:
-    """What is wrong with the current."""
+    """Findings on the current."""
     if not record.measured:
         yield RigFinding(
             Trouble.NO_CURRENT,
@@ -301,27 +301,28 @@ def _command_findings(
 
 
 _ENOUGH = 200
-"""Samples in a row from which on anything is said of the channels."""
+"""Smallest number of contiguous samples for checks of the channels."""
 
 _DISPLACEMENT, _FORCE = (5e-5, 0.5), (2.0, 5e5)
-"""Half ranges [m] and [N] that a damper in a press has; below and above the unit is another."""
+"""Plausible half ranges [m] and [N] of a damper in a press; others indicate a wrong unit."""
 
 _OFFSET = 0.25
-"""Mean of the force over half its range that is more than a gas pressure gives."""
+"""Largest mean force over half the range that gas pressure explains."""
 
 _SMOOTHER = 0.9
-"""A machine moves smoothly; a damper's force turns sharply: its steps are the larger ones."""
+"""A machine moves smoothly and a damper force reverses sharply, so the force has the larger steps.
+"""
 
 _SKEW, _SURE = 3e-4, 3.0
-"""Skew [s] that costs something, and standard errors that it must have."""
+"""Smallest relevant skew [s], and its smallest ratio to the standard error."""
 
 _USUAL = 2e-3
-"""Amplitude [m] to begin with."""
+"""Usual amplitude [m] of the first motion."""
 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """``findings`` (none: nothing is wrong), the ``lag`` of the force, and what to begin with."""
+    """``findings`` (empty: no fault), ``lag`` of the force, and the recommended first motion."""
 
     findings: tuple[RigFinding, ...]
     lag: ChannelLag | None
@@ -333,7 +334,7 @@ class RigCheck:
 
 
 def check_rig(record: RigRecord) -> RigCheck:
-    """Judge what was heard of a rig, best for half a minute of motion at changing frequency."""
+    """Check the received signals of a rig, ideally 30 s of motion at several frequencies."""
     unusable = RigFinding(
         Trouble.UNUSABLE,
         f"{record.unusable} messages cannot be used: each needs a period above 0, and as many "
@@ -435,7 +436,7 @@ def _unit_findings(displacement: Array, force: Array) -> Iterator[RigFinding]:
     half = _half_range(force)
     if _half_range(displacement) < _DISPLACEMENT[0]:
         return
-    # Half of the way between the extremes: a mean over parts of a cycle would not do.
+    # The centre between the extremes: a mean over incomplete cycles would be biased.
     middle = 0.5 * float(np.quantile(force, 0.99) + np.quantile(force, 0.01))
     if abs(middle) > _OFFSET * half:
         yield RigFinding(
@@ -447,22 +448,22 @@ def _unit_findings(displacement: Array, force: Array) -> Iterator[RigFinding]:
 
 
 def _half_range(values: Array) -> float:
-    """Half the range of nearly all values: what happened once does not count."""
+    """Half the range of nearly all values; rare outliers do not count."""
     low, high = np.quantile(values, (0.01, 0.99))
     return 0.5 * float(high - low)
 
 
 def _exchanged(displacement: Array, force: Array) -> bool:
-    """Whether the one channel is what the other should be: rough, and noisy for its size."""
+    """Whether the channels are exchanged: the displacement is rough and noisy for its size."""
     if coarse_step(displacement):
-        return False  # a converter of few steps is rough, too
+        return False  # coarse quantisation is rough, too
     noises = [white_noise(values) / float(np.std(values)) for values in (displacement, force)]
     rougher = _roughness(displacement) * _SMOOTHER > _roughness(force)
     return rougher and noises[0] > noises[1]
 
 
 def _frequency(displacement: Array, period: float) -> float:
-    """About how many times a second the rod goes to and fro [Hz]."""
+    """Approximate frequency of the motion [Hz]."""
     half = max(round(5e-3 / period), 2)
     if displacement.size < 2 * half + 1:
         return 0.0
@@ -471,20 +472,20 @@ def _frequency(displacement: Array, period: float) -> float:
 
 
 def _roughness(values: Array) -> float:
-    """Size of the steps between samples, without their noise, over the standard deviation."""
+    """Steps between samples without noise, relative to the standard deviation."""
     steps = float(np.mean(np.diff(values) ** 2)) - 2.0 * white_noise(values) ** 2
     return float(np.sqrt(max(steps, 0.0)) / np.std(values))
 
 
 def _power(displacement: Array, force: Array, period: float) -> float:
-    """Mean power [W] that the damper takes."""
+    """Mean dissipated power [W]."""
     half = max(round(2e-3 / period), 2)
     velocity = SavitzkyGolay(2 * half + 1, 2).derivative(displacement, 1, period)
     return float(np.mean(velocity * (force - force.mean())))
 
 
 def _advice(displacement: Array, force: Array, period: float) -> str:
-    """What amplitude and frequency to begin with, from the noise and the rate."""
+    """Recommended first amplitude and frequency, from noise and sample rate."""
     if displacement.size < _ENOUGH or not np.isfinite(displacement).all():
         return ""
     smallest = max(500.0 * white_noise(displacement), 1e-4)

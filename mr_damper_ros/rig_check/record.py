@@ -1,11 +1,11 @@
-"""What was received of a rig for a while, how late its force is, and what can be wrong with it.
+"""Received signals of a rig, kinds of findings, and the skew between force and displacement.
 
-When the rod turns, the force of a damper crosses zero a little later: by its own hysteresis, which
-is a part of the cycle (v_h is proportional to the peak velocity), and by the skew of the channels,
-which is the same time in every cycle. Motion at one frequency cannot tell the two apart. Over
-several, the lag is a line over the length of the cycle, and the skew is where that line begins.
+After a reversal, the damper force crosses zero with a delay. One part is the hysteresis, a fraction
+of the cycle (v_h is proportional to the peak velocity). The other part is the skew of the channels,
+a constant time. Motion at one frequency cannot separate the two. At several frequencies, the delay
+is a linear function of the cycle length, and the skew is its intercept.
 
-What lags by the same time in the damper itself, a compliant mount or fluid, counts as skew.
+A constant lag in the damper itself, such as that of a compliant mount or fluid, counts as skew.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS
 
 _BRIDGED = 0.1
-"""Longest loss [s] that is bridged for a look at the whole."""
+"""Longest gap [s] that is interpolated for the check."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeardBlock:
-    """A block as it came, whatever it holds; ``arrival_ns`` by a steady clock, -1 if unknown."""
+    """A block as received; ``arrival_ns`` is from a steady clock, -1 if unknown."""
 
     start_ns: int
     sequence: int
@@ -38,38 +38,37 @@ class HeardBlock:
 
 @dataclass(eq=False)
 class RigRecord:
-    """Blocks in the order in which they came, and stamped currents [A]: measured and commanded."""
+    """Blocks in the order of arrival, and stamped currents [A]: measured and commanded."""
 
     blocks: list[HeardBlock] = field(default_factory=list)
     measured: list[tuple[int, float]] = field(default_factory=list)
     commanded: list[tuple[int, float]] = field(default_factory=list)
     unusable: int = 0
-    """Messages without samples or a period, or with more of the one than of the other."""
+    """Number of messages without samples or period, or with unequal lengths."""
     saturated: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """By channel, how many samples its source had left out because it was at the end of its range:
-    when that was first told, and when it was last told."""
+    """By channel, the number of clipped samples that its source left out: first and last report."""
 
     def left_out(self, channel: str) -> int:
-        """Samples left out meanwhile because the channel was at the end of its range."""
+        """Number of clipped samples left out during the check."""
         first, last = self.saturated.get(channel, (0, 0))
         return max(last - first, 0)
 
     @property
     def period(self) -> float:
-        """The sample period [s] that most blocks state; NaN without blocks."""
+        """The most frequent stated sample period [s]; NaN without blocks."""
         if not self.blocks:
             return math.nan
         return float(np.median([block.period for block in self.blocks]))
 
     @property
     def sample_count(self) -> int:
-        """Samples that came."""
+        """Number of received samples."""
         return sum(block.force.size for block in self.blocks)
 
     def stretch(self) -> tuple[Array, Array]:
         """Displacement and force of the longest part without a long gap, each of shape (n,).
 
-        What was lost for up to a tenth of a second lies on straight lines.
+        Gaps of up to a tenth of a second are interpolated linearly.
         """
         rows: list[Array] = []
         parts: list[list[Array]] = []
@@ -90,7 +89,7 @@ class RigRecord:
         return longest[0], longest[1]
 
     def stamps(self) -> tuple[Array, Array]:
-        """Number of the first sample of each block, and its stamp [s] since the first block."""
+        """Index of the first sample of each block, and its stamp [s] since the first block."""
         first = self.blocks[0].start_ns
         numbers = np.array([block.sequence for block in self.blocks], dtype=np.float64)
         times = np.array([(b.start_ns - first) / NANOSECONDS for b in self.blocks])
@@ -98,7 +97,7 @@ class RigRecord:
 
 
 class Trouble(Enum):
-    """Kinds of trouble."""
+    """Kinds of findings."""
 
     SILENT = "nothing comes"
     UNUSABLE = "messages that hold no samples"
@@ -128,7 +127,7 @@ class Trouble(Enum):
 
 @dataclass(frozen=True)
 class RigFinding:
-    """Something that is wrong with ``channel`` (empty: with the stream), and what to do."""
+    """A fault of ``channel`` (empty: of the stream), and its remedy."""
 
     trouble: Trouble
     sentence: str
@@ -136,33 +135,33 @@ class RigFinding:
 
 
 _FEWEST = 8
-"""Pairs of turns from which on a line is drawn."""
+"""Smallest number of reversals for the regression."""
 
 _SMOOTHED = 40.0
-"""Part of a usual cycle that the smoothing reaches to either side."""
+"""Half-width of the smoothing, as a fraction of the median cycle."""
 
 _SMALL = 0.25
-"""Part of the usual peak velocity that the rod must reach between two turns."""
+"""Fraction of the usual peak velocity that must be reached between two reversals."""
 
 _FURTHEST = 0.25
-"""Part of a cycle in which the force must cross zero after the turn, or before."""
+"""Fraction of a cycle around a reversal in which the force must cross zero."""
 
 _SPREAD = 1.3
-"""The longest cycles over the shortest, at least: below, there is no line."""
+"""Smallest ratio of the longest to the shortest cycle for the regression."""
 
 _OUTLIER = 4.0
 
 _OF_THE_LAW = 4e-4
-"""Standard error [s] besides that of the line: the hysteresis of a damper is no exact part of the
-cycle. So far off was the skew of emulated dampers whose channels have none."""
+"""Additional standard error [s], because hysteresis is not an exact fraction of the cycle: the error
+of the skew for emulated dampers without skew."""
 
 _REMEMBERED, _EVEN = 4, 0.05
-"""Cycles that the hysteresis remembers, and by how much they may differ in length."""
+"""Number of past cycles that affect the hysteresis, and their largest relative difference."""
 
 
 @dataclass(frozen=True)
 class ChannelLag:
-    """``skew`` [s] and its standard error; ``lag`` [s] of the force at a usual turn in all."""
+    """``skew`` [s], its standard error, and the total ``lag`` [s] at a typical reversal."""
 
     skew: float
     standard_error: float
@@ -170,12 +169,12 @@ class ChannelLag:
 
     @property
     def determined(self) -> bool:
-        """Whether the motion has told skew and hysteresis apart, to half a millisecond."""
+        """Whether skew and hysteresis are separated, to half a millisecond."""
         return self.standard_error <= 5e-4
 
 
 def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
-    """The lag of the force, from samples (n,) ``period`` [s] apart; NaN where none can be seen."""
+    """The lag of the force from samples (n,) at ``period`` [s]; NaN if it cannot be estimated."""
     nothing = ChannelLag(math.nan, math.inf, math.nan)
     half = _half_window(displacement, period)
     if displacement.size < 8 * half + 4:
@@ -194,21 +193,21 @@ def channel_lag(displacement: Array, force: Array, period: float) -> ChannelLag:
         direction = np.sign(velocity[min(place, velocity.size - 1)])
         near = zeros[np.abs(zeros - turn) < _FURTHEST * cycle]
         if near.size:
-            # The force goes through zero in the direction of the motion.
+            # The force crosses zero in the direction of the motion.
             steps = pulled[near.astype(int) + 1] - pulled[near.astype(int)]
             near = near[np.sign(steps) == direction]
         lag = float(np.median(near)) - float(turn) if near.size else math.nan
         rows.append((lag * period, cycle * period))
-    # A force that goes about another value than zero shifts every other turn to the other side.
+    # An offset of the force shifts alternate reversals in opposite directions.
     pairs = np.array(rows[: len(rows) // 2 * 2]).reshape(-1, 2, 2).mean(axis=1)
     lags, cycles = pairs[np.isfinite(pairs[:, 0]) & _steady(pairs[:, 1])].T
     return _line(lags, cycles) if lags.size >= _FEWEST else nothing
 
 
 def _steady(cycles: Array) -> np.ndarray:
-    """Mask (n,) of the cycles before which the motion has been the same for as long as it matters.
+    """Mask (n,) of the cycles that follow several equal cycles.
 
-    The hysteresis follows the peak velocity of the latest cycles, not that of the present one.
+    The hysteresis depends on the peak velocity of the previous cycles, not on the present one.
     """
     steady = np.ones(cycles.size, dtype=bool)
     for back in range(1, _REMEMBERED + 1):
@@ -218,7 +217,7 @@ def _steady(cycles: Array) -> np.ndarray:
 
 
 def _line(lags: Array, cycles: Array) -> ChannelLag:
-    """The line through lags (n,) over cycles (n,) [s], whose errors grow with the cycles."""
+    """Regression of the lags (n,) on the cycle lengths (n,) [s]; errors grow with the length."""
     usual = float(np.median(lags))
     if np.quantile(cycles, 0.9) < _SPREAD * np.quantile(cycles, 0.1):
         return ChannelLag(math.nan, math.inf, usual)
@@ -239,7 +238,7 @@ def _line(lags: Array, cycles: Array) -> ChannelLag:
 
 
 def _half_window(displacement: Array, period: float) -> int:
-    """Samples that the smoothing reaches to either side."""
+    """Half-width of the smoothing [samples]."""
     coarse = max(round(5e-3 / period), 1)
     means = displacement[: displacement.size // coarse * coarse].reshape(-1, coarse).mean(axis=1)
     if means.size < 3 or np.std(means) == 0.0:
@@ -250,7 +249,7 @@ def _half_window(displacement: Array, period: float) -> int:
 
 
 def _turns(velocity: Array) -> Array:
-    """Where the rod turns [samples]: crossings of zero with a real motion on both sides."""
+    """Reversals [samples]: zero crossings of the velocity with significant motion on both sides."""
     fast = _SMALL * float(np.quantile(np.abs(velocity), 0.9))
     sides = np.sign(velocity) * (np.abs(velocity) > fast)
     moving = np.flatnonzero(sides)
@@ -265,6 +264,6 @@ def _turns(velocity: Array) -> Array:
 
 
 def _crossings(values: Array) -> Array:
-    """Where the line between neighbours crosses zero [samples]."""
+    """Interpolated zero crossings [samples]."""
     before = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0)
     return np.asarray(before - values[before] / (values[before + 1] - values[before]))
