@@ -152,7 +152,7 @@ _SPREAD = 1.3
 _OUTLIER = 4.0
 
 _OF_THE_LAW = 4e-4
-"""Additional standard error [s], because hysteresis is not an exact fraction of the cycle: the error
+"""Additional standard error [s], because hysteresis is no exact fraction of the cycle: the error
 of the skew for emulated dampers without skew."""
 
 _REMEMBERED, _EVEN = 4, 0.05
