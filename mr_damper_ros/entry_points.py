@@ -63,6 +63,8 @@ def tool(name: str) -> int:
 
 def _run(name: str) -> int:
     """Run a node, or one in each of several namespaces, which share workers."""
+    if name == "live" and any(word.partition("=")[0] == "--bag" for word in sys.argv[1:]):
+        return tool("live_bag")
     # Nothing has been started that would have to be ended; modules half loaded are best left so.
     _end_at_once(_SIGNALS, 0)
     if name not in _WORK:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import heapq
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -86,11 +86,50 @@ def _message_folder() -> Path:
 @lru_cache(maxsize=1)
 def _typestore() -> Any:
     store = get_typestore(Stores.ROS2_JAZZY)
-    folder = _message_folder()
-    for message_type in (SAMPLES_TYPE, CURRENT_TYPE):
-        text = (folder / f"{message_type.rpartition('/')[2]}.msg").read_text(encoding="utf-8")
-        store.register(get_types_from_msg(text, message_type))
+    for path in sorted(_message_folder().glob("*.msg")):
+        message_type = f"mr_damper_msgs/msg/{path.stem}"
+        store.register(get_types_from_msg(path.read_text(encoding="utf-8"), message_type))
     return store
+
+
+class BagStream:
+    """A bag that is written message by message; once it is closed, it is there at ``path``.
+
+    ``topics`` gives the type of the messages on each. Raises BagError where something else is at
+    ``path``, and OSError where the file system refuses.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Mapping[str, str],
+        details: Mapping[str, str],
+    ) -> None:
+        _check_free(path, overwrite=False)
+        self._path, self._fresh = path, path.with_name(f".{path.name}.part") / path.name
+        self._fresh.parent.mkdir(parents=True)
+        store = _typestore()
+        self._writer = Writer(self._fresh, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer.open()
+        for key, value in details.items():
+            self._writer.set_custom_data(key, value)
+        self._connections = {
+            topic: self._writer.add_connection(
+                topic, message_type, typestore=store, offered_qos_profiles=[_STREAM_QUALITY]
+            )
+            for topic, message_type in topics.items()
+        }
+
+    def write(self, topic: str, time_ns: int, data: bytes) -> None:
+        """Write a message as a publisher sends it (CDR with its header)."""
+        self._writer.write(self._connections[topic], time_ns, data)
+
+    def close(self) -> None:
+        """Finish the bag, with checksums, and move it to its place."""
+        self._writer.close()
+        add_checksums(self._fresh / f"{self._path.name}.mcap")
+        self._fresh.rename(self._path)
+        self._fresh.parent.rmdir()
 
 
 def write_bag(
@@ -136,7 +175,10 @@ def write_bag(
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
         fresh = Path(folder) / path.name
-        _write_messages(fresh, topics, messages, {"name": recording.name, **recording.details})
+        bag = BagStream(fresh, topics, {"name": recording.name, **recording.details})
+        for time_ns, topic, data in messages:
+            bag.write(topic, time_ns, data)
+        bag.close()
         if path.exists():
             path.rename(Path(folder) / "replaced")
         fresh.rename(path)
@@ -149,24 +191,6 @@ def _check_free(path: Path, overwrite: bool) -> None:
         raise BagError(f"{path} exists and is not a bag: choose another name")
     if not overwrite:
         raise BagError(f"{path} exists already: choose another name or ask to overwrite it")
-
-
-def _write_messages(
-    path: Path, topics: dict[str, str], messages: Iterable[_Message], details: dict[str, str]
-) -> None:
-    store = _typestore()
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for key, value in details.items():
-            writer.set_custom_data(key, value)
-        connections = {
-            topic: writer.add_connection(
-                topic, message_type, typestore=store, offered_qos_profiles=[_STREAM_QUALITY]
-            )
-            for topic, message_type in topics.items()
-        }
-        for time_ns, topic, data in messages:
-            writer.write(connections[topic], time_ns, data)
-    add_checksums(path / f"{path.name}.mcap")
 
 
 def _message(

@@ -24,19 +24,27 @@ from mr_damper_ros.signals.arrays import Array
 _PART = 4
 """A full table loses so large a part of its rows at once: making room costs little per row."""
 
+Join = Callable[[Array], Array]
+"""Makes one row of each two: (k, 2, columns) to (k, columns)."""
+
+
+def first_of_two(pairs: Array) -> Array:
+    """The first row of each two."""
+    return pairs[:, 0]
+
 
 class RollingTable:
     """Rows of numbers, counted from 0 since the beginning.
 
-    A full table loses its oldest quarter. One that ``thins`` loses every second row of its older
-    half instead: what lies far back stays in view, ever more coarsely.
+    A full table loses its oldest quarter. One that can ``join`` rows does so in its older half
+    instead: what lies far back stays in view, ever more coarsely.
     """
 
-    def __init__(self, columns: Sequence[str], capacity: int, *, thins: bool = False) -> None:
+    def __init__(self, columns: Sequence[str], capacity: int, join: Join | None = None) -> None:
         if capacity < 2 * _PART:
             raise ValueError(f"capacity must be at least {2 * _PART}, not {capacity}")
         self.columns = ("index", *columns)
-        self._thins = thins
+        self._join = join
         # Filled, so that all of the memory is taken at once.
         self._rows = np.full((capacity, len(self.columns)), np.nan)
         self._size = 0
@@ -48,15 +56,23 @@ class RollingTable:
 
     def append(self, values: Sequence[float]) -> None:
         """Add a row; raises ValueError where the values are not as many as the columns."""
-        if len(values) != len(self.columns) - 1:
-            raise ValueError(f"{len(values)} values do not fill {len(self.columns) - 1} columns")
-        if self._size == len(self._rows):
-            self._make_room()
-        row = self._rows[self._size]
-        row[0] = self.next_index
-        row[1:] = values
-        self._size += 1
-        self.next_index += 1
+        self.extend(np.array([values], dtype=np.float64))
+
+    def extend(self, values: Array) -> None:
+        """Add rows (k, columns); raises ValueError where they have other columns."""
+        if values.ndim != 2 or values.shape[1] != len(self.columns) - 1:
+            given = values.shape[-1]
+            raise ValueError(f"{given} values do not fill {len(self.columns) - 1} columns")
+        longest = len(self._rows) // _PART
+        for first in range(0, len(values), longest):
+            part = values[first : first + longest]
+            while self._size + len(part) > len(self._rows):
+                self._make_room()
+            rows = self._rows[self._size : self._size + len(part)]
+            rows[:, 0] = self.next_index + np.arange(len(part))
+            rows[:, 1:] = part
+            self._size += len(part)
+            self.next_index += len(part)
 
     def after(self, index: int) -> Array:
         """The rows after the one of this number, shape (k, columns), their numbers first."""
@@ -64,20 +80,32 @@ class RollingTable:
         return self._rows[start : self._size].copy()
 
     def _make_room(self) -> None:
-        half = self._size // 2
-        if self._thins:
-            kept = np.concatenate([self._rows[:half:2], self._rows[half : self._size]])
+        rows = self._rows[: self._size]
+        if self._join is None:
+            kept = rows[self._size // _PART :].copy()
         else:
-            kept = self._rows[self._size // _PART : self._size].copy()
+            older = 2 * (self._size // 4)
+            pairs = rows[:older].reshape(-1, 2, rows.shape[1])
+            kept = np.concatenate([self._join(pairs), rows[older:]])
         self._size = len(kept)
         self._rows[: self._size] = kept
 
 
 SIGNALS = (
     *("time", "displacement", "velocity", "current"),
-    *("measured_force", "predicted_force", "force_error", "valid"),
+    *("measured_force", "predicted_force", "force_error"),
+    *("current_command", "desired_force", "valid"),
 )
 """Columns of the table ``signals`` after the index, in SI units; ``valid`` is 1 or 0."""
+
+SAMPLES = ("time", "displacement", "measured_force", "predicted_force", "valid")
+"""Columns of the table ``samples``: the newest at the full rate, for the loops."""
+
+_RANGED = SIGNALS[1:7]
+
+HISTORY = ("time", *(f"{name}_{end}" for name in _RANGED for end in ("low", "high")), "valid")
+"""Columns of the table ``history``: least and largest values of each tenth of a second, and the
+share of valid force; of the error only that of valid force counts."""
 
 WINDOWS = (
     *("time", "nrmse_before", "nrmse_after", "force_scale", "force_scale_error"),
@@ -91,7 +119,8 @@ UNITS = {
     **dict.fromkeys(("displacement", "amplitude"), "m"),
     **dict.fromkeys(("velocity", "peak_velocity"), "m/s"),
     "current": "A",
-    **dict.fromkeys(("measured_force", "predicted_force", "force_error"), "N"),
+    "current_command": "A",
+    **dict.fromkeys(("measured_force", "predicted_force", "force_error", "desired_force"), "N"),
     **dict.fromkeys(("temperature", "fluid_temperature", "fluid_temperature_error"), "°C"),
     "frequency": "Hz",
     "fit_duration": "s",
@@ -99,6 +128,19 @@ UNITS = {
 """Of the columns of both; those that are not here have none."""
 
 SIGNALS_KEPT = 6000
+SAMPLES_KEPT = 10_000
+HISTORY_KEPT = 36_000
+"""An hour at a tenth of a second; a longer run is kept whole, its older half more coarsely."""
+
+_HISTORY_STEP = 0.1
+MARKS_KEPT = 500
+
+_LEVEL = 0.05
+"""Amperes by which two levels of the current differ, ..."""
+
+_HELD = 0.5
+"""... and seconds for which each is held: what a controller does all the time is no step."""
+
 WINDOWS_KEPT = 2000
 SETS_KEPT = 1000
 SENTENCES_KEPT = 200
@@ -160,6 +202,16 @@ class Concern:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """An event on the axis of time [s since the epoch]: a set, a fault, a step of the current."""
+
+    number: int
+    time: float
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Fault:
     """An error that stays listed until somebody has seen it, also where it is over by then."""
 
@@ -200,10 +252,21 @@ class Rows:
 
 
 class LiveRecord:
-    """Collects what comes; all methods may be called from any thread."""
+    """Collects what comes; all methods may be called from any thread.
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    ``recorded`` names the recording that it is of; empty for a running system.
+    """
+
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        recorded: str = "",
+        signals_kept: int = SIGNALS_KEPT,
+    ) -> None:
         self._clock = clock
+        self._recorded = recorded
+        self._signals_kept = signals_kept
         self._lock = threading.Lock()
         # Not those of the process before: a viewer that stays asks this one, too.
         self._generations = secrets.randbits(31)
@@ -218,6 +281,10 @@ class LiveRecord:
         self._faults: dict[str, Fault] = {}
         self._fault_count = 0
         self._events: deque[str] = deque(maxlen=SENTENCES_KEPT)
+        self._marks: deque[Mark] = deque(maxlen=MARKS_KEPT)
+        self._mark_count = 0
+        self._set_points: dict[str, tuple[float, float]] = {}
+        self._recording: Mapping[str, str] | None = None
         self._origin = math.nan
         self._last_time = -math.inf
         self._heard = -math.inf
@@ -226,8 +293,14 @@ class LiveRecord:
 
     def _begin(self) -> None:
         self._tables = {}
-        self._add_table("signals", RollingTable(SIGNALS, SIGNALS_KEPT))
-        self._add_table("windows", RollingTable(WINDOWS, WINDOWS_KEPT, thins=True))
+        self._add_table("signals", RollingTable(SIGNALS, self._signals_kept))
+        self._add_table("samples", RollingTable(SAMPLES, SAMPLES_KEPT))
+        self._add_table("history", RollingTable(HISTORY, HISTORY_KEPT, _joined_ranges))
+        self._add_table("windows", RollingTable(WINDOWS, WINDOWS_KEPT, first_of_two))
+        self._tenth: list[tuple[float, ...]] = []
+        # The level of the current, the one that may become the next, since when, from when on.
+        self._level = self._next_level = math.nan
+        self._level_since = self._level_left = -math.inf
         self._origin = math.nan
         self._last_time = -math.inf
 
@@ -257,7 +330,53 @@ class LiveRecord:
                 self._origin = time_s
             self._last_time = time_s
             self._heard = self._clock()
-            self._tables["signals"][1].append((*row, predicted - measured, float(valid)))
+            wanted = (self._set_point(name) for name in ("current_command", "desired_force"))
+            self._tables["signals"][1].append((*row, predicted - measured, *wanted, float(valid)))
+            self._summarise((*row, predicted - measured if valid else math.nan, float(valid)))
+            self._follow_current(time_s, current)
+
+    def _summarise(self, row: tuple[float, ...]) -> None:
+        if self._tenth and row[0] >= self._tenth[0][0] + _HISTORY_STEP:
+            self._tables["history"][1].append(_range_of(np.array(self._tenth)).tolist())
+            self._tenth = []
+        self._tenth.append(row)
+
+    def _follow_current(self, time_s: float, current: float) -> None:
+        """Mark a step from one level of the current to another."""
+        if not abs(current - self._next_level) <= _LEVEL:
+            if self._next_level == self._level:
+                self._level_left = time_s
+            self._next_level, self._level_since = current, time_s
+        elif self._next_level != self._level and time_s - self._level_since >= _HELD:
+            if abs(self._next_level - self._level) > _LEVEL:
+                step = f"{self._level:.3g} to {self._next_level:.3g} A"
+                self._mark("current", step, self._level_left)
+            self._level = self._next_level
+
+    def add_samples(self, start_s: float, period: float, *columns: Array) -> None:
+        """Add samples at the full rate: the columns (n,) of :data:`SAMPLES` after the time."""
+        time_s = start_s + period * np.arange(columns[0].size)
+        with self._lock:
+            self._tables["samples"][1].extend(np.column_stack([time_s, *columns]))
+
+    def set_point(self, name: str, value: float) -> None:
+        """Take note of what is commanded: ``current_command`` [A] or ``desired_force`` [N]."""
+        with self._lock:
+            self._set_points[name] = value, self._clock()
+
+    def _set_point(self, name: str) -> float:
+        value, heard = self._set_points.get(name, (math.nan, -math.inf))
+        return value if self._clock() - heard <= SILENT_AFTER else math.nan
+
+    def set_recording(self, recording: Mapping[str, str] | None) -> None:
+        """Take note of the recording that is under way: its name and where it goes; None: none."""
+        with self._lock:
+            self._recording = recording
+            self._mark("record", f"recording {'begins' if recording else 'ends'}", self._last_time)
+
+    def _mark(self, kind: str, text: str, time_s: float) -> None:
+        self._mark_count += 1
+        self._marks.append(Mark(self._mark_count, time_s, kind, text))
 
     def add_fluid_temperature(self, celsius: float, error: float) -> None:
         """Take note of the temperature [°C] that the force of the next window tells."""
@@ -295,7 +414,9 @@ class LiveRecord:
         with self._lock:
             self.parameters = seen
             # What comes from no samples holds from now on.
-            self._trace_set(seen, seen.time if seen.time > 0.0 else self._last_time)
+            since = seen.time if seen.time > 0.0 else self._last_time
+            self._trace_set(seen, since)
+            self._mark("set", f"{seen.set_id} ({seen.source.replace('_', ' ')})", since)
 
     def _trace_set(self, seen: SetSeen, since: float) -> None:
         """Add a set to the table; ``since`` is infinite where it holds from the beginning."""
@@ -313,7 +434,7 @@ class LiveRecord:
         columns = ("time", *pairs, *(f"{key}_error" for key in pairs))
         _, table = self._tables.get(name, (0, None))
         if table is None or table.columns[1:] != columns:
-            table = RollingTable(columns, capacity, thins=True)
+            table = RollingTable(columns, capacity, first_of_two)
             self._add_table(name, table)
         values = [value for value, _ in pairs.values()]
         errors = [error for _, error in pairs.values()]
@@ -344,6 +465,8 @@ class LiveRecord:
         if fault is None:
             self._faults.pop(name, None)
             return
+        if fault.active and not (before is not None and before.active):
+            self._mark("fault", f"{name}: {message}", self._last_time)
         self._faults[name] = fault
         self._fault_count = max(self._fault_count, fault.number)
 
@@ -388,10 +511,10 @@ class LiveRecord:
         """Seconds since the last signals; infinite before the first."""
         return self._clock() - self._heard
 
-    def status(self, windows_after: int) -> bytes:
+    def status(self, windows_after: int, marks_after: int = 0) -> bytes:
         """All that is no table, as JSON: what the page asks for now and then.
 
-        ``windows_after``: number of the last window that the viewer knows.
+        ``windows_after``, ``marks_after``: numbers of the last ones that the viewer knows.
         """
         with self._lock:
             tables = {
@@ -399,7 +522,8 @@ class LiveRecord:
                 for name, (generation, table) in self._tables.items()
             }
             sentences = [text for number, text in self._sentences if number > windows_after]
-            seen, events = self.parameters, list(self._events)
+            seen, events, recording = self.parameters, list(self._events), self._recording
+            marks = [vars(mark) for mark in self._marks if mark.number > marks_after]
             self._judge_silences()
             now = self._clock()
             faults = [
@@ -414,12 +538,31 @@ class LiveRecord:
             ),
             "faults": _json(faults),
             "events": _json(events),
+            "marks": _json(marks),
+            "recording": _json(recording),
+            "recorded": _json(self._recorded),
             "silence": _json(self.silence),
             "silent_after": _json(SILENT_AFTER),
             "origin": _json(self._origin),
             "windows": b"[" + b",".join(sentences) + b"]",
         }
         return b"{" + b",".join(b'"%s":%s' % (k.encode(), v) for k, v in parts.items()) + b"}"
+
+
+def _range_of(rows: Array) -> Array:
+    """A row of the history of signals (n, 8): time, six signals, whether the force is valid."""
+    low, high = np.fmin.reduce(rows[:, 1:7]), np.fmax.reduce(rows[:, 1:7])
+    ranges = np.stack([low, high], axis=1).ravel()
+    return np.concatenate([rows[:1, 0], ranges, [rows[:, 7].mean()]])
+
+
+def _joined_ranges(pairs: Array) -> Array:
+    """Join two rows of the history, their numbers first, to one."""
+    joined = pairs[:, 0].copy()
+    joined[:, 2:-1:2] = np.fmin(pairs[:, 0, 2:-1:2], pairs[:, 1, 2:-1:2])
+    joined[:, 3:-1:2] = np.fmax(pairs[:, 0, 3:-1:2], pairs[:, 1, 3:-1:2])
+    joined[:, -1] = pairs[:, :, -1].mean(axis=1)
+    return joined
 
 
 def _units(seen: SetSeen | None) -> dict[str, str]:

@@ -14,7 +14,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -105,8 +105,8 @@ def _own_names() -> frozenset[str]:
     return frozenset({*_LOCAL, name, short, f"{short}.local"})
 
 
-Command = Callable[[str], bool]
-"""Takes the name of a command; whether there was room for it."""
+Command = Callable[[str, Mapping[str, str]], bool]
+"""Takes the name of a command and what goes with it; whether there was room for it."""
 
 
 class PageServer:
@@ -126,7 +126,7 @@ class PageServer:
         port: int,
         title: str = "",
         commands: Collection[str] = (),
-        command: Command = lambda _: False,
+        command: Command = lambda *_: False,
         allowed_hosts: Collection[str] = (),
     ) -> None:
         files = {path: ((PAGE / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
@@ -277,7 +277,7 @@ class _Handler(BaseHTTPRequestHandler):
                 "commands": self.served.commands,
                 "verdicts": _VERDICTS,
             }
-            status = record.status(_number(query, "windows", 0))
+            status = record.status(_number(query, "windows", 0), _number(query, "marks", 0))
             content = json.dumps(fixed).encode()[:-1] + b"," + status[1:]
             self._answer(HTTPStatus.OK, content, "application/json")
         elif path.startswith("/tables/"):
@@ -297,7 +297,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _take_command(self, body: bytes) -> None:
         self._check_origin()
-        path, commands = self._target()[0], self.served.commands
+        (path, query), commands = self._target(), self.served.commands
         if path == "/seen":
             self.served.record.acknowledge(_number({"fault": [body.decode("latin-1")]}, "fault", 0))
             self._answer(HTTPStatus.NO_CONTENT)
@@ -309,7 +309,7 @@ class _Handler(BaseHTTPRequestHandler):
         name = body.decode("utf-8", "replace")
         if name not in commands:
             raise _bad(f"the commands are {', '.join(commands)}")
-        if not self.served.command(name):
+        if not self.served.command(name, {key: values[0] for key, values in query.items()}):
             raise _RequestError(HTTPStatus.SERVICE_UNAVAILABLE, "too many commands wait already")
         self._answer(HTTPStatus.ACCEPTED)
 

@@ -79,6 +79,7 @@ class CommandTopic(ABC):
 
 
 COMMAND_TOPIC = "supply/current_command"
+DEMAND_TOPIC = "damper/desired_force"
 
 
 class CurrentCommands(CommandTopic):

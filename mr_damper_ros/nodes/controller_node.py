@@ -20,7 +20,7 @@ from mr_damper_ros.control.force_controller import (
 )
 from mr_damper_ros.nodes import quality
 from mr_damper_ros.nodes.block_node import BlockNode
-from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC
+from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import ERROR, OK, STALE, WARN, Finding
 from mr_damper_ros.nodes.inputs import CURRENT_TOPIC, SAMPLES_TOPIC
 from mr_damper_ros.nodes.messages import set_stamp, to_nanoseconds
@@ -30,8 +30,6 @@ from mr_damper_ros.settings.option_table import group, option
 from mr_damper_ros.signals.blocks import SampleBlock
 from mr_damper_ros.signals.error_sums import RunningError
 from mr_damper_ros.signals.uniform_grid import GridSettings
-
-DEMAND_TOPIC = "damper/desired_force"
 
 _LATE = 0.05
 """Seconds: a computer with a processor to spare is late by less; a command is for what is now."""

@@ -4,14 +4,28 @@ from __future__ import annotations
 
 import math
 import queue
+import time
+from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from mr_damper_msgs.msg import DamperParameters, DamperSignals, FitReport
+from mr_damper_msgs.msg import (
+    CurrentCommand,
+    DamperParameters,
+    DamperSignals,
+    DesiredForce,
+    FitReport,
+    MtsSamples,
+    PredictedForce,
+)
 from mr_damper_msgs.srv import SaveParameters
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import Temperature
 from std_srvs.srv import Trigger
@@ -19,7 +33,9 @@ from std_srvs.srv import Trigger
 from mr_damper_ros.live.live_record import Concern, LiveRecord, SetSeen, WindowSeen
 from mr_damper_ros.live.page_server import PageServer, is_local
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.messages import to_nanoseconds
+from mr_damper_ros.nodes.bag_recorder import BagRecorder
+from mr_damper_ros.nodes.command_topic import COMMAND_TOPIC, DEMAND_TOPIC
+from mr_damper_ros.nodes.messages import from_field, parameter_set, to_nanoseconds
 from mr_damper_ros.nodes.mirrors import SIGNALS_TOPIC
 from mr_damper_ros.nodes.node_parameters import ConfigurationError, NodeParameters
 from mr_damper_ros.nodes.spinning import run
@@ -41,8 +57,12 @@ _OF_A_SET = ("model", "source", "node", "nrmse")
 _ARRAYS_OF_A_SET = ("names", "units", "values", "standard_errors", "observable")
 """What of a set is called as in DamperParameters."""
 
+_SHORTEST_BLOCK = 0.004
+"""Seconds of samples in a message from which on the loops are drawn at the full rate: a message
+costs as much whatever it holds."""
 
-def listen(node: Node, record: LiveRecord) -> None:
+
+def listen(node: Node, record: LiveRecord) -> _Ear:
     """Subscribe a node to all that is shown, in its namespace, and keep it in the record."""
     seen = _Ear(record, node.get_namespace().strip("/"))
     looking = QoSProfile(
@@ -54,16 +74,65 @@ def listen(node: Node, record: LiveRecord) -> None:
         (Temperature, "damper/fluid_temperature", seen.temperature, quality.stream(_WAITING)),
         (FitReport, "damper/fit_report", seen.report, quality.stream(_WAITING)),
         (DiagnosticArray, "/diagnostics", seen.diagnostics, quality.stream(_WAITING)),
+        (CurrentCommand, COMMAND_TOPIC, seen.command, looking),
+        (DesiredForce, DEMAND_TOPIC, seen.demand, looking),
     ):
         node.create_subscription(kind, topic, hear, profile)
+    seen.at_full_rate = [
+        node.create_subscription(kind, topic, hear, looking)
+        for kind, topic, hear in (
+            (MtsSamples, "mts/samples", seen.samples),
+            (PredictedForce, "damper/predicted_force", seen.forces),
+        )
+    ]
+    return seen
 
 
 class _Ear:
-    """Takes messages apart; ``namespace`` is that of the diagnostics to keep, empty for all."""
+    """Takes messages apart; ``namespace`` is that of the diagnostics to keep, empty for all.
+
+    ``newest_set`` is the last set that was published. ``blocks_are_small``: samples come in so many
+    messages that listening to all of them (``at_full_rate``) costs too much.
+    """
 
     def __init__(self, record: LiveRecord, namespace: str) -> None:
         self._record = record
         self._prefix = f"{namespace}/" if namespace else ""
+        self._blocks: deque[MtsSamples] = deque(maxlen=_WAITING)
+        self.newest_set: DamperParameters | None = None
+        self.at_full_rate: list[Subscription] = []
+        self.blocks_are_small = False
+
+    def samples(self, message: MtsSamples) -> None:
+        self._blocks.append(message)
+        self.blocks_are_small = len(message.force) * message.period < _SHORTEST_BLOCK
+
+    def forces(self, message: PredictedForce) -> None:
+        """Join predicted forces with the samples that they are of."""
+        while self._blocks and self._blocks[0].seq + len(self._blocks[0].force) <= message.seq:
+            self._blocks.popleft()
+        count = len(message.force)
+        if not self._blocks or not count:
+            return
+        block = self._blocks[0]
+        first = message.seq - block.seq
+        if not 0 <= first <= len(block.force) - count:
+            return
+        part = slice(first, first + count)
+        self._record.add_samples(
+            to_nanoseconds(message.header.stamp) / NANOSECONDS,
+            message.period,
+            from_field(block.displacement)[part],
+            from_field(block.force)[part],
+            from_field(message.force),
+            np.frombuffer(message.sample_doubts, dtype=np.uint8) == PredictedForce.NONE,
+        )
+
+    def command(self, message: CurrentCommand) -> None:
+        self._record.set_point("current_command", message.current)
+
+    def demand(self, message: DesiredForce) -> None:
+        self._record.set_point("desired_force", message.force)
 
     def signals(self, message: DamperSignals) -> None:
         self._record.add_signals(
@@ -112,6 +181,7 @@ class _Ear:
         arrays: dict[str, Any] = {n: list(getattr(message, n)) for n in _ARRAYS_OF_A_SET}
         if len({len(array) for array in arrays.values()}) > 1:
             return
+        self.newest_set = message
         self._record.set_parameters(
             SetSeen(
                 time=to_nanoseconds(message.header.stamp) / NANOSECONDS,
@@ -143,6 +213,9 @@ _COMMANDS = {
 }
 """Services of the identifier that the page may call, with empty requests."""
 
+_RECORD, _STOP = "record", "stop_recording"
+"""The commands that this node carries out itself."""
+
 _WAITING_COMMANDS = 4
 
 _LOOK = 0.1
@@ -171,8 +244,12 @@ class LiveParameters(ParameterTable):
     )
     allow_commands: bool = option(
         False,
-        "Whether the page has buttons that save or reset the parameters of the identifier and "
-        "acknowledge rejected files; false: the page is read-only.",
+        "Whether the page has buttons that record the run, save or reset the parameters of the "
+        "identifier and acknowledge rejected files; false: the page is read-only.",
+    )
+    record_folder: str = option(
+        "~/.ros/recordings",
+        "Folder for the bags recorded from the page; `live --bag FILE` opens them again.",
     )
     allowed_hosts: str = option(
         "",
@@ -193,9 +270,10 @@ class LiveNode(Node):
 
     def __init__(self) -> None:
         super().__init__("live")
-        options = NodeParameters(self, LiveParameters).values
+        self._options = options = NodeParameters(self, LiveParameters).values
         self._record = LiveRecord()
-        self._waiting: queue.Queue[str] = queue.Queue(_WAITING_COMMANDS)
+        self._recorder: BagRecorder | None = None
+        self._waiting: queue.Queue[tuple[str, Mapping[str, str]]] = queue.Queue(_WAITING_COMMANDS)
         commands = _COMMANDS if options.allow_commands else {}
         self._of_the_identifier = {
             name: self.create_client(kind, f"{options.identifier}/{name}")
@@ -207,7 +285,7 @@ class LiveNode(Node):
                 options.host,
                 options.port,
                 self.get_namespace(),
-                tuple(commands),
+                (_RECORD, _STOP, *commands) if commands else (),
                 self._take_command,
                 options.allowed_hosts.split(),
             )
@@ -220,7 +298,7 @@ class LiveNode(Node):
                 f"the page cannot be served at {options.host}, port {options.port}: "
                 f"{error.strerror or error}; choose another with -p port:=NUMBER"
             ) from error
-        listen(self, self._record)
+        self._ear = listen(self, self._record)
         self.get_logger().info(f"the page is at {self._page.address}")
         if not is_local(options.host):
             self.get_logger().warning(
@@ -229,23 +307,68 @@ class LiveNode(Node):
             )
 
     def destroy_node(self) -> None:
-        """Stop serving, then end."""
+        """Stop serving and recording, then end."""
         self._page.close()
+        self._stop_recording()
         super().destroy_node()
 
     def attend(self) -> float:
         """Pass on what was asked for on the page; returns the seconds until the next look."""
         while not self._waiting.empty():
-            self._call(self._waiting.get_nowait())
+            name, arguments = self._waiting.get_nowait()
+            if name == _RECORD:
+                self._begin_recording(arguments)
+            elif name == _STOP:
+                self._stop_recording()
+            else:
+                self._call(name)
+        if self._recorder is not None and self._recorder.failure:
+            self._stop_recording()
+        if self._ear.blocks_are_small and self._ear.at_full_rate:
+            while self._ear.at_full_rate:
+                self.destroy_subscription(self._ear.at_full_rate.pop())
         return _LOOK
 
-    def _take_command(self, name: str) -> bool:
+    def _take_command(self, name: str, arguments: Mapping[str, str]) -> bool:
         """Called by the threads of the server."""
         try:
-            self._waiting.put_nowait(name)
+            self._waiting.put_nowait((name, arguments))
         except queue.Full:
             return False
         return True
+
+    def _begin_recording(self, arguments: Mapping[str, str]) -> None:
+        if self._recorder is not None:
+            return
+        told = {key: arguments.get(key, "").strip() for key in ("name", "operator", "note")}
+        told["name"] = told["name"] or "run"
+        by = f" by {told['operator']}" if told["operator"] else ""
+        details = {**told, "provenance": f"recorded from the page{by}: {told['note']}".rstrip(": ")}
+        if self._ear.newest_set is not None:
+            details["start_set"] = parameter_set(self._ear.newest_set).to_yaml()
+        try:
+            folder = Path(self._options.record_folder).expanduser()
+            self._recorder = BagRecorder(self, folder, details)
+        except (OSError, ValueError) as error:
+            self._record.add_event(f"nothing is recorded: {error}")
+            return
+        began = f"{time.time():.3f}"
+        self._record.set_recording({**told, "path": str(self._recorder.path), "began": began})
+        self.get_logger().info(f"recording to {self._recorder.path}")
+
+    def _stop_recording(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            return
+        self._record.set_recording(None)
+        outcome = recorder.failure
+        try:
+            recorder.close()
+        except OSError as error:
+            outcome = outcome or error.strerror or str(error)
+        self._record.add_event(
+            f"the recording has failed: {outcome}" if outcome else f"recorded: {recorder.path}"
+        )
 
     def _call(self, name: str) -> None:
         client = self._of_the_identifier[name]

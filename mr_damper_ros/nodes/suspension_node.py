@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 
 from mr_damper_ros.control.semi_active import SuspensionSettings, controller_of
 from mr_damper_ros.nodes import quality
-from mr_damper_ros.nodes.controller_node import DEMAND_TOPIC
+from mr_damper_ros.nodes.command_topic import DEMAND_TOPIC
 from mr_damper_ros.nodes.diagnostics import OK, STALE, WARN, Diagnostics, Finding
 from mr_damper_ros.nodes.messages import (
     BODY,

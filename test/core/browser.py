@@ -150,8 +150,9 @@ class Browser:
         return value
 
     def press(self, key: str) -> None:
-        """Press and release a key."""
-        self.send("Input.dispatchKeyEvent", type="keyDown", key=key, text=key)
+        """Press and release a key, named as in JavaScript."""
+        typed = {"text": key} if len(key) == 1 else {}
+        self.send("Input.dispatchKeyEvent", type="keyDown", key=key, **typed)
         self.send("Input.dispatchKeyEvent", type="keyUp", key=key)
 
     def resize(self, width: int, height: int, scale: float = 1.0) -> None:

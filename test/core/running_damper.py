@@ -30,6 +30,16 @@ def show_signals(record: LiveRecord, begin: float, duration: float) -> None:
         )
 
 
+def show_samples(record: LiveRecord, duration: float) -> None:
+    """The same motion at 1 kHz, in blocks of ten."""
+    omega, amplitude = 2.0 * math.pi * 1.5, 5e-3
+    for begin in np.arange(0.0, duration - 1e-9, 0.01):
+        at = begin + 1e-3 * np.arange(10)
+        u, v = amplitude * np.sin(omega * at), amplitude * omega * np.cos(omega * at)
+        force = 620.0 * np.tanh(41.0 * (v - 0.15 * omega * u)) * (1.0 + 0.5 * np.abs(v))
+        record.add_samples(START + begin, 1e-3, u, force, 0.97 * force + 8.0, np.ones(10))
+
+
 def show_window(record: LiveRecord, number: int, *, accepted: bool = True) -> None:
     """What became of a window that ended ``number`` seconds after the start."""
     scale = 1.0 - 0.004 * number
@@ -116,6 +126,22 @@ def show_health(record: LiveRecord, nodes: str | tuple[str, ...] = "") -> None:
             0,
             "0.503 A; the current is commanded",
             {"origin": "COMMAND", "set [A]": "0.5", "measured [A]": "0.5031"},
+        ),
+        Concern(
+            "controller: command",
+            0,
+            "0.5 A for 200 N",
+            {
+                "current [A]": "0.5000",
+                "desired force [N]": "200",
+                "expected force [N]": "198.4",
+            },
+        ),
+        Concern(
+            "campaign: campaign",
+            0,
+            "run 3: 5 mm, 1.5 Hz; the run is made",
+            {"stage": "RECORDING", "run": "3", "worst error": "0.021", "runs left": "2"},
         ),
         Concern("bridge: motion", 0, "5 mm, 1.5 Hz commanded", {"excitation": "5 mm, 1.5 Hz"}),
         Concern("safety: interlock", 0, "closed", {}),

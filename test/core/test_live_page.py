@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -16,6 +16,7 @@ from browser import PATIENCE, Browser
 
 from mr_damper_ros.live.live_record import Concern, LiveRecord
 from mr_damper_ros.live.page_server import PageServer
+from mr_damper_ros.live.recorded import empty_record, replay_into
 
 SECONDS = 12
 
@@ -69,7 +70,7 @@ def page(browser: Browser, record: LiveRecord) -> Iterator[Browser]:
         browser.prefer("light")
         browser.open(server.address)
         browser.until("document.querySelector('#state')?.innerText.includes('live')")
-        browser.until("document.querySelectorAll('figure canvas').length >= 34")
+        browser.until("document.querySelectorAll('figure canvas').length >= 35")
         yield browser
         assert browser.errors == []
         host = urlsplit(server.address).netloc
@@ -85,8 +86,8 @@ def ink(page: Browser, chart: str) -> str:
 
 def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     names = page.evaluate("[...document.querySelectorAll('figure canvas')].length")
-    # Eleven by name, seven coefficients, sixteen parameters.
-    assert names == 11 + 7 + 16
+    # Twelve by name, seven coefficients, sixteen parameters.
+    assert names == 12 + 7 + 16
     for chart in ("force-velocity", "force-displacement", "force-time"):
         colours = page.evaluate(
             f"""(() => {{
@@ -105,6 +106,10 @@ def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     assert page.text("#tile-prediction").split() == ["✓", "valid"], "one error, in its own tile"
     assert page.text("#tile-scale").split() == ["0.952", "±", "0.003"]
     assert "5 mm, 1.5 Hz" in page.text("#tile-motion")
+    assert "commanded 5 mm, 1.5 Hz" in page.text("#tile-motion")
+    assert page.text("#tile-supply").split("\n") == ["0.503 A", "set 0.5 A; output on"]
+    assert "200 N desired" in page.text("#tile-controller")
+    assert "run 3" in page.text("#tile-campaign")
     assert page.text("#tile-current") == "0.5 A"
     assert f"nelder_mead-{SECONDS - 1}" in page.text("#tile-set")
     assert page.text("#tile-latency").startswith("0.612 ms")
@@ -126,6 +131,286 @@ def test_figures_tiles_windows_and_diagnostics_are_shown(page: Browser) -> None:
     assert "✕ error: the state cannot be kept" in shown
     assert "▲ warning: 3 samples were lost" in shown
     assert "✓ good: window 40% full" in shown
+
+
+def point_at(page: Browser, chart: str) -> None:
+    """Move the pointer to the middle of a figure."""
+    at = page.evaluate(
+        f"""(() => {{
+          const over = document.querySelector('{chart} .u-over');
+          over.scrollIntoView({{ block: 'center', behavior: 'instant' }});
+          const box = over.getBoundingClientRect();
+          return [box.x + box.width / 2, box.y + box.height / 2];
+        }})()"""
+    )
+    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at[0] - 3, y=at[1])
+    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=at[0], y=at[1])
+
+
+@pytest.mark.parametrize(
+    ("chart", "shown"),
+    [("force-time", r"-?[\d.]+ / -?[\d.]+ N at .* s"), ("force-velocity", r"\S+ N at \S+ m/s")],
+)
+def test_a_figure_says_the_values_under_the_pointer(page: Browser, chart: str, shown: str) -> None:
+    figure = f"[data-chart={chart}]"
+    point_at(page, figure)
+    pattern = f"new RegExp({json.dumps(f'^{shown}$')})"
+    page.until(f"{pattern}.test(document.querySelector('{figure} output').value)")
+
+
+def test_an_outlier_does_not_flatten_a_figure(browser: Browser) -> None:
+    record = running_damper.running(3)
+    record.add_signals(running_damper.START + 3.0, 0.0, 0.0, 0.5, 1e6, 0.0, valid=True)
+    running_damper.show_signals(record, 3.01, 1.0)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        output = "document.querySelector('[data-chart=force-time] output')"
+        browser.until(f"{output}?.value === '1 outside the view'")
+        leave(browser)
+
+
+def place_of(page: Browser, chart: str, across: float) -> tuple[float, float]:
+    """Where a part of the width of a figure lies on the screen."""
+    x, y = page.evaluate(
+        f"""(() => {{
+          const over = document.querySelector('[data-chart="{chart}"] .u-over');
+          over.scrollIntoView({{ block: 'center', behavior: 'instant' }});
+          const box = over.getBoundingClientRect();
+          return [box.x + {across} * box.width, box.y + box.height / 2];
+        }})()"""
+    )
+    return x, y
+
+
+def drag(page: Browser, chart: str, begin: float, end: float, down: float = 0.0) -> None:
+    """Drag over a part of a figure; of no width: click there."""
+    first, last = place_of(page, chart, begin), place_of(page, chart, end)
+    held = {"button": "left", "buttons": 1, "clickCount": 1}
+    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=first[0], y=first[1])
+    page.send("Input.dispatchMouseEvent", type="mousePressed", x=first[0], y=first[1], **held)
+    if begin != end:
+        middle = 0.5 * (first[0] + last[0])
+        page.send("Input.dispatchMouseEvent", type="mouseMoved", x=middle, y=last[1], **held)
+    at = {"x": last[0], "y": last[1] + down}
+    page.send("Input.dispatchMouseEvent", type="mouseMoved", **at, **held)
+    page.send("Input.dispatchMouseEvent", type="mouseReleased", **at, **held)
+
+
+def wheel(page: Browser, chart: str, amount: float, *, sideways: bool = False) -> None:
+    x, y = place_of(page, chart, 0.5)
+    turned = {"deltaX": amount, "deltaY": 0} if sideways else {"deltaX": 0, "deltaY": amount}
+    page.send("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, **turned)
+
+
+NEWEST = "document.querySelector('[data-do=newest]')"
+RUN = running_damper.running(120)
+"""Two minutes, of which the page has the signals of the last one."""
+
+
+@pytest.fixture
+def whole(browser: Browser) -> Iterator[Browser]:
+    """The page of a run that stands still."""
+    with closing(PageServer(RUN, "127.0.0.1", 0)) as server:
+        browser.errors.clear()
+        browser.open(server.address)
+        browser.until("document.querySelectorAll('[data-chart=run] canvas').length")
+        browser.until("document.querySelectorAll('[data-chart=force-time] canvas').length")
+        yield browser
+        assert browser.errors == []
+        leave(browser)
+
+
+def first_and_last_time(page: Browser) -> tuple[float, float]:
+    """What the figures over time show, as the cursors at both edges say."""
+    page.until("document.querySelectorAll('[data-chart=force-time] .u-over').length")
+    page.press("Escape")
+    drag(page, "force-time", 0.002, 0.002)
+    drag(page, "force-time", 0.998, 0.998)
+    page.until("document.querySelector('#cursors tr:first-child td:nth-child(3)').innerText")
+    cells = page.evaluate(
+        "[...document.querySelectorAll('#cursors tbody tr:first-child td')].map(c => c.innerText)"
+    )
+    page.press("Escape")
+    return float(cells[1]), float(cells[2])
+
+
+def test_a_part_is_chosen_by_dragging_and_moved_by_wheel_and_keys(whole: Browser) -> None:
+    begin, end = first_and_last_time(whole)
+    assert (begin, end) == pytest.approx((110.0, 120.0), abs=0.1)
+    drag(whole, "force-time", 0.25, 0.75)
+    whole.until(f"!{NEWEST}.hidden")
+    assert first_and_last_time(whole) == pytest.approx((112.5, 117.5), abs=0.1)
+    whole.press("ArrowLeft")
+    assert first_and_last_time(whole) == pytest.approx((111.25, 116.25), abs=0.1)
+    wheel(whole, "force-time", 100.0)
+    assert first_and_last_time(whole) == pytest.approx((110.6, 116.9), abs=0.1)
+    wheel(whole, "force-time", -100.0, sideways=True)
+    assert first_and_last_time(whole) == pytest.approx((110.0, 116.3), abs=0.1)
+    whole.press("0")
+    whole.until(f"{NEWEST}.hidden")
+    assert first_and_last_time(whole) == pytest.approx((110.0, 120.0), abs=0.1)
+
+
+def test_the_whole_run_is_there_to_scroll_back_to(whole: Browser) -> None:
+    drag(whole, "run", 0.0833, 0.1667)
+    begin, end = first_and_last_time(whole)
+    assert (begin, end) == pytest.approx((10.0, 20.0), abs=0.3)
+    drag(whole, "force-time", 0.5, 0.5)
+    force = "document.querySelector('#cursors tbody tr:nth-child(2) td:nth-child(2)').innerText"
+    assert abs(float(whole.until(force))) < 700.0
+    whole.press("0")
+
+
+def test_two_cursors_say_values_and_differences(whole: Browser) -> None:
+    drag(whole, "force-time", 0.2, 0.2)
+    drag(whole, "force-time", 0.3, 0.3)
+    whole.until("document.querySelector('#cursors tr:first-child td:nth-child(4)').innerText")
+    rows = whole.evaluate(
+        "[...document.querySelectorAll('#cursors tbody tr')]"
+        ".map(row => [...row.cells].map(cell => cell.innerText))"
+    )
+    assert rows[0][3] == "1 (1 Hz)" or rows[0][3].startswith(("0.99", "1.00"))
+    for label, first, second, less in rows[1:]:
+        assert float(less) == pytest.approx(float(second) - float(first), abs=0.06), label
+    assert [row[0] for row in rows[1:3]] == ["measured force [N]", "predicted force [N]"]
+    whole.press("Escape")
+    whole.until("document.querySelector('#cursors').hidden")
+
+
+def test_a_part_of_a_loop_is_enlarged(whole: Browser) -> None:
+    before = ink_at_rest(whole, "[data-chart=force-velocity]")
+    drag(whole, "force-velocity", 0.5, 0.8, down=60.0)
+    whole.until(
+        "document.querySelector('[data-chart=force-velocity] canvas').toDataURL() !== "
+        + json.dumps(before)
+    )
+
+
+def test_events_are_marked_and_lead_to_their_place(browser: Browser) -> None:
+    record = running_damper.running(3)
+    for number in range(300):
+        current = 0.5 if number < 150 else 1.2
+        at = running_damper.START + 3.0 + 0.01 * number
+        record.add_signals(at, 0.0, 0.0, current, 0.0, 0.0, valid=True)
+    record.add_concern(Concern("supply: supply", 2, "its watchdog has tripped", {}))
+    running_damper.show_set(record, 5)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        browser.until("document.querySelectorAll('#mark-rows tr').length >= 4")
+        told = browser.text("#mark-rows")
+        assert "current: 0.5 to 1.2 A" in told
+        assert "fault: supply: supply: its watchdog has tripped" in told
+        assert "set taken: nelder_mead-5 (nelder mead)" in told
+        step = (
+            "[...document.querySelectorAll('#mark-rows tr')].find(r => /1.2 A/.test(r.innerText))"
+        )
+        assert browser.evaluate(f"{step}.cells[0].innerText") == "4.5 s"
+        browser.evaluate(f"{step}.querySelector('button').click()")
+        browser.until(f"!{NEWEST}.hidden")
+        leave(browser)
+
+
+def show_commanded(record: LiveRecord) -> None:
+    record.set_point("current_command", 0.7)
+    record.set_point("desired_force", 333.0)
+    running_damper.show_signals(record, 3.0, 3.0)
+
+
+def test_what_is_commanded_is_drawn_beside_what_there_is(browser: Browser) -> None:
+    record = running_damper.running(3)
+    show_commanded(record)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        browser.until("document.querySelector('#tile-current').innerText.includes('commanded 0.7')")
+        for chart in ("force-time", "current-time"):
+            browser.until(f"{purple(chart)} > 20")
+        leave(browser)
+
+
+def purple(chart: str) -> str:
+    """Expression: how many pixels of a figure have the colour of what is commanded."""
+    return f"""(() => {{
+      const canvas = document.querySelector('[data-chart="{chart}"] canvas');
+      if (!canvas) return 0;
+      const bits = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+      let count = 0;
+      for (let k = 0; k < bits.length; k += 4) {{
+        const [red, green, blue] = bits.slice(k, k + 3);
+        count += bits[k + 3] > 0 && blue > red + 20 && red > green + 15;
+      }}
+      return count;
+    }})()"""
+
+
+def test_loops_have_the_full_rate_and_a_reference_behind_them(browser: Browser) -> None:
+    record = running_damper.running(6)
+    running_damper.show_samples(record, 6.0)
+    loop = "document.querySelector('[data-chart=force-velocity]')"
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.open(server.address)
+        browser.until(f"Number({loop}?.dataset.rate) > 900")
+        browser.evaluate("document.querySelector('#reference').click()")
+        browser.until("document.querySelector('#reference-key').innerText.includes('0.5 A')")
+        kept = browser.evaluate("JSON.parse(localStorage.getItem('reference')).velocity[0].length")
+        assert kept > 1000
+        browser.open(server.address)
+        browser.until("document.querySelector('#reference').innerText === 'Drop the reference'")
+        browser.evaluate("document.querySelector('#reference').click()")
+        assert browser.evaluate("localStorage.getItem('reference')") is None
+        leave(browser)
+
+
+def test_a_run_is_recorded_with_name_operator_and_note(browser: Browser) -> None:
+    record, taken = running_damper.running(3), []
+
+    def take(name: str, told: Mapping[str, str]) -> bool:
+        taken.append((name, dict(told)))
+        began = f"{time.time():.3f}"
+        path = {"path": "/bags/one", "began": began}
+        record.set_recording({**told, **path} if name == "record" else None)
+        return True
+
+    commands = ("record", "stop_recording")
+    with closing(PageServer(record, "127.0.0.1", 0, "", commands, take)) as server:
+        browser.open(server.address)
+        browser.until("document.querySelector('#record')?.hidden === false")
+        browser.press("r")
+        browser.until("document.querySelector('#recording').open")
+        for name, text in (("name", "warm"), ("operator", "Ada"), ("note", "two & three")):
+            field = f"document.querySelector('#recording [name={name}]')"
+            browser.evaluate(f"{field}.value = {text!r}")
+        browser.evaluate("document.querySelector('#recording [value=record]').click()")
+        browser.until("document.querySelector('#record').innerText.includes('Recording 0:')")
+        browser.until("document.querySelector('#mark-rows').innerText.includes('recording begins')")
+        browser.evaluate("document.querySelector('#record').click()")
+        browser.until("document.querySelector('#record').innerText === '● Record'")
+        leave(browser)
+    said = {"name": "warm", "operator": "Ada", "note": "two & three"}
+    assert taken == [("record", said), ("stop_recording", {})]
+
+
+def test_a_recording_is_opened_on_the_page(browser: Browser) -> None:
+    bag = Path(__file__).parents[2] / "bags" / "5.0mm_1Hz_1.5A"
+    record = empty_record(bag)
+    replay_into(record, bag)
+    with closing(PageServer(record, "127.0.0.1", 0)) as server:
+        browser.errors.clear()
+        browser.open(server.address)
+        browser.until("document.querySelector('#state')?.innerText.includes('recorded')")
+        assert browser.text("#state").startswith("■ recorded: ")
+        browser.until("document.querySelectorAll('#window-rows tr').length > 2")
+        begin, end = first_and_last_time(browser)
+        assert begin < 0.2
+        assert end == pytest.approx(record_length(record), rel=0.02)
+        assert grey(browser) == set()
+        assert browser.errors == []
+        leave(browser)
+
+
+def record_length(record: LiveRecord) -> float:
+    rows = record.rows("signals", -1, -1)
+    assert rows is not None
+    return float(rows.values[-1, 1] - rows.values[0, 1])
 
 
 def ink_at_rest(page: Browser, chart: str) -> str:
@@ -174,6 +459,12 @@ def test_a_telephone_shows_it_without_scrolling_sideways(page: Browser) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     why = "document.querySelector('td.why').getBoundingClientRect()"
     assert page.evaluate(f"{why}.width > 200 && {why}.right <= 390")
+    for link in range(7):
+        shown = f"document.querySelectorAll('nav a')[{link}].getBoundingClientRect()"
+        assert page.evaluate(f"{shown}.left >= 0 && {shown}.right <= 390 && {shown}.bottom <= 844")
+    page.evaluate("document.querySelector('nav a[href=\"#health\"]').click()")
+    page.until("document.querySelector('nav [aria-current]').hash === '#health'")
+    assert page.evaluate("document.querySelector('header').getBoundingClientRect().height") < 200
     page.resize(1280, 900)
 
 
@@ -248,7 +539,8 @@ def test_what_is_not_heard_any_more_is_grey_and_says_since_when(browser: Browser
         browser.until(f"document.querySelector('#tile-prediction .sign').innerText && !{GONE}")
         clock = 112.0
         running_damper.show_signals(record, 3.0, 1.0)
-        running_damper.show_health(record, ("model", "supply", "bridge", "safety"))
+        others = ("model", "supply", "bridge", "safety", "controller", "campaign")
+        running_damper.show_health(record, others)
         browser.until(GONE)
         assert grey(browser) == {
             *("Force scale", "Temperature", "Motion", "Drift", "Operating-point coefficients"),
@@ -280,7 +572,7 @@ def test_the_alarm_bar_is_in_view_and_keeps_faults_until_they_are_seen(browser: 
         browser.open(server.address)
         browser.until("document.querySelector('#alarms')?.innerText.includes('cannot be kept')")
         assert bar(browser)[:3] == ["✓ on, 0.503 A", "✓ 5 mm, 1.5 Hz", "✓ closed"]
-        browser.press("6")
+        browser.press("7")
         browser.until("scrollY > innerHeight")
         top = "document.querySelector('#alarms').getBoundingClientRect()"
         assert browser.evaluate(f"{top}.top >= 0 && {top}.bottom < innerHeight / 3")

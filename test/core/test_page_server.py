@@ -204,7 +204,7 @@ def taken() -> list[str]:
 
 @pytest.fixture
 def commanded(record: LiveRecord, taken: list[str]) -> Iterator[PageServer]:
-    def take(name: str) -> bool:
+    def take(name: str, arguments: object) -> bool:
         taken.append(name)
         return len(taken) <= 1
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mr_damper_ros.live.live_record import RollingTable
+from mr_damper_ros.live.live_record import RollingTable, first_of_two
 
 
 def filled(rows: int, capacity: int = 8, *, thins: bool = False) -> RollingTable:
-    table = RollingTable(("value",), capacity, thins=thins)
+    table = RollingTable(("value",), capacity, first_of_two if thins else None)
     for number in range(rows):
         table.append((10.0 * number,))
     return table

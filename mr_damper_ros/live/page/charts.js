@@ -104,7 +104,8 @@ class Chart {
   size() { return { width: this.place.clientWidth || 300, height: this.place.clientHeight || 150 }; }
 }
 
-/** Curves that run back and forth: data is a list of [x, y], in the order of options.lines. */
+/** Curves that run back and forth: data is a list of [x, y], in the order of options.lines.
+ *  Dragging over a part shows that alone, a double click all of it again. */
 export class LoopChart extends Chart {
   show(data) {
     this.data = data;
@@ -115,19 +116,35 @@ export class LoopChart extends Chart {
 
   described() {
     const { x, y, lines } = this.options;
-    const range = (k) => () => this.range(this.data.map((pair) => pair[k]), lines);
+    const range = (k) => () => this.part?.[k] ?? this.range(this.data.map((pair) => pair[k]), lines);
     return {
       ...this.size(), mode: 2, legend: { show: false },
-      cursor: { drag: { x: false, y: false }, points: { show: false }, dataIdx: () => null },
+      cursor: { drag: { x: true, y: true, setScale: false }, points: { show: false }, dataIdx: () => null,
+        bind: { dblclick: () => () => this.showPart(null) } },
       scales: { x: { time: false, range: range(0) }, y: { range: range(1) } },
       axes: [axis(x, 30), axis(y, beside)],
       hooks: { drawClear: [(u) => u.series.forEach((s, i) => { if (i) s._paths = null; })],
-        setCursor: [(u) => this.tell(u)] },
+        setCursor: [(u) => this.tell(u)], setSelect: [(u) => this.select(u)] },
       series: [{}, ...lines.map((line) => ({
         facets: [{ scale: "x", auto: true }, { scale: "y", auto: true }],
         stroke: style(line.colour), paths: (u, i) => this.draw(u, i, line),
       }))],
     };
+  }
+
+  select(u) {
+    const { left, top, width, height } = u.select;
+    if (width < SMALLEST || height < SMALLEST) return;
+    const x = [left, left + width].map((at) => u.posToVal(at, "x"));
+    const y = [top + height, top].map((at) => u.posToVal(at, "y"));
+    u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    this.showPart([x, y]);
+  }
+
+  /** Show a part, [[left, right], [bottom, top]]; null: all. */
+  showPart(part) {
+    this.part = part;
+    if (this.data) this.show(this.data);
   }
 
   /** Say in the caption where the pointer is. */
@@ -161,8 +178,129 @@ export class LoopChart extends Chart {
   }
 }
 
+const SMALLEST = 4; // pixels that a pointer must be dragged to mean a part of a chart
+const MARKS = { set: ["S", "good"], fault: ["F", "bad"], current: ["I", "soft"], record: ["R", "accent"] };
+
+/**
+ * What charts over the same time share: the part of it in view, two cursors and marks of events.
+ * `view` is [from, to], null for what is newest; `changed` is called after a viewer's doing.
+ */
+export class TimeAxis {
+  constructor(changed) {
+    this.changed = changed;
+    this.view = null;
+    this.cursors = [];
+    this.marks = [];
+    this.whole = [0, 1];
+    this.charts = new Set();
+  }
+
+  get shown() { return this.view ?? this.newest ?? this.whole; }
+
+  show(from, to) {
+    const width = Math.max(to - from, 0.02);
+    this.view = from < to ? [from, from + width] : null;
+    this.changed();
+  }
+
+  follow() { this.view = null; this.changed(); }
+
+  /** Make the part in view so many times as long, about a time. */
+  zoom(factor, about = (this.shown[0] + this.shown[1]) / 2) {
+    const [from, to] = this.shown;
+    this.show(about + factor * (from - about), about + factor * (to - about));
+  }
+
+  /** Move on by a part of what is in view. */
+  pan(part) {
+    const [from, to] = this.shown, by = part * (to - from);
+    this.show(from + by, to + by);
+  }
+
+  /** Place the first cursor, or the second; a third begins anew. */
+  place(time) {
+    this.cursors = this.cursors.length === 1 ? [...this.cursors, time] : [time];
+    this.changed();
+  }
+
+  clear() { this.cursors = []; this.changed(); }
+
+  redraw() { for (const chart of this.charts) chart.plot?.redraw(false); }
+}
+
 /** Lines over time: data is [times, values, ...]; a line with `band` has [low, high] after all lines. */
 export class TimeChart extends Chart {
+  constructor(place, options) {
+    super(place, options);
+    options.axis?.charts.add(this);
+    if (options.axis) this.listen(options.axis);
+  }
+
+  /** The wheel zooms, with Shift it moves on; a click places a cursor. */
+  listen(axis) {
+    const at = (event) => this.plot.posToVal(event.clientX - this.plot.over.getBoundingClientRect().left, "x");
+    let begin = null;
+    this.place.addEventListener("wheel", (event) => {
+      if (!this.plot || !event.target.closest(".u-over")) return;
+      event.preventDefault();
+      const sideways = event.shiftKey || Math.abs(event.deltaX) > Math.abs(event.deltaY);
+      if (sideways) axis.pan(0.1 * Math.sign(event.deltaX || event.deltaY));
+      else axis.zoom(event.deltaY > 0 ? 1.25 : 0.8, at(event));
+    }, { passive: false });
+    this.place.addEventListener("pointerdown", (event) => { begin = event.target.closest(".u-over") ? event.clientX : null; });
+    this.place.addEventListener("click", (event) => {
+      if (begin === null || Math.abs(event.clientX - begin) >= SMALLEST) return;
+      if (this.options.leads) axis.show(at(event) - 5, at(event) + 5);
+      else axis.place(at(event));
+    });
+  }
+
+  select(u) {
+    const { left, width } = u.select;
+    if (width < SMALLEST) return;
+    const [from, to] = [left, left + width].map((px) => u.posToVal(px, "x"));
+    u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+    this.options.axis.show(from, to);
+  }
+
+  /** Draw the marks, the cursors, and on a chart of the whole run the part in view. */
+  drawOver(u) {
+    const { axis, leads } = this.options, { ctx, bbox } = u, ratio = devicePixelRatio;
+    const px = (time) => Math.round(u.valToPos(time, "x", true));
+    const line = (time, text, colour, dash) => {
+      const x = px(time);
+      if (x < bbox.left || x > bbox.left + bbox.width) return;
+      ctx.strokeStyle = ctx.fillStyle = style(colour);
+      ctx.setLineDash(dash);
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+      ctx.fillText(text, x + 2 * ratio, bbox.top + 9 * ratio);
+    };
+    ctx.save();
+    ctx.lineWidth = ratio;
+    ctx.font = `600 ${10 * ratio}px system-ui, sans-serif`;
+    for (const { time, kind } of axis.marks) line(time, MARKS[kind][0], MARKS[kind][1], [2 * ratio, 3 * ratio]);
+    for (const [k, time] of axis.cursors.entries()) line(time, "AB"[k], "ink", []);
+    if (leads) {
+      const [from, to] = axis.shown.map((time) => Math.min(Math.max(px(time), bbox.left), bbox.left + bbox.width));
+      ctx.fillStyle = `${style("accent")}33`;
+      ctx.fillRect(from, bbox.top, Math.max(to - from, 2 * ratio), bbox.height);
+    }
+    ctx.restore();
+  }
+
+  /** Values of the lines at a time, from the sample next to it. */
+  valuesAt(time) {
+    const times = this.data?.[0] ?? [];
+    let best = -1;
+    for (let k = 0; k < times.length; k++) {
+      if (best < 0 || Math.abs(times[k] - time) < Math.abs(times[best] - time)) best = k;
+    }
+    return best < 0 ? [] : this.options.lines.map((_, n) => this.data[n + 1][best]);
+  }
+
   show(data) {
     this.data = data;
     if (this.plot) this.plot.setData(data);
@@ -170,7 +308,8 @@ export class TimeChart extends Chart {
   }
 
   described() {
-    const { y, lines, points, log, time } = this.options;
+    const { y, lines, points, log, time, axis: shared, leads } = this.options;
+    const timeRange = shared && !leads ? () => shared.shown : (_, low, high) => (low < high ? [low, high] : [low - 1, high + 1]);
     const series = lines.map((line) => ({
       label: line.label, stroke: style(line.colour), width: line.width, dash: DASH[line.dash],
       spanGaps: Boolean(points),
@@ -190,14 +329,18 @@ export class TimeChart extends Chart {
     }
     return {
       ...this.size(), legend: { show: false }, bands,
-      cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
+      cursor: { y: false, drag: { x: Boolean(shared), y: false, setScale: false }, points: { size: 6 },
+        bind: { dblclick: () => () => shared?.follow() },
+        sync: shared && !leads ? { key: "signals", setSeries: false,
+          filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } } : undefined },
       scales: {
-        x: { time: false, range: (_, low, high) => (low < high ? [low, high] : [low - 1, high + 1]) },
+        x: { time: false, range: timeRange },
         y: { distr: log ? 3 : 1, range: () => this.range(this.data.slice(1), lines, log) },
       },
       axes: [{ ...axis("", 24), values: (_, marks) => marks.map(time) }, axis(y, beside)],
       series: [{ label: "time", value: (_, value) => time(value) }, ...series],
-      hooks: { setCursor: [(u) => this.tell(u)] },
+      hooks: { setCursor: [(u) => this.tell(u)], setSelect: shared ? [(u) => this.select(u)] : [],
+        draw: shared ? [(u) => this.drawOver(u)] : [] },
     };
   }
 

@@ -1,10 +1,12 @@
 // The page: asks for what is new, keeps the newest rows of each table, and shows them.
 
-import { LoopChart, TimeChart, short } from "/charts.js";
+import { LoopChart, TimeAxis, TimeChart, short } from "/charts.js";
 import { savePicture, saveTable } from "/downloads.js";
 
-const SIGNALS_EVERY = 100, STATUS_EVERY = 500, RETRY_AFTER = 1000; // milliseconds
-const KEPT = { signals: 6000 }, KEPT_OF_OTHERS = 2000;
+const SIGNALS_EVERY = 100, SAMPLES_EVERY = 250, STATUS_EVERY = 500, RETRY_AFTER = 1000; // milliseconds
+const KEPT = { signals: 300000, samples: 10000, history: 40000 }, KEPT_OF_OTHERS = 2000;
+const LIVE_SIGNALS = 6000; // that are kept of a running system
+const DRAWN = 12000; // signals at most in a figure: more are shown by their history
 const LOOP = 5; // seconds that a loop shows at most: more is a blot
 const SHOWN_WINDOWS = 60;
 const LEVELS = [["✓", "good", "good"], ["▲", "warning", "warn"], ["✕", "error", "bad"], ["…", "stale", "warn"]];
@@ -14,6 +16,7 @@ const tables = {}; // by name: generation, columns, rows (arrays of numbers), co
 const failing = new Set(); // what is asked for in vain
 const windows = []; // what became of them, in words, oldest first
 let status = null, received = 0, paused = false, span = 10, origin = null;
+const time = new TimeAxis(() => { showSignals(); showCursors(); });
 
 // -- what comes in ------------------------------------------------------------------------------
 
@@ -29,20 +32,36 @@ async function fetchRows(name) {
   const anew = generation !== table.generation;
   const rows = anew ? [] : table.rows;
   for (let k = 0; k < numbers.length; k += columns.length) rows.push(numbers.subarray(k, k + columns.length));
-  const kept = KEPT[name] ?? KEPT_OF_OTHERS;
-  if (rows.length > kept) rows.splice(0, rows.length - kept);
+  const kept = name === "signals" && !status?.recorded ? LIVE_SIGNALS : KEPT[name] ?? KEPT_OF_OTHERS;
+  if (name === "history" && rows.length > kept) joinOlder(rows);
+  else if (rows.length > kept) rows.splice(0, rows.length - kept);
   const column = Object.fromEntries(columns.map((label, k) => [label, k]));
   tables[name] = { generation, columns, rows, column };
   return anew || numbers.length > 0;
 }
 
+/** Join each two rows of the older half of the history: the whole run stays, more coarsely. */
+function joinOlder(rows) {
+  const older = 2 * Math.floor(rows.length / 4), joined = [];
+  for (let k = 0; k < older; k += 2) {
+    const row = Float64Array.from(rows[k]), next = rows[k + 1];
+    for (let n = 2; n + 1 < row.length; n += 2) {
+      if (!(row[n] <= next[n])) row[n] = next[n];
+      if (!(row[n + 1] >= next[n + 1])) row[n + 1] = next[n + 1];
+    }
+    joined.push(row);
+  }
+  rows.splice(0, older, ...joined);
+}
+
 async function fetchStatus() {
-  const answer = await fetch(`/status?windows=${windows.at(-1)?.number ?? 0}`);
+  const answer = await fetch(`/status?windows=${windows.at(-1)?.number ?? 0}&marks=${time.marks.at(-1)?.number ?? 0}`);
   if (!answer.ok) throw new Error(await answer.text());
   const told = await answer.json();
   // A node that was started again counts from the beginning.
   if (status && told.tables.windows.generation !== status.tables.windows.generation) {
     windows.length = 0;
+    time.marks.length = 0;
     status = told;
     return fetchStatus();
   }
@@ -51,10 +70,15 @@ async function fetchStatus() {
   status = told;
   received = performance.now();
   origin = told.origin;
-  for (const name of ["windows", "coefficients", "parameters"]) {
+  for (const mark of told.marks) {
+    if (mark.time !== null) time.marks.push({ ...mark, time: mark.time - origin });
+  }
+  time.marks.splice(0, time.marks.length - 500);
+  for (const name of ["windows", "coefficients", "parameters", "history"]) {
     const there = told.tables[name], known = tables[name];
     const newest = known?.rows.length ? known.rows.at(-1)[0] + 1 : 0;
-    if (there && (there.generation !== known?.generation || there.next !== newest)) {
+    const few = name === "history" && there?.next - newest < 10 && !status.recorded; // of the last second
+    if (there && (there.generation !== known?.generation || (there.next !== newest && !few))) {
       await fetchRows(name);
       stale.add(name);
     }
@@ -67,7 +91,7 @@ async function repeat(name, ask, show, every) {
   for (;;) {
     const began = performance.now();
     let pause = every;
-    if (!document.hidden && !(paused && name === "signals")) {
+    if (!document.hidden && !(paused && name !== "status")) {
       let news = false;
       try {
         news = await ask();
@@ -106,17 +130,21 @@ function clock(since) {
   return hours ? `${sign}${hours}:${two(minutes % 60)}:${two(rest)}` : `${sign}${minutes}:${two(rest)}`;
 }
 
-const loops = (name, x) => new LoopChart(place(name), { x, y: "force [N]", lines: [MEASURED, PREDICTED, DOUBTED] });
+const REFERENCE = { ...line("reference", "reference", "solid", 3), clipped: true };
+const WANTED = line("commanded", "wanted", "dashed", 1.4);
+const loops = (name, x) => new LoopChart(place(name), { x, y: "force [N]", lines: [REFERENCE, MEASURED, PREDICTED, DOUBTED] });
 const times = (name, y, lines, points = false, log = false) => new TimeChart(place(name), { y, lines, points, log, time: clock });
+const signal = (name, y, lines, leads = false) => new TimeChart(place(name), { y, lines, axis: time, leads, time: clock });
 const DATA = "measured", FIT = "predicted";
 const charts = {
   "force-velocity": loops("force-velocity", "velocity [m/s]"),
   "force-displacement": loops("force-displacement", "displacement [mm]"),
-  "force-time": times("force-time", "force [N]", [MEASURED, PREDICTED, DOUBTED]),
-  "error-time": times("error-time", "error [N]", [line("error", "predicted")]),
-  "displacement-time": times("displacement-time", "[mm]", [line("displacement", DATA)]),
-  "velocity-time": times("velocity-time", "[m/s]", [line("velocity", DATA)]),
-  "current-time": times("current-time", "[A]", [line("current", DATA)]),
+  run: signal("run", "[N]", [line("measured", "measured", "solid", 1)], true),
+  "force-time": signal("force-time", "force [N]", [MEASURED, PREDICTED, DOUBTED, WANTED]),
+  "error-time": signal("error-time", "error [N]", [line("error", "predicted")]),
+  "displacement-time": signal("displacement-time", "[mm]", [line("displacement", DATA)]),
+  "velocity-time": signal("velocity-time", "[m/s]", [line("velocity", DATA)]),
+  "current-time": signal("current-time", "[A]", [line("current", DATA), WANTED]),
   scale: times("scale", "[1]", [line("force scale", DATA, "solid", 1.5, true)], true),
   temperature: times("temperature", "[°C]", [line("thermometer", DATA), line("from the force", FIT, "dashed", 1.8, true)], true),
   nrmse: times("nrmse", "[%]", [line("set in use", DATA), line("fitted", FIT, "dashed", 1.8)], true, true),
@@ -138,15 +166,21 @@ function timesOf(table, rows) {
   return rows.map((row) => (last = Math.max(last, row[table.column.time] - origin || 0)));
 }
 
-function newest(seconds) {
-  const { rows, column } = tables.signals, at = column.time, end = rows.at(-1)[at];
-  let low = 0, high = rows.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (rows[middle][at] < end - seconds) low = middle + 1; else high = middle;
-  }
-  return withGaps(rows.slice(low), at);
+/** Rows of a table from one time to another, both since the beginning of the record. */
+function between(table, from, to) {
+  const { rows, column } = table, at = column.time;
+  const first = (limit) => {
+    let low = 0, high = rows.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (rows[middle][at] - origin < limit) low = middle + 1; else high = middle;
+    }
+    return low;
+  };
+  return rows.slice(first(from), first(to));
 }
+
+const sinceBegin = (table, k) => table.rows.at(k)[table.column.time] - origin;
 
 /** Rows with an empty one where signals are missing: a line across would be an invention. */
 function withGaps(rows, at) {
@@ -161,39 +195,171 @@ function withGaps(rows, at) {
   });
 }
 
-/** The rows since the motion began its last whole cycle: a dashed line over itself is none. */
-function lastCycle(rows, at) {
-  const fastest = rows.reduce((most, row) => Math.max(most, Math.abs(row[at.velocity]) || 0), 0);
+/** Where the motion began its last whole cycle: a dashed line over itself is none. */
+function lastCycle(velocities) {
+  const fastest = velocities.reduce((most, velocity) => Math.max(most, Math.abs(velocity) || 0), 0);
   let begins = 0, below = false;
-  for (let k = rows.length - 1; k > 0; k--) {
-    const velocity = rows[k][at.velocity];
-    if (below && velocity > 0.2 * fastest && ++begins === 2) return rows.slice(k);
-    if (velocity < -0.2 * fastest) below = true;
-    else if (velocity > 0.2 * fastest) below = false;
+  for (let k = velocities.length - 1; k > 0; k--) {
+    if (below && velocities[k] > 0.2 * fastest && ++begins === 2) return k;
+    if (velocities[k] < -0.2 * fastest) below = true;
+    else if (velocities[k] > 0.2 * fastest) below = false;
   }
-  return rows;
+  return 0;
+}
+
+/** Slope of a column over time by a line through a few milliseconds around each row. */
+function slope(rows, at, name) {
+  const step = rows.length > 1 ? (rows.at(-1)[at.time] - rows[0][at.time]) / (rows.length - 1) : 1;
+  const half = Math.min(Math.max(Math.round(0.004 / step), 1), 20);
+  const scale = 3 / (half * (half + 1) * (2 * half + 1) * step);
+  return rows.map((_, k) => {
+    if (k < half || k + half >= rows.length) return null;
+    if (rows[k + half][at.time] - rows[k - half][at.time] > 2.5 * half * step) return null;
+    let sum = 0;
+    for (let j = 1; j <= half; j++) sum += j * (rows[k + j][at[name]] - rows[k - j][at[name]]);
+    return number(scale * sum);
+  });
+}
+
+/** The loops of some seconds before a time: at the full rate where it is there, else of the signals. */
+function loopsBefore(end, seconds) {
+  const full = tables.samples;
+  const covered = Boolean(full?.rows.length && sinceBegin(full, 0) <= end - 0.5 * seconds && sinceBegin(full, -1) >= end - 0.5);
+  loopsAreFull = covered;
+  const table = covered ? full : tables.signals, at = table.column;
+  const rows = withGaps(between(table, end - seconds, end + 1e-6), at.time);
+  const velocity = covered ? slope(rows, at, "displacement") : column(table, rows, "velocity");
+  if (rows.length > 1) place("force-velocity").parentElement.dataset.rate = Math.round((rows.length - 1) / (rows.at(-1)[at.time] - rows[0][at.time]));
+  const cycle = lastCycle(velocity), last = rows.slice(cycle), measured = column(table, rows, "measured_force");
+  const reliable = last.map((row) => (row[at.valid] > 0 ? number(row[at.predicted_force]) : null));
+  const doubted = last.map((row) => (row[at.valid] > 0 ? null : number(row[at.predicted_force])));
+  return Object.entries({ velocity, displacement: column(table, rows, "displacement", 1e3) })
+    .map(([name, xs]) => [name, [xs, measured], [xs.slice(cycle), reliable], [xs.slice(cycle), doubted]]);
+}
+
+let loopsAreFull = false; // then they are drawn as samples come, and not also as signals do
+
+function showLoops() {
+  if (!tables.signals?.rows.length || origin === null) return;
+  const [from, to] = time.shown, end = Math.min(to, sinceBegin(tables.signals, -1));
+  for (const [name, ...lines] of loopsBefore(end, Math.min(to - from, LOOP))) {
+    charts[`force-${name}`].show([reference?.[name] ?? [[], []], ...lines]);
+  }
+}
+
+let reference = JSON.parse(localStorage.getItem("reference") ?? "null");
+
+/** Keep the measured loops in view behind later ones, also after the page was left; or drop them. */
+function keepReference() {
+  const loop = (name) => charts[`force-${name}`].data?.[1].map((list) => list.slice(-3000));
+  reference = reference || !charts["force-velocity"].data ? null
+    : { velocity: loop("velocity"), displacement: loop("displacement"),
+      label: `reference: ${shownIn("current")}, ${new Date().toTimeString().slice(0, 8)}` };
+  if (reference) localStorage.setItem("reference", JSON.stringify(reference));
+  else localStorage.removeItem("reference");
+  showReference();
+}
+
+const shownIn = (name) => byId(`tile-${name}`).textContent;
+
+function showReference() {
+  byId("reference").textContent = reference ? "Drop the reference" : "Keep as reference";
+  byId("reference-key").hidden = !reference;
+  byId("reference-key").textContent = reference?.label ?? "";
+  showLoops();
+}
+
+/** What the figures over time show: from signals, or from their history where that is more than they hold. */
+function framed(from, to) {
+  const fine = tables.signals, history = tables.history;
+  const rows = fine?.rows.length ? between(fine, from, to + 1e-6) : [];
+  const held = fine?.rows.length && sinceBegin(fine, 0) <= Math.max(from, 0) + 0.2;
+  if (!history?.rows.length || (held && rows.length <= DRAWN)) {
+    const at = fine.column, shown = withGaps(rows, at.time);
+    const of = (name, factor) => column(fine, shown, name, factor);
+    const where = (name, valid) => shown.map((row) => (row[at.valid] > 0 === valid ? number(row[at[name]]) : null));
+    return { times: timesOf(fine, shown), of, where, rows };
+  }
+  // Up and down within each part of the history: its whole range is drawn.
+  const parts = between(history, from, to), at = history.column;
+  const every = Math.max(Math.ceil(parts.length / (DRAWN / 2)), 1);
+  const shown = parts.filter((_, k) => k % every === 0);
+  const twice = (find) => shown.flatMap((row) => [find(row, "low"), find(row, "high")]);
+  const of = (name, factor = 1) => twice((row, end) => number(factor * row[at[`${name}_${end}`]]));
+  const where = (name, valid) => twice((row, end) => (row[at.valid] > 0.5 === valid ? number(row[at[`${name}_${end}`]]) : null));
+  const times = timesOf(history, shown).flatMap((begin) => [begin, begin + 0.05]);
+  return { times, of, where, rows };
 }
 
 function showSignals() {
   const table = tables.signals;
-  if (!table?.rows.length) return;
+  if (!table?.rows.length || origin === null) return;
   byId("force").classList.remove("waiting");
-  const at = table.column, rows = newest(span), loop = newest(Math.min(span, LOOP));
-  const cycle = lastCycle(loop, at);
-  const reliable = (row) => (row[at.valid] > 0 ? number(row[at.predicted_force]) : null);
-  const doubted = (row) => (row[at.valid] > 0 ? null : number(row[at.predicted_force]));
-  for (const [name, x, factor] of [["force-velocity", "velocity", 1], ["force-displacement", "displacement", 1e3]]) {
-    const xs = column(table, cycle, x, factor);
-    charts[name].show([[column(table, loop, x, factor), column(table, loop, "measured_force")],
-      [xs, cycle.map(reliable)], [xs, cycle.map(doubted)]]);
-  }
-  const time = timesOf(table, rows);
-  charts["force-time"].show([time, column(table, rows, "measured_force"), rows.map(reliable), rows.map(doubted)]);
-  charts["error-time"].show([time, rows.map((row) => (row[at.valid] > 0 ? number(row[at.force_error]) : null))]);
-  charts["displacement-time"].show([time, column(table, rows, "displacement", 1e3)]);
-  charts["velocity-time"].show([time, column(table, rows, "velocity")]);
-  charts["current-time"].show([time, column(table, rows, "current")]);
-  showError(rows, at);
+  const end = sinceBegin(table, -1);
+  time.whole = [0, Math.max(end, 1)];
+  time.newest = status.recorded ? time.whole : [Math.max(end - span, 0), Math.max(end, 0.1)];
+  const [from, to] = time.shown;
+  document.querySelector("[data-do=newest]").hidden = time.view === null;
+  if (time.view || !loopsAreFull) showLoops();
+  const { times, of, where, rows } = framed(from, to);
+  const nothing = () => times.map(() => null), fine = rows.length && !(times.length > rows.length * 1.5);
+  charts["force-time"].show([times, of("measured_force"), where("predicted_force", true), where("predicted_force", false),
+    fine ? of("desired_force") : nothing()]);
+  charts["error-time"].show([times, where("force_error", true)]);
+  charts["displacement-time"].show([times, of("displacement", 1e3)]);
+  charts["velocity-time"].show([times, of("velocity")]);
+  charts["current-time"].show([times, of("current"), fine ? of("current_command") : nothing()]);
+  if (rows.length) showError(rows, table.column);
+}
+
+/** The measured force of the whole run, to see and to choose from. */
+function showRun() {
+  const table = tables.history;
+  if (!table?.rows.length || origin === null) return;
+  const every = Math.max(Math.ceil(table.rows.length / 3000), 1);
+  const rows = table.rows.filter((_, k) => k % every === 0);
+  charts.run.show([timesOf(table, rows).flatMap((begin) => [begin, begin + 0.05]),
+    rows.flatMap((row) => ["low", "high"].map((end) => number(row[table.column[`measured_force_${end}`]])))]);
+}
+
+const READ = [["measured force [N]", "force-time", 0], ["predicted force [N]", "force-time", 1],
+  ["displacement [mm]", "displacement-time", 0], ["velocity [m/s]", "velocity-time", 0], ["current [A]", "current-time", 0]];
+
+/** Values at the two cursors, and by how much they differ. */
+function showCursors() {
+  byId("cursors").hidden = !time.cursors.length;
+  const [a, b] = time.cursors, two = b !== undefined;
+  const rows = [["time [s]", a, b], ...READ.map(([label, chart, line]) => {
+    const [first, second] = time.cursors.map((at) => charts[chart].valuesAt(at)[line]);
+    return [label, first, second];
+  })];
+  const digits = (value) => (value === undefined ? "" : short(value, 5));
+  byId("cursors").tBodies[0].replaceChildren(...rows.map(([label, first, second], k) => {
+    const row = document.createElement("tr");
+    const less = two && second !== null && first !== null ? second - first : undefined;
+    const frequency = k === 0 && less ? ` (${short(1 / Math.abs(less), 4)} Hz)` : "";
+    for (const text of [label, digits(first), digits(second), digits(less) + frequency]) row.insertCell().textContent = text;
+    return row;
+  }));
+  time.redraw();
+}
+
+let shownMark = 0;
+
+function showMarks() {
+  if ((time.marks.at(-1)?.number ?? 0) === shownMark) return;
+  shownMark = time.marks.at(-1)?.number ?? 0;
+  byId("marks").classList.toggle("waiting", !time.marks.length);
+  const words = { set: "set taken", fault: "fault", current: "current", record: "recording" };
+  byId("mark-rows").replaceChildren(...time.marks.slice(-200).reverse().map((mark) => {
+    const row = document.createElement("tr"), look = document.createElement("button");
+    for (const text of [clock(mark.time), `${words[mark.kind]}: ${mark.text}`]) row.insertCell().textContent = text;
+    row.cells[1].className = "why";
+    look.textContent = "Show";
+    look.addEventListener("click", () => { time.show(mark.time - 5, mark.time + 5); byId("force").scrollIntoView(); });
+    row.insertCell().append(look);
+    return row;
+  }));
 }
 
 function showWindows() {
@@ -275,7 +441,8 @@ function showError(rows, at) {
   if (count < 2 || !(spread > 0)) tile("error", "–", "no valid force in the span");
   else tile("error", `${short(100 * Math.sqrt(error / count / spread), 3)} %`, `NRMSE of ${Math.round((100 * count) / rows.length)} % of the span`);
   const last = rows.at(-1);
-  tile("current", `${short(number(last[at.current]), 3)} A`);
+  const commanded = number(last[at.current_command]);
+  tile("current", `${short(number(last[at.current]), 3)} A`, commanded === null ? "" : `commanded ${short(commanded, 3)} A`);
 }
 
 const concern = (name) => status.concerns.find((known) => known.name === name);
@@ -290,7 +457,7 @@ function silenceOf(...sources) {
   return silences.length ? Math.min(...silences) + since : null;
 }
 
-const isSilent = (silence) => silence !== null && silence > status.silent_after;
+const isSilent = (silence) => !status.recorded && silence !== null && silence > status.silent_after;
 
 /** What has not been heard for a while is grey, and says since when. */
 function showSilence() {
@@ -327,9 +494,31 @@ function showTiles() {
     const told = [];
     if (last.fluid_temperature !== null) told.push(`from the force ${last.fluid_temperature.toFixed(1)} °C`);
     tile("temperature", last.temperature === null ? "–" : `${last.temperature.toFixed(1)} °C`, told.join(", "));
-    tile("motion", motion(last), last.peak_velocity === null ? "" : `peak ${short(last.peak_velocity, 3)} m/s`);
+    const wanted = concern("bridge: motion")?.values.excitation, peak = last.peak_velocity;
+    tile("motion", motion(last), [wanted ? `commanded ${wanted}` : "", peak === null ? "" : `peak ${short(peak, 3)} m/s`].filter(Boolean).join("; "));
   }
+  showMachines();
   if (status.set) tile("set", status.set.set_id, `${status.set.model}, ${status.set.source.replaceAll("_", " ")}`);
+}
+
+/** Controller, supply and campaign, where there are any: what is commanded against what there is. */
+function showMachines() {
+  const told = {
+    controller: [concern("controller: command"), ({ values }) => [`${values["desired force [N]"]} N desired`,
+      `${values["expected force [N]"]} N expected at ${values["current [A]"]} A`]],
+    supply: [concern("supply: current"), ({ values }) => [`${short(Number(values["measured [A]"]), 3)} A`,
+      `set ${short(Number(values["set [A]"]), 3)} A; output ${concern("supply: supply")?.values.output ?? "unknown"}`]],
+    campaign: [concern("campaign: campaign"), ({ values, message }) => [message,
+      values.stage ? `${values.stage.toLowerCase()}; worst error ${values["worst error"]}, runs left ${values["runs left"]}` : ""]],
+  };
+  for (const [name, [known, words]] of Object.entries(told)) {
+    byId(`tile-${name}`).parentElement.hidden = !known;
+    if (!known) continue;
+    const [mark, , colour] = LEVELS[known.level] ?? LEVELS[2];
+    const [text, detail] = Object.keys(known.values).length ? words(known) : [known.message, ""];
+    tile(name, text, detail, name === "campaign" ? `sentence ${colour}` : colour, known.level ? `${mark} ` : "");
+    byId(`tile-${name}`).title = known.message;
+  }
 }
 
 function motion(told) {
@@ -402,6 +591,7 @@ function showState() {
   const signals = silence === null ? "waiting for signals" : isSilent(silence) ? `no signals for ${clock(Math.round(silence))}` : "live";
   const [text, level] = failing.size ? ["✕ no connection: trying again", "bad"]
     : status === null ? ["… connecting", ""]
+    : status.recorded ? [`■ recorded: ${status.recorded}`, "good"]
     : lost.length ? [`✕ ${paused ? "paused" : signals}; not heard: ${lost.join(", ")}`, "bad"]
     : paused ? ["❚❚ paused", "warn"]
     : signals === "live" ? ["● live", "good"] : [`▲ ${signals}`, "warn"];
@@ -461,17 +651,41 @@ async function acknowledge() {
   }
 }
 
+const RECORDS = ["record", "stop_recording"];
+
+function showRecording() {
+  const button = byId("record"), under = status.recording;
+  button.hidden = !status.commands.includes("record");
+  const since = under && Math.max(Math.round(Date.now() / 1000 - Number(under.began)), 0);
+  button.textContent = under ? `■ Recording ${Math.floor(since / 60)}:${String(since % 60).padStart(2, "0")}` : "● Record";
+  button.title = under ? `${under.name} into ${under.path}; click to end it (R)` : "R";
+  button.classList.toggle("on", Boolean(under));
+}
+
+async function command(name, told = {}) {
+  const answer = await fetch(`/command?${new URLSearchParams(told)}`, { method: "POST", body: name });
+  if (!answer.ok) alert(await answer.text());
+}
+
+/** Ask for a name and begin to record, or end the recording. */
+function record() {
+  if (byId("record").hidden) return;
+  if (status.recording) command("stop_recording");
+  else byId("recording").showModal();
+}
+
 function showCommands() {
-  byId("commands").hidden = !status.commands.length;
+  showRecording();
+  const commands = status.commands.filter((name) => !RECORDS.includes(name));
+  byId("commands").hidden = !commands.length;
   const home = byId("commands").querySelector(".buttons");
-  if (home.childElementCount !== status.commands.length) {
-    home.replaceChildren(...status.commands.map((name) => {
+  if (home.childElementCount !== commands.length) {
+    home.replaceChildren(...commands.map((name) => {
       const button = document.createElement("button");
       button.textContent = name.replaceAll("_", " ");
-      button.addEventListener("click", async () => {
+      button.addEventListener("click", () => {
         if (!confirm(`${button.textContent}: are you sure?`)) return;
-        const answer = await fetch("/command", { method: "POST", body: name });
-        if (!answer.ok) alert(await answer.text());
+        command(name);
       });
       return button;
     }));
@@ -492,9 +706,10 @@ function showStatus() {
   showTiles();
   showConcerns();
   showCommands();
+  showMarks();
   if (paused) return;
   showWindowRows();
-  const show = { windows: showWindows, coefficients: () => showTraces("coefficients"), parameters: () => showTraces("parameters") };
+  const show = { windows: showWindows, coefficients: () => showTraces("coefficients"), parameters: () => showTraces("parameters"), history: showRun };
   for (const name of stale) show[name]();
   stale.clear();
 }
@@ -532,12 +747,14 @@ function setSpan(k) {
   const radio = radios[Math.min(Math.max(k, 0), radios.length - 1)];
   radio.checked = true;
   span = Number(radio.value);
-  showSignals();
+  if (time.view) time.show(time.view[1] - span, time.view[1]);
+  else showSignals();
 }
 
 const LEGEND = [{ text: "measured", name: "measured", dash: [], width: 3.2 },
   { text: "predicted", name: "predicted", dash: [7, 5], width: 1.7 },
-  { text: "predicted, invalid", name: "doubted", dash: [2, 4], width: 1.8 }];
+  { text: "predicted, invalid", name: "doubted", dash: [2, 4], width: 1.8 },
+  { text: "commanded", name: "wanted", dash: [7, 5], width: 1.4 }];
 
 function savePng(section) {
   if (section.querySelector("canvas")) savePicture(section, section.id === "force" ? LEGEND : []);
@@ -550,7 +767,7 @@ function saveCsv(section) {
 
 for (const section of sections) {
   const head = section.querySelector(".head");
-  const buttons = [["PNG", savePng, Boolean(section.querySelector(".charts"))], ["CSV", saveCsv, section.id !== "health"]];
+  const buttons = [["PNG", savePng, Boolean(section.querySelector(".charts"))], ["CSV", saveCsv, !["health", "marks"].includes(section.id)]];
   for (const [label, action, there] of buttons) {
     if (!there) continue;
     const button = document.createElement("button");
@@ -561,17 +778,27 @@ for (const section of sections) {
   }
 }
 byId("pause").addEventListener("click", () => setPaused(!paused));
+const MOVES = { back: () => time.pan(-0.25), on: () => time.pan(0.25), in: () => time.zoom(0.5), out: () => time.zoom(2), newest: () => time.follow() };
+byId("view").addEventListener("click", (event) => MOVES[event.target.dataset.do]?.());
+byId("reference").addEventListener("click", keepReference);
+byId("record").addEventListener("click", record);
+byId("recording").addEventListener("close", (event) => {
+  const form = event.target.querySelector("form");
+  if (event.target.returnValue === "record") command("record", Object.fromEntries(new FormData(form)));
+  event.target.returnValue = "";
+});
 byId("seen").addEventListener("click", acknowledge);
 byId("theme").addEventListener("click", nextTheme);
 byId("help-open").addEventListener("click", () => byId("help").showModal());
 for (const [k, radio] of radios.entries()) radio.addEventListener("change", () => setSpan(k));
 dark.addEventListener("change", applyTheme);
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.altKey || event.metaKey || byId("help").open) return;
+  if (event.ctrlKey || event.altKey || event.metaKey || document.querySelector("dialog[open]")) return;
   const onControl = event.target.closest?.("button, input, a, summary");
   const current = radios.findIndex((radio) => radio.checked);
   const action = {
     " ": () => setPaused(!paused), p: () => savePng(inView()), c: () => saveCsv(inView()), a: acknowledge, t: nextTheme,
+    r: record, arrowleft: MOVES.back, arrowright: MOVES.on, "+": MOVES.in, "-": MOVES.out, 0: MOVES.newest, escape: () => time.clear(),
     "[": () => setSpan(current - 1), "]": () => setSpan(current + 1), "?": () => byId("help").showModal(),
   }[event.key.toLowerCase()];
   const section = sections[Number(event.key) - 1];
@@ -593,5 +820,7 @@ addEventListener("scroll", markSection, { passive: true });
 
 applyTheme();
 markSection();
+showReference();
+repeat("samples", () => status && !time.view && fetchRows("samples"), showLoops, SAMPLES_EVERY);
 repeat("signals", () => status && fetchRows("signals"), showSignals, SIGNALS_EVERY);
 repeat("status", fetchStatus, showStatus, STATUS_EVERY);

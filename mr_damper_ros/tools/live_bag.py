@@ -1,0 +1,47 @@
+"""``live --bag``: a recording on the page of the running system; no ROS."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+from contextlib import closing
+from pathlib import Path
+
+from mr_damper_ros.live.page_server import PageServer
+from mr_damper_ros.live.recorded import empty_record, replay_into
+from mr_damper_ros.tools.console import program
+from mr_damper_ros.tracking.state_directory import read_parameter_file
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="live",
+        description="Show a recording on the page of the running system, until Ctrl-C: what "
+        "identifier and model say of it, from the set that was in use when it began. Without --bag "
+        "it is the node live, which shows the running system.",
+    )
+    parser.add_argument("--bag", type=Path, required=True, metavar="FILE", help="the recording")
+    parser.add_argument(
+        "--parameters", type=Path, metavar="FILE", help="parameter set to begin with instead"
+    )
+    parser.add_argument(
+        "--port",
+        type=int,
+        default=8770,
+        help="of the page (default %(default)s; 0: any that is free)",
+    )
+    return parser
+
+
+def _serve(options: argparse.Namespace) -> int:
+    start = None if options.parameters is None else read_parameter_file(options.parameters)
+    record = empty_record(options.bag)
+    with closing(PageServer(record, "127.0.0.1", options.port)) as server:
+        print(f"the page is at {server.address}; Ctrl-C ends it", flush=True)
+        replay_into(record, options.bag, start)
+        print("the whole recording is there", flush=True)
+        threading.Event().wait()
+    return 0
+
+
+main = program(_parser, _serve)
