@@ -15,7 +15,7 @@ from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.recording import CurrentReading, StreamItem
 from mr_damper_ros.tracking.engine import Engine, EngineSettings
-from mr_damper_ros.tracking.prediction import Prediction
+from mr_damper_ros.tracking.predictor import Prediction
 from mr_damper_ros.tracking.reports import Report
 from mr_damper_ros.tracking.validity import DoubtKind
 
