@@ -225,9 +225,10 @@ class Model(ABC):
     @np.errstate(over="ignore", invalid="ignore")
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
-        if not self.remembers:
+        if not (self.remembers or self.turning):
             return self.force(parameters, window.motion, window.current, 1.0)
-        history = window.history.coarse
+        # The branch changes as steeply as the law itself.
+        history = window.history if self.turning else window.history.coarse
         along = parameters, history.motion, history.current, history.period
         force, state = self.follow(*along, None)
         if history.periodic:
@@ -241,7 +242,7 @@ class Model(ABC):
 
         For parameters (p,), or None where no set is known yet.
         """
-        if parameters is None or not self.remembers or window.history.periodic:
+        if parameters is None or not (self.remembers or self.turning) or window.history.periodic:
             return np.ones(window.sample_count, dtype=bool)
         history = window.history.coarse
         along = parameters, history.motion, history.current, history.period

@@ -193,9 +193,13 @@ class ParameterSet:
                 self.values, self.held(motion), current, period, state
             )
 
-    def window_force(self, window: Window) -> Array:
-        """Force (n,) [N] that the set predicts at the samples of a window."""
-        return self.law.window_force(self.held(window), self.values)
+    def window_force(self, window: Window, *, gradual: bool = False) -> Array:
+        """Force (n,) [N] that the set predicts at the samples of a window.
+
+        ``gradual`` as for :meth:`law_turning`.
+        """
+        law = self.law_turning(gradual=gradual)
+        return law.window_force(self.held(window), self.values)
 
     def force(self, time: ArrayLike, displacement: ArrayLike, current: ArrayLike) -> Array:
         """Force (n,) [N] of the damper in a motion.

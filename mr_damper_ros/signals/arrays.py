@@ -1,8 +1,9 @@
-"""The type of every array of numbers in this package, and two measures of its numbers."""
+"""The type of every array of numbers in this package, two measures, and the newest of a stream."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,3 +41,40 @@ def white_noise(values: Array) -> float:
         return 0.0
     # The sum of the squared binomial coefficients of the fourth difference is 70.
     return float(np.median(np.abs(np.diff(values, 4))) / _NORMAL_MEDIAN / math.sqrt(70.0))
+
+
+_LEAST_ROOM = 1024
+
+
+class RollingRows:
+    """The newest columns of a table of so many rows: adding and dropping cost what they hold."""
+
+    def __init__(self, rows: int) -> None:
+        self._table = np.empty((rows, _LEAST_ROOM))
+        self._begin = self._end = 0
+
+    @property
+    def newest(self) -> Array:
+        """All that is kept, of shape (rows, n), oldest first; to be read at once."""
+        return self._table[:, self._begin : self._end]
+
+    @property
+    def count(self) -> int:
+        """Number of columns that are kept."""
+        return self._end - self._begin
+
+    def add(self, rows: Sequence[Array | float], count: int) -> None:
+        """Add so many columns: of each row an array (count,), or a number for all."""
+        if self._end + count > self._table.shape[1]:
+            kept = self.newest
+            # Twice what is needed: then a column is moved once on average, however few are added.
+            self._table = np.empty((len(kept), max(2 * (self.count + count), _LEAST_ROOM)))
+            self._begin, self._end = 0, kept.shape[1]
+            self.newest[:] = kept
+        for row, values in zip(self._table, rows, strict=True):
+            row[self._end : self._end + count] = values
+        self._end += count
+
+    def keep(self, most: int) -> None:
+        """Drop all but the newest so many columns."""
+        self._begin = max(self._begin, self._end - most)

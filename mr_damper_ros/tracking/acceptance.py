@@ -153,9 +153,10 @@ def evidence_of(
     must be ahead of it on samples that neither has seen: there are ``fresh`` ones. ``elsewhere``:
     windows at other operating points of late.
     """
-    settled = running.law.settled(window, found.values)
+    gradual = turns_gradually(found, window)
+    settled = found.law_turning(gradual=gradual).settled(window, found.values)
     spread = float(np.std(window.force))
-    old, new = running.window_force(window), found.window_force(window)
+    old, new = (each.window_force(window, gradual=gradual) for each in (running, found))
     known = bool(running.observable.any() and np.isfinite(old).all())
     if not np.isfinite(old).all():
         # Whatever was loaded there, anything is better.
@@ -194,6 +195,19 @@ def evidence_of(
         loss,
         left_elsewhere,
     )
+
+
+def turns_gradually(found: ParameterSet, window: Window) -> bool:
+    """Whether the force of a window turns gradually, as far as a set tells; see ``law_turning``.
+
+    The prediction follows the measured force in this, too: a set is judged as it is used.
+    """
+    errors = []
+    for law in (found.law, found.law.continuous):
+        settled = law.settled(window, found.values)
+        force = law.window_force(found.held(window), found.values)
+        errors.append(float(np.mean((force - window.force)[settled] ** 2)))
+    return errors[1] < errors[0]
 
 
 def rival_wins(

@@ -27,7 +27,7 @@ from mr_damper_ros.models.parameter_set import (
     LONGEST_NAME,
     ParameterSet,
 )
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS
 from mr_damper_ros.tracking.operating_point import SAME_CURRENT, SAME_SPEED
 
@@ -139,48 +139,6 @@ def _joined(one: Span | None, other: Span | None) -> Span | None:
     return min(one[0], other[0]), max(one[1], other[1])
 
 
-class CurrentSchedule:
-    """The sets of the newest windows at each current, and the set for all operating points."""
-
-    def __init__(self) -> None:
-        # The newest first.
-        self._at: list[KnownSet] = []
-        self._whole: KnownSet | None = None
-
-    def add(self, found: KnownSet) -> None:
-        """Add a set for all currents, or that of windows with its ``currents``."""
-        if found.whole:
-            self._whole = found
-            return
-        if found.parameters.source == EARLY_SOURCE:
-            # The damper has changed at once: only its force is known, and only here.
-            self._at.clear()
-        if found.currents is not None:
-            self.confirm(found, found.currents)
-
-    def confirm(self, known: KnownSet, currents: Span) -> None:
-        """The set fits a window of these currents: if they are one, it is the set for that one."""
-        low, high = currents
-        if high - low > 2.0 * SAME_CURRENT:
-            return
-        others = [each for each in self._at if not each.fits_at(0.5 * (low + high))]
-        self._at = [replace(known, currents=currents), *others][:_MOST_CURRENTS]
-
-    def at_current(self, current: float, now_ns: int) -> KnownSet | None:
-        """The set of the newest windows at a current [A], unless that is long ago."""
-        for each in self._at:
-            age = math.inf if each.confirmed_ns is None else abs(now_ns - each.confirmed_ns)
-            if each.fits_at(current) and age <= _RECENT_NS:
-                return each
-        return None
-
-    def whole_at(self, current: float) -> KnownSet | None:
-        """The set for all operating points, if a current [A] is among them."""
-        whole = self._whole
-        known = whole is not None and within(current, whole.parameters.current_range)
-        return whole if known else None
-
-
 def force_ratio(present: Array, whole: Array) -> float:
     """Present force over that of the set for all operating points, (n,) [N], for another current.
 
@@ -236,16 +194,20 @@ class JudgedSamples(NamedTuple):
 
 
 class RecentSamples:
-    """Keeps the newest samples of a stream, ``count`` of them."""
+    """Keeps the newest samples of a stream."""
 
     def __init__(self) -> None:
-        # Rows: four of the motion, current, predicted and measured force.
-        self._rows = np.empty((7, 1024))
-        self._end = self.count = 0
+        # Four of the motion, current, predicted and measured force.
+        self._rows = RollingRows(7)
+
+    @property
+    def count(self) -> int:
+        """Number of samples that are kept."""
+        return self._rows.count
 
     def clear(self) -> None:
         """Forget them: the next samples do not continue from them."""
-        self._end = self.count = 0
+        self._rows.keep(0)
 
     def add(
         self,
@@ -259,26 +221,18 @@ class RecentSamples:
 
         The force of the first ``bridged`` was not measured.
         """
-        count = motion.velocity.size
-        self.count = int(min(self.count, max(min(most, _MOST_SAMPLES) - count, 0)))
-        if self._end + count > self._rows.shape[1]:
-            kept = self._rows[:, self._end - self.count : self._end]
-            self._rows = np.empty((7, 2 * (self.count + count) + 1024))
-            self._rows[:, : self.count] = kept
-            self._end = self.count
-        new = self._rows[:, self._end : self._end + count]
-        new[0], new[1], new[2] = motion.displacement, motion.velocity, motion.acceleration
-        new[3], new[4] = motion.peak_velocity, current
-        new[5], new[6] = forces
-        new[6, :bridged] = math.nan
-        self._end += count
-        self.count += count
+        count, (predicted, measured) = motion.velocity.size, forces
+        if bridged:
+            measured = np.concatenate([np.full(bridged, math.nan), measured[bridged:]])
+        along = motion.displacement, motion.velocity, motion.acceleration, motion.peak_velocity
+        self._rows.add((*along, current, predicted, measured), count)
+        self._rows.keep(max(int(min(most, _MOST_SAMPLES)), count))
 
     def last(self, period: float, count: float = math.inf) -> JudgedSamples:
         """The last so many of those kept, ``period`` [s] apart; every n-th where they are many."""
         whole = int(min(count, self.count))
         stride = whole // _MOST_TRIED + 1
-        rows = self._rows[:, self._end - whole : self._end : stride]
+        rows = self._rows.newest[:, self.count - whole :: stride]
         u, v, a, v_m, current, predicted, measured = rows
         motion = Motion(u, v, a, v_m, sine=None)
         return JudgedSamples(motion, current, predicted, measured, stride * period)
@@ -313,7 +267,10 @@ class ModelBank:
         self._since_search = math.inf
         self._since_turning = 0.0
         self._turning = 0.0  # log of the error of a jumping force over that of a gradual one
-        self._schedule = CurrentSchedule()
+        # The current schedule: the sets of the newest windows at one current each, newest first,
+        # and the set for all operating points.
+        self._at_currents: list[KnownSet] = []
+        self._whole: KnownSet | None = None
         # The present current [A], the set that the identification found last, and whether the
         # schedule has put another in its place.
         self._current = math.nan
@@ -341,7 +298,7 @@ class ModelBank:
         if found is None or found.parameters.set_id != set_id or currents is None:
             return False
         self._found = found = found.confirmed(set_id, stamp_ns, currents)
-        self._schedule.confirm(found, currents)
+        self._confirm_at(found, currents)
         if not self._scheduled or not self._takes_over(found):
             return False
         self._take(found)
@@ -385,7 +342,14 @@ class ModelBank:
             self._sets = [self._sets[0], found, *others][:_MOST]
             return
         self._found = found
-        self._schedule.add(found)
+        if found.whole:
+            self._whole = found
+        else:
+            if parameters.source == EARLY_SOURCE:
+                # The damper has changed at once: only its force is known, and only here.
+                self._at_currents = []
+            if currents is not None:
+                self._confirm_at(found, currents)
         if self._sets and self._scheduled and not self._takes_over(found):
             self._sets.insert(1, found)
             del self._sets[_MOST:]
@@ -409,9 +373,8 @@ class ModelBank:
         self._sets = [] if given is None else [given]
         self._given, self._found = given, None
         self._scheduled = False
-        self._schedule = CurrentSchedule()
-        if given is not None and given.whole:
-            self._schedule.add(given)
+        self._at_currents = []
+        self._whole = given if given is not None and given.whole else None
 
     def use(self, chosen: KnownSet) -> None:
         """Take note that this set is in use now, whatever the current of its windows."""
@@ -429,13 +392,28 @@ class ModelBank:
 
     # The current schedule
 
+    def _confirm_at(self, known: KnownSet, currents: Span) -> None:
+        """The set fits a window of these currents: if they are one, it is the set for that one."""
+        low, high = currents
+        if high - low <= 2.0 * SAME_CURRENT:
+            others = [each for each in self._at_currents if not each.fits_at(0.5 * (low + high))]
+            self._at_currents = [replace(known, currents=currents), *others][:_MOST_CURRENTS]
+
+    def _at_current(self, now_ns: int) -> KnownSet | None:
+        """The set of the newest windows at the present current, unless that is long ago."""
+        for each in self._at_currents:
+            age = math.inf if each.confirmed_ns is None else abs(now_ns - each.confirmed_ns)
+            if each.fits_at(self._current) and age <= _RECENT_NS:
+                return each
+        return None
+
     def follow_current(self, current: float, now_ns: int) -> None:
         """Use what is known of a current [A] at the samples up to a stamp."""
         before, self._current = self._current, current
         if not self._sets or self._sets[0].fits_at(current):
             return
         present = self._sets[0]
-        chosen = self._schedule.at_current(current, now_ns)
+        chosen = self._at_current(now_ns)
         if chosen is None or not self._holds_after(chosen, before, current):
             chosen = self._whole_now(current)
         if chosen is None:
@@ -456,8 +434,8 @@ class ModelBank:
 
     def _whole_now(self, current: float) -> KnownSet | None:
         """The set for all currents, with the force that the damper has now."""
-        whole, present = self._schedule.whole_at(current), self._sets[0]
-        if whole is None:
+        whole, present = self._whole, self._sets[0]
+        if whole is None or not within(current, whole.parameters.current_range):
             return None
         parameters = whole.parameters
         if present.whole:

@@ -15,14 +15,11 @@ import numpy as np
 from mr_damper_ros.kinematics.peak_velocity import MEMORY, StreamPeakVelocity
 from mr_damper_ros.kinematics.window import averages, holds_cycle
 from mr_damper_ros.settings.option_table import CheckedSettings, option
-from mr_damper_ros.signals.arrays import Array
+from mr_damper_ros.signals.arrays import Array, RollingRows
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
 from mr_damper_ros.signals.uniform_grid import GridSettings, Placed, UniformGrid
 from mr_damper_ros.signals.zero_order_hold import KEEP_CURRENT, ZeroOrderHold
 from mr_damper_ros.tracking.screening import part_at_rest, rests_too_long
-
-_ROWS = 4
-_LEAST_ROOM = 1024
 
 
 class Samples(NamedTuple):
@@ -41,17 +38,16 @@ class SampleStore:
     """Keeps what was added until it is forgotten; samples are counted from the first one on."""
 
     def __init__(self) -> None:
-        self._values = np.empty((_ROWS, 0))
-        self._stamps = np.empty(0, dtype=np.int64)
-        self._begin = 0  # place of the first sample kept
-        self._used = 0  # places used
+        # Those of Samples, and the stamp [ns] after that of the first sample.
+        self._rows = RollingRows(len(Samples._fields) + 1)
+        self._begin_ns: int | None = None
         self.first = 0
         """Count of the first sample that is kept."""
 
     @property
     def end(self) -> int:
         """Count of the sample that comes next."""
-        return self.first + self._used - self._begin
+        return self.first + self._rows.count
 
     def add(
         self,
@@ -65,48 +61,35 @@ class SampleStore:
         """
         count = block.sample_count
         force, after = measured or (block.force, 0.0)
-        self._make_room(count)
-        place = slice(self._used, self._used + count)
-        values = self._values[:, place]
-        values[0], values[1], values[2], values[3] = block.displacement, force, peak_velocity, after
+        if self._begin_ns is None:
+            self._begin_ns = block.start_ns
         # From the stamp of its own block: a sample clock that is not quite the nominal one must
         # not drift away from the stamps.
-        offsets = np.rint(np.arange(count) * (block.period * NANOSECONDS))
-        self._stamps[place] = block.start_ns + offsets.astype(np.int64)
-        self._used += count
+        stamps = np.rint(np.arange(count) * (block.period * NANOSECONDS))
+        stamps += block.start_ns - self._begin_ns
+        self._rows.add((block.displacement, force, peak_velocity, after, stamps), count)
 
     def samples(self, start: int, stop: int) -> Samples:
         """The samples with these counts, as arrays of their own."""
-        return Samples(*self._values[:, self._place(start) : self._place(stop)].copy())
+        return Samples(*self._part(start, stop)[:-1].copy())
 
     def displacement(self, start: int, stop: int) -> Array:
         """Displacement [m] of the samples with these counts, shape (n,); to be read at once."""
-        return np.asarray(self._values[0, self._place(start) : self._place(stop)])
+        return np.asarray(self._part(start, stop)[0])
 
     def stamp_ns(self, count: int) -> int:
         """Stamp of the sample with this count."""
-        return int(self._stamps[self._place(count)])
+        assert self._begin_ns is not None
+        return self._begin_ns + int(self._part(count, count + 1)[-1, 0])
 
     def forget(self, before: int) -> None:
         """Let go of the samples before the one with this count."""
-        gone = min(max(before - self.first, 0), self._used - self._begin)
-        self._begin += gone
-        self.first += gone
+        held = self._rows.count
+        self._rows.keep(max(self.end - before, 0))
+        self.first += held - self._rows.count
 
-    def _place(self, count: int) -> int:
-        return count - self.first + self._begin
-
-    def _make_room(self, count: int) -> None:
-        if self._used + count <= self._stamps.size:
-            return
-        kept = self._used - self._begin
-        # Twice what is needed: then a sample is moved once on average, however small the blocks.
-        room = max(2 * (kept + count), _LEAST_ROOM)
-        values, stamps = np.empty((_ROWS, room)), np.empty(room, dtype=np.int64)
-        values[:, :kept] = self._values[:, self._begin : self._used]
-        stamps[:kept] = self._stamps[self._begin : self._used]
-        self._values, self._stamps = values, stamps
-        self._begin, self._used = 0, kept
+    def _part(self, start: int, stop: int) -> Array:
+        return self._rows.newest[:, start - self.first : stop - self.first]
 
 
 _USUAL_WAIT_NS = 1_000_000_000

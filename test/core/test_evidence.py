@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import known
 import numpy as np
@@ -11,9 +12,10 @@ from scipy.signal import lfilter
 
 from mr_damper_ros.emulation.emulator import scaled
 from mr_damper_ros.estimation.covariance import NoiseModel
+from mr_damper_ros.kinematics.window import Window
 from mr_damper_ros.models.parameter_set import ParameterSet
 from mr_damper_ros.signals.arrays import Array
-from mr_damper_ros.tracking.acceptance import Lead, evidence_of, held_back_samples
+from mr_damper_ros.tracking.acceptance import Lead, evidence_of, held_back_samples, turns_gradually
 
 N = 1000
 
@@ -68,6 +70,20 @@ def test_the_running_set_is_judged_by_the_force_that_it_predicts() -> None:
     left = known.rms((narrow.window_force(run.window) - run.force)[held_back]) / np.std(run.force)
     assert evidence.nrmse_before == pytest.approx(left)
     assert left > 2.0 * evidence.nrmse_after
+
+
+def test_a_force_that_does_not_jump_is_judged_as_it_is_predicted() -> None:
+    # Where the acceleration turns within a stroke, the law that jumps takes another branch.
+    time = np.arange(N) * known.PERIOD
+    displacement = 5e-3 * np.sin(9.0 * time) + 4e-4 * np.sin(60.0 * time)
+    found = ParameterSet(known.PLAUSIBLE)
+    window = Window.from_samples(displacement, time, 1.0, known.PERIOD)
+    forces = [found.window_force(window, gradual=gradual) for gradual in (False, True)]
+    for force in forces:
+        measured = replace(window, force=force)
+        assert turns_gradually(found, measured) == (force is forces[1])
+        evidence = evidence_of(found, found, measured, held_back_samples(N), fresh=N)
+        assert evidence.nrmse_before == pytest.approx(0.0, abs=1e-9)
 
 
 def loss_of(values: Array) -> float:

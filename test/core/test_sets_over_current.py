@@ -17,7 +17,7 @@ from mr_damper_ros.models.parameter_set import GLOBAL_SOURCE, ParameterSet
 from mr_damper_ros.models.sigmoid.law import operating_point_coefficients
 from mr_damper_ros.signals.arrays import Array
 from mr_damper_ros.signals.blocks import NANOSECONDS, SampleBlock
-from mr_damper_ros.tracking.model_bank import KnownSet, force_ratio
+from mr_damper_ros.tracking.model_bank import force_ratio
 from mr_damper_ros.tracking.predictor import ForcePredictor, Prediction, PredictorSettings
 from mr_damper_ros.tracking.validity import DoubtKind
 
@@ -229,11 +229,6 @@ def test_a_wrong_set_for_all_is_not_called_valid() -> None:
     # NRMSE: less than what a set for another current leaves.
     assert came.nrmse() > 0.1
     assert came.predictions[-1].doubt.kind.grave
-
-
-def at(set_id: str, current: float, stamp_ns: int, source: str = "nelder_mead") -> KnownSet:
-    parameters = replace(window_of(SIGMOID, current, set_id), source=source)
-    return KnownSet(parameters, stamp_ns, currents=(current, current))
 
 
 def test_a_factor_is_believed_in_as_far_as_it_stands_out() -> None:

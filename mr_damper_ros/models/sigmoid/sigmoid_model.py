@@ -217,6 +217,8 @@ class SigmoidModel(Model):
 
     def window_force(self, window: Window, parameters: Array) -> Array:
         """Force [N] at the samples of a window, shape (..., n), for parameters (..., p)."""
+        if self.turning:
+            return super().window_force(window, parameters)
         (force,) = self.window_forces([window]).forces(parameters)
         return force
 
