@@ -195,6 +195,30 @@ def test_velocity_and_acceleration_of_any_motion_are_near_the_best_there_is(
     assert found[0] < NEAR_THE_BEST * best[0]
 
 
+@pytest.mark.parametrize("kind", ["white", "bursts", "heavy-tailed", "digital"])
+def test_the_noise_of_a_long_random_record_may_be_of_any_kind(kind: str) -> None:
+    count, size = 20_000, 1e-4
+    truth = BandLimitedRandom(rms=5e-3, low=0.4, high=3.0, seed=2).at(0.01 * np.arange(count))
+    rng = np.random.default_rng(3)
+    noise = size * rng.standard_normal(count)
+    u = (
+        truth.displacement
+        + {
+            "white": noise,
+            "bursts": noise * np.where(np.sin(np.arange(count) / 500.0) > 0.9, 4.0, 1.0),
+            "heavy-tailed": size / math.sqrt(3.0) * rng.standard_t(3, count),
+            "digital": np.zeros(count),
+        }[kind]
+    )
+    if kind == "digital":
+        u = 3.0 * size * np.round(u / (3.0 * size))
+    lengths = (7, 11, 17, 25, 37, 55)
+    best = min(
+        relative(savgol_filter(u, each, 4, deriv=1, delta=0.01), truth.velocity) for each in lengths
+    )
+    assert relative(window_motion(u, 0.01).velocity, truth.velocity) < 1.3 * best
+
+
 # -- causal differentiator -------------------------------------------------------------------
 
 
